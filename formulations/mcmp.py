@@ -1,0 +1,83 @@
+"""MCMP: minimum expected cost until failure is declared, within a failure budget."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.model import SSP
+from ssp_lp.problem import check_setting
+from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class MCMP:
+    """Minimise ``E[r_tau]`` subject to ``failure probability <= failure_budget`` (case M).
+
+    Problem:
+        r_tau is the cost paid until the goal has become unreachable under the policy, all of it
+        if the goal is reached (paper, eq. JMCMP_def and section 2.5; min-cost given max-prob of
+        Teichteil-Koenigsbuch 2012 at ``failure_budget=None``).
+
+    Program:
+        minimise <cost, x> subject to flow balance, <failure, x> <= failure_budget, x >= 0, where
+        x counts the expected visits of each (state, action) labelled s of section 3.1.2.
+
+    Guarantee:
+        the optimum is attained by a lottery over at most two deterministic stationary policies;
+        the dual of the failure row, ``failure_price``, is minus the slope of the optimal cost.
+
+    Semantics:
+        ``give_up``: where a policy may declare failure (``GiveUp``); ``charge_failing_step``:
+        whether the step at which failure is declared is paid. With a ``discount`` both cost and
+        failure are discounted (section 3.5).
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``; one budget for the mean.
+        failure_budget: largest failure probability; None: as low as possible.
+        discount: None for exact probabilities, or gamma in (0, 1).
+        give_up: "anywhere", "attention" (the paper) or "dead_ends".
+        charge_failing_step: charge the failing step (the paper's section 3.1.2).
+
+    Raises:
+        ModelError: a budget or a discount out of range, an unknown start or ``give_up``.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> round(solve(MCMP(model, start="road", failure_budget=0.05)).objective, 9)
+        2.0
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    failure_budget: float | None = None
+    discount: float | None = None
+    give_up: str | GiveUp = GiveUp.ATTENTION
+    charge_failing_step: bool = True
+
+    def __post_init__(self) -> None:
+        check_setting(self.failure_budget, self.discount)
+        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
+        start_distribution(self.model, self.start)
+
+    @property
+    def ratio(self) -> bool:
+        """Cost is counted whether or not the goal is reached."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """What a failing episode costs."""
+        return Semantics(GiveUp(self.give_up), self.charge_failing_step)
+
+    def instance(self) -> Instance:
+        """The failure-labelled process."""
+        start = start_distribution(self.model, self.start)
+        return LabelInstance(self.model, start, self.semantics, self.discount)

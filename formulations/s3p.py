@@ -1,0 +1,83 @@
+"""S3P: minimum expected cost given success, within a failure budget."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.cost_instance import CostInstance
+from ssp_lp.engines.instance import Instance
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.problem import check_setting
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class S3P:
+    """Minimise ``E[total cost | goal reached]`` subject to ``failure <= failure_budget`` (case S).
+
+    Problem:
+        the stochastic safest and shortest path problem of Teichteil-Koenigsbuch (2012), relaxed
+        from least failure to a budget (paper, eq. JS3P_def and section 2.5).
+
+    Program:
+        minimise <cost, x> / <goal, x> subject to flow balance and <failure, x> <= budget over
+        states x accumulated cost (section 3.1.1): cost is charged on arrival at the goal, all
+        that was accumulated. By Charnes and Cooper's scaling it is a linear program.
+
+    Guarantee:
+        a lottery over at most two deterministic policies of (state, accumulated cost) attains the
+        optimum; at least failure (None) a policy of the state alone does.
+
+    Semantics:
+        failing episodes cost nothing, so nobody pays for giving up: a policy fails for real, in
+        the attention states. Accumulated cost is tracked up to a cap M and followed by tail
+        policies (section 3.5); M grows until the certified gap meets the tolerance.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``; one budget for the mean.
+        failure_budget: largest failure probability; None: as low as possible.
+        discount: None for exact probabilities, or gamma in (0, 1).
+        cost_cap: fix the cap M on accumulated cost; None: chosen as above.
+
+    Raises:
+        ModelError: a budget, a discount or a cap out of range, or an unknown start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> round(solve(S3P(model, start="road", failure_budget=0.05)).objective, 6)  # 1.95/0.95
+        2.052632
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    failure_budget: float | None = None
+    discount: float | None = None
+    cost_cap: float | None = None
+
+    def __post_init__(self) -> None:
+        check_setting(self.failure_budget, self.discount)
+        if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
+            raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
+        start_distribution(self.model, self.start)
+
+    @property
+    def ratio(self) -> bool:
+        """Cost is counted given success."""
+        return True
+
+    @property
+    def semantics(self) -> Semantics:
+        """Failing is free and happens where the goal can be avoided for sure."""
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False)
+
+    def instance(self) -> Instance:
+        """The accumulated-cost process."""
+        start = start_distribution(self.model, self.start)
+        return CostInstance(self.model, start, self.discount, fixed_cap=self.cost_cap)

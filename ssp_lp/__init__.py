@@ -1,0 +1,47 @@
+"""ssp-lp: reach the goal as cheaply as possible, and fail with probability at most epsilon."""
+
+from ssp_lp.certificate import Certificate, certify
+from ssp_lp.errors import (
+    InfeasibleError,
+    MissingDependencyError,
+    ModelError,
+    SolverError,
+    SSPError,
+)
+from ssp_lp.evaluation import Evaluation, evaluate
+from ssp_lp.model import SSP
+from ssp_lp.policies import (
+    GIVE_UP,
+    CostAwarePolicy,
+    DeterministicPolicy,
+    MixedPolicy,
+    StochasticPolicy,
+)
+from ssp_lp.process.semantics import GiveUp
+from ssp_lp.simulation import simulate
+from ssp_lp.solution import Solution
+from ssp_lp.solve import solve
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "GIVE_UP",
+    "SSP",
+    "Certificate",
+    "CostAwarePolicy",
+    "DeterministicPolicy",
+    "Evaluation",
+    "GiveUp",
+    "InfeasibleError",
+    "MissingDependencyError",
+    "MixedPolicy",
+    "ModelError",
+    "SSPError",
+    "Solution",
+    "SolverError",
+    "StochasticPolicy",
+    "certify",
+    "evaluate",
+    "simulate",
+    "solve",
+]

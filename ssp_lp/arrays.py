@@ -1,0 +1,82 @@
+"""Array aliases, read-only arrays, and every tolerance of the library with its reason."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.integer[Any]]
+BoolArray = npt.NDArray[np.bool_]
+
+MACHINE_EPSILON: Final = float(np.finfo(np.float64).eps)
+
+PROBABILITY_SUM: Final = 1e-9
+"""Sums of user probabilities this close to one are rounding and divided out; others are errors."""
+
+MAXIMISER: Final = 1e-12
+"""Relative distance to the best goal probability within which an action still counts as maximising.
+
+Linear solves leave 1e-15 to 1e-14; 1e-16 drops true maximisers on the paper's robot and 1e-8 moves
+the least-failure cost by 4e-4.
+"""
+
+LEAST_BUDGET: Final = 1e-10
+"""A budget this close below the least failure counts as equal to it (rounding of sums)."""
+
+IMPROVEMENT: Final = 1e-13
+"""Relative gain below which policy iteration keeps an action: the accuracy of a refined solve."""
+
+RELATIVE_GAP: Final = 1e-9
+"""Default relative gap between the objective and its certified lower bound."""
+
+RESIDUAL: Final = 1e-7
+"""Largest relative residual with which an LP backend's answer is accepted as a warm start."""
+
+
+def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike | None = None) -> npt.NDArray[Any]:
+    """Return a view of ``array`` (converted to ``dtype`` if need be) that cannot be written to."""
+    view = np.asarray(array, dtype=dtype).view()
+    view.flags.writeable = False
+    return view
+
+
+def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.int64]:
+    """Concatenate ``arange(start, start + length)`` over all given ranges, without a loop."""
+    lengths = np.asarray(lengths, dtype=np.int64)
+    total = int(lengths.sum())
+    first = np.cumsum(lengths) - lengths
+    return np.repeat(np.asarray(starts, dtype=np.int64) - first, lengths) + np.arange(total)
+
+
+def sorted_unique(values: IntArray) -> IntArray:
+    """The distinct non-negative values in increasing order, by sorting."""
+    ordered = np.sort(values)
+    return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
+
+
+def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
+    """Sum ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty segments give 0."""
+    result = np.zeros(len(offsets) - 1)
+    filled = np.flatnonzero(np.diff(offsets) > 0)
+    if filled.size:
+        result[filled] = np.add.reduceat(values, np.asarray(offsets)[filled])
+    return result
+
+
+def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
+    """Minimum of ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty: infinity."""
+    result = np.full(len(offsets) - 1, np.inf)
+    filled = np.flatnonzero(np.diff(offsets) > 0)
+    if filled.size:
+        result[filled] = np.minimum.reduceat(values, np.asarray(offsets)[filled])
+    return result
+
+
+def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) -> IntArray:
+    """Position, within each non-empty segment in turn, of the first value equal to its minimum."""
+    segment = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    attained = np.flatnonzero(values == minima[segment])
+    return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]

@@ -1,0 +1,118 @@
+"""Certificates: both sides of an answer recomputed from the model, trusting no solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.engines.column_generation import Row
+from ssp_lp.engines.instance import Instance
+from ssp_lp.errors import ModelError
+from ssp_lp.evaluation import Evaluation, evaluate
+from ssp_lp.problem import Problem
+from ssp_lp.solution import Solution, relative_gap
+
+_BUDGET_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What was recomputed. ``accepted`` says that the policy keeps to the budget."""
+
+    objective: float  # exact value of the policy
+    lower_bound: float  # no policy within the budget is cheaper
+    failure: float  # what the budget limits: exact, or discounted under a discount
+    budget: float  # largest failure allowed; at least failure: a certified upper bound of it
+    budget_slack: float  # budget - failure
+    tail_gap: float  # case S: the part of the relative gap that the cap M leaves; 0 if lossless
+    accepted: bool
+    reason: str  # why it was refused; empty if accepted
+
+    @property
+    def gap(self) -> float:
+        """Relative gap between the objective and the lower bound; infinite if refused."""
+        if not self.accepted:
+            return float("inf")
+        return relative_gap(self.objective, self.lower_bound)
+
+
+def certify(solution: Solution) -> Certificate:
+    """Recompute both sides of a solution from its model, policy, price and value function.
+
+    The objective and the failure come from an exact evaluation of the policy on the model. The
+    lower bound comes from the price and the value function alone: the latter is lowered until
+    one backup, rounding counted against it, shows that it bounds the priced cost of every policy
+    from below. A wrong policy, price or value function is thus refused or widens the gap.
+
+    Args:
+        solution: a solution, of ``solve`` or put together by hand.
+
+    Returns:
+        The certificate. ``accepted`` is false where the policy breaks the budget.
+
+    Raises:
+        ModelError: the policy or the value function does not fit the problem.
+    """
+    problem = solution.problem
+    found = evaluate(solution.policy, problem)
+    failure = found.discounted_failure
+    failure = found.failure_probability if failure is None else failure
+    if problem.failure_budget is None:
+        return _least_failure_certificate(problem, found, failure)
+    price, values = solution.failure_price, solution.value_function
+    if price is None or values is None:
+        raise ModelError("a certificate needs the failure price and its value function")
+    if not (np.isfinite(price) and price >= 0.0):
+        return _certificate(found, failure, 0.0, 0.0, _allowed(problem), "price is not >= 0")
+    instance = problem.instance().matching(np.asarray(values))
+    kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
+    bound, tail = _lower_bound(instance, problem, kappa, np.asarray(values), found.objective)
+    return _certificate(found, failure, bound, tail, _allowed(problem), "")
+
+
+def _allowed(problem: Problem) -> float:
+    """The budget, or the least failure where that lies within rounding above it."""
+    budget = 1.0 if problem.failure_budget is None else problem.failure_budget
+    least = problem.instance().least_failure().column.failure
+    return max(budget, least)
+
+
+def _lower_bound(
+    instance: Instance, problem: Problem, price: float, values: np.ndarray, objective: float
+) -> tuple[float, float]:
+    """Lower bound of the objective, and the relative gap that truncation leaves in it."""
+    row = Row(max(problem.failure_budget or 0.0, 0.0), problem.ratio)
+    priced, _ = instance.oracle().check(price, values)
+    bound = row.lower_bound(priced, price)
+    lost = instance.tail_loss(price)
+    scale = max(abs(objective), 1e-300) * (1.0 - row.budget if problem.ratio else 1.0)
+    return bound, lost / scale if scale > 0 else 0.0
+
+
+def _certificate(
+    found: Evaluation, failure: float, bound: float, tail: float, budget: float, reason: str
+) -> Certificate:
+    if not reason and failure > budget + _BUDGET_ROUNDING:
+        reason = f"the policy fails with {failure:.12g}, above the budget {budget:.12g}"
+    if not reason and not np.isfinite(found.objective):
+        reason = f"the policy's objective is {found.objective}"
+    return Certificate(
+        objective=found.objective,
+        lower_bound=min(bound, found.objective) if not reason else bound,
+        failure=failure,
+        budget=budget,
+        budget_slack=budget - failure,
+        tail_gap=tail,
+        accepted=not reason,
+        reason=reason,
+    )
+
+
+def _least_failure_certificate(problem: Problem, found: Evaluation, failure: float) -> Certificate:
+    """At least failure the bound is that of the second stage over the maximising actions."""
+    least = problem.instance().least_failure()
+    bound = least.cost_bound
+    if problem.ratio and found.goal_probability > 0:
+        bound = bound / found.goal_probability
+    return _certificate(found, failure, bound, 0.0, least.column.failure, "")

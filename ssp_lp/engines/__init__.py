@@ -1,0 +1,1 @@
+"""Engines: column generation with its oracles, and the full linear program."""

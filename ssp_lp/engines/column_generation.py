@@ -1,0 +1,170 @@
+"""Column generation (Dantzig-Wolfe) for one failure row: a secant search on its price.
+
+Deterministic policies are the columns; the master program has the failure row and convexity, so
+its optimum lies on an edge of the lower convex hull of the points (failure, cost). The search
+keeps a feasible column A and an infeasible column B, prices failure at the slope between them,
+and ends when no policy lies below their line. In case S the objective is the ratio
+``cost / (1 - failure)`` (paper, eq. s3p_gamma_j_obj): as long as no column is infeasible the
+price is the ratio itself (Dinkelbach's iteration).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.engines.oracles.oracle import Column, Oracle
+
+_ROUNDS = 200
+_SAME_FAILURE = 1e-15
+
+
+@dataclass(frozen=True, eq=False)
+class HullSearch:
+    """What the search found: an edge of the hull, the price there, and a certified bound."""
+
+    columns: tuple[Column, ...]  # one or two
+    weights: FloatArray  # [columns]
+    price: float  # kappa: price of failure at which the columns are optimal
+    objective: float  # cost, or cost / (1 - failure)
+    lower_bound: float
+    proof: FloatArray  # the sub-solution at the price behind the bound
+    bound_price: float  # the price at which the sub-solution was made
+    rounds: int  # oracle calls
+    finished: bool  # false: stopped by the time limit
+
+
+@dataclass(frozen=True)
+class Row:
+    """The failure row and the objective's form."""
+
+    budget: float
+    ratio: bool
+
+    def objective(self, cost: float, failure: float) -> float:
+        """Objective of a point of the hull."""
+        return cost / (1.0 - failure) if self.ratio and failure < 1.0 else cost
+
+    def lower_bound(self, priced: float, price: float) -> float:
+        """Bound on the objective from ``cost + price * failure >= priced`` for every policy.
+
+        Case M: cost >= priced - price * budget. Case S: cost - c (1 - failure) >= 0 holds for
+        c = price - (price - priced) / (1 - budget), and for c = priced if priced >= price.
+        """
+        if not self.ratio:
+            return max(priced - price * self.budget, 0.0)
+        if priced >= price:
+            return priced
+        if self.budget >= 1.0:
+            return 0.0
+        return max(price - (price - priced) / (1.0 - self.budget), 0.0)
+
+
+def search(
+    oracle: Oracle,
+    first: Column,
+    row: Row,
+    *,
+    tolerance: float,
+    hint: float | None = None,
+    deadline: float = np.inf,
+    report: Callable[[int, float, float], None] | None = None,
+) -> HullSearch:
+    """Find the best lottery over policies whose failure keeps to the budget.
+
+    Args:
+        oracle: minimises and measures at a price.
+        first: a column of least failure, at most the budget.
+        row: budget and form of the objective.
+        tolerance: relative gap at which pricing stops.
+        hint: a price to begin with, such as the dual of a linear program.
+        deadline: on the clock of ``time.perf_counter``.
+        report: called after each oracle call with (calls, price, objective).
+    """
+    inside, outside = first, None  # columns within and beyond the budget
+    price, calls, finished = _next_price(row, inside, outside), 0, True
+    price = price if hint is None else hint
+    warm: Column | None = None
+    while calls < _ROUNDS:
+        found = oracle.minimise(price, warm)
+        calls, warm = calls + 1, found
+        below = inside.cost + price * inside.failure - found.cost - price * found.failure
+        if report is not None:
+            report(calls, price, _best(row, inside, outside))
+        if below <= 0.1 * tolerance * max(_best(row, inside, outside), 1e-300):
+            settled = outside is not None or price == _next_price(row, inside, outside)
+            if settled and not (row.ratio and price < _best(row, inside, outside)):
+                break
+            outside = None  # the budget is slack: go on with Dinkelbach's iteration
+        elif found.failure <= row.budget:
+            inside = found
+        elif outside is not None and abs(found.failure - outside.failure) <= _SAME_FAILURE:
+            break
+        else:
+            outside = found
+        price = _next_price(row, inside, outside)
+        if time.perf_counter() > deadline:
+            finished = False
+            break
+    return _conclude(oracle, row, inside, outside, price, warm, calls, finished, tolerance)
+
+
+def _next_price(row: Row, inside: Column, outside: Column | None) -> float:
+    if outside is not None:
+        return max((inside.cost - outside.cost) / (outside.failure - inside.failure), 0.0)
+    return row.objective(inside.cost, inside.failure) if row.ratio else 0.0
+
+
+def _weight(row: Row, inside: Column, outside: Column | None) -> float:
+    """Weight of the column beyond the budget at which the lottery meets the budget."""
+    if outside is None:
+        return 0.0
+    share = (row.budget - inside.failure) / (outside.failure - inside.failure)
+    return float(min(max(share, 0.0), 1.0))
+
+
+def _best(row: Row, inside: Column, outside: Column | None) -> float:
+    """Objective of the lottery over the two columns."""
+    w = _weight(row, inside, outside)
+    if outside is None or w == 0.0:
+        return row.objective(inside.cost, inside.failure)
+    cost = (1.0 - w) * inside.cost + w * outside.cost
+    return row.objective(cost, (1.0 - w) * inside.failure + w * outside.failure)
+
+
+def _conclude(
+    oracle: Oracle,
+    row: Row,
+    inside: Column,
+    outside: Column | None,
+    price: float,
+    warm: Column | None,
+    calls: int,
+    finished: bool,
+    tolerance: float,
+) -> HullSearch:
+    weight = _weight(row, inside, outside)
+    best = _best(row, inside, outside)
+    columns, weights = (inside,), np.ones(1)
+    if outside is not None and weight > 0.0:
+        columns, weights = (inside, outside), np.array([1.0 - weight, weight])
+    price = max(price, best) if row.ratio else price
+    slack = row.ratio and price <= best  # then bound just below the ratio: see Row.lower_bound
+    bound_price = price * (1.0 - 0.25 * tolerance) if slack else price
+    start = warm if warm is not None else inside
+    priced, proof = oracle.bound(bound_price, start)
+    return HullSearch(
+        columns=columns,
+        weights=weights,
+        price=price,
+        objective=best,
+        lower_bound=min(row.lower_bound(priced, bound_price), best),
+        proof=proof,
+        bound_price=bound_price,
+        rounds=calls,
+        finished=finished,
+    )

@@ -1,0 +1,62 @@
+"""Case M as an instance: the failure label, with an explicit oracle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.engines.instance import LeastFailure
+from ssp_lp.engines.oracles.explicit import ExplicitOracle
+from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
+from ssp_lp.model import SSP
+from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.process.failure_label import label_failure
+from ssp_lp.process.semantics import Semantics
+
+
+@dataclass(frozen=True, eq=False)
+class LabelInstance:
+    """Minimise E[cost until failure is declared], failure limited (paper, section 3.1.2)."""
+
+    model: SSP
+    start: FloatArray  # [states]
+    semantics: Semantics
+    discount: float | None = None
+    ratio: bool = False
+
+    @cached_property
+    def _oracle(self) -> ExplicitOracle:
+        return ExplicitOracle(label_failure(self.model, self.start, self.semantics, self.discount))
+
+    def oracle(self) -> ExplicitOracle:
+        """Policy iteration on the labelled process."""
+        return self._oracle
+
+    def least_failure(self) -> LeastFailure:
+        """Greatest goal probability first, then the least cost among its actions."""
+        survival = 1.0 if self.discount is None else self.discount
+        usable = greatest_goal_reach(self.model, survival).usable
+        second = ExplicitOracle(
+            label_failure(self.model, self.start, self.semantics, self.discount, usable)
+        )
+        column = second.minimise(0.0)
+        bound, _ = second.bound(0.0, column)
+        policy = second.policy(column)
+        return LeastFailure(policy, replace(column, choice=None, policy=policy), bound)
+
+    def explicit(self) -> ExplicitProcess:
+        """The labelled process."""
+        return self._oracle.process
+
+    def refined(self, price: float) -> None:
+        """Nothing is truncated: there is nothing to refine."""
+        return
+
+    def matching(self, values: FloatArray) -> LabelInstance:
+        """The instance itself."""
+        return self
+
+    def tail_loss(self, price: float) -> float:
+        """Nothing is truncated: 0."""
+        return 0.0

@@ -1,0 +1,44 @@
+"""cvxpy: the readable second formulation, and the door to its other solvers."""
+
+from __future__ import annotations
+
+import time
+
+import cvxpy as cp
+import numpy as np
+
+from ssp_lp.engines.lp.answer import LPAnswer
+from ssp_lp.errors import SolverError
+from ssp_lp.program import LinearProgram
+
+
+def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
+    """State the program row by row in cvxpy and solve it with cvxpy's default for LPs.
+
+    Args:
+        time_limit: not passed on; solvers name it differently.
+
+    Raises:
+        SolverError: cvxpy's solver failed.
+    """
+    began = time.perf_counter()
+    visits = cp.Variable(program.matrix.shape[1], nonneg=True)
+    constraints = {
+        name: program.matrix[rows] @ visits == program.upper[rows]
+        if program.equality[rows].all()
+        else program.matrix[rows] @ visits <= program.upper[rows]
+        for name, rows in program.rows.items()
+        if rows.stop > rows.start
+    }
+    problem = cp.Problem(cp.Minimize(program.cost @ visits), list(constraints.values()))
+    try:
+        problem.solve()
+    except cp.SolverError as error:
+        raise SolverError(f"cvxpy: {error}") from error
+    dual = np.full(program.matrix.shape[0], np.nan)
+    for name, constraint in constraints.items():
+        if constraint.dual_value is not None:
+            dual[program.rows[name]] = -np.asarray(constraint.dual_value)
+    found = np.full(program.matrix.shape[1], np.nan) if visits.value is None else visits.value
+    return LPAnswer("cvxpy", np.asarray(found), dual, str(problem.status),
+                    time.perf_counter() - began)  # fmt: skip

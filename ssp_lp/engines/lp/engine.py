@@ -1,0 +1,95 @@
+"""The LP engine: choose a backend by size, solve, and never accept a solver's word."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+from ssp_lp.arrays import RESIDUAL
+from ssp_lp.engines.column_generation import Row
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.lp.answer import LPAnswer, residuals
+from ssp_lp.engines.lp.clarabel import solve_with_clarabel
+from ssp_lp.engines.lp.cvxpy import solve_with_cvxpy
+from ssp_lp.engines.lp.highs import solve_with_highs
+from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.program import LinearProgram, occupation_program
+
+BACKENDS = ("highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy")
+
+_SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
+_AGREEMENT = 1e-6
+
+
+@dataclass(frozen=True)
+class ProgramOptimum:
+    """A checked optimum of the linear program."""
+
+    objective: float  # c*
+    price: float  # kappa: the price of failure at which the optimal policies are priced
+    report: str  # one line: backend, size, residuals, seconds
+
+
+def solve_program(
+    instance: Instance, row: Row, backend: str | None, deadline: float
+) -> ProgramOptimum:
+    """Solve an instance's linear program, falling back once to another backend.
+
+    Args:
+        instance: brings the process.
+        row: the failure budget and the form of the objective.
+        backend: one of BACKENDS, or None to choose by size.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Raises:
+        ModelError: unknown backend.
+        SolverError: no backend's answer passes the check of its residuals.
+    """
+    if backend is not None and backend not in BACKENDS:
+        raise ModelError(f"backend must be one of {', '.join(BACKENDS)}, not {backend!r}")
+    program = occupation_program(instance.explicit(), row.budget, row.ratio)
+    small = program.matrix.shape[1] <= _SIMPLEX_COLUMNS
+    preferred = "highs-simplex" if small else "highs-ipx"
+    chosen = preferred if backend in (None, "highs") else str(backend)
+    spare = "highs-ipx" if chosen != "highs-ipx" else "clarabel"
+    tried = []
+    for name in (chosen, spare):
+        answer = _run(program, name, deadline - time.perf_counter())
+        worst = residuals(program, answer).worst
+        if worst <= RESIDUAL:
+            return _optimum(program, row, answer, worst)
+        tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")
+    raise SolverError(
+        "no LP backend gave an answer that passes its check (" + "; ".join(tried) + "); "
+        "engine='columns' needs no LP solver"
+    )
+
+
+def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
+    """Raise :class:`SolverError` if the LP's optimum and its recovered policy's value differ."""
+    if abs(optimum.objective - objective) > _AGREEMENT * max(abs(objective), 1.0):
+        raise SolverError(
+            f"the linear program says {optimum.objective!r} ({optimum.report}) but the policies "
+            f"priced at its dual attain {objective!r}"
+        )
+
+
+def _run(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
+    if backend == "clarabel":
+        return solve_with_clarabel(program, time_limit)
+    if backend == "cvxpy":
+        return solve_with_cvxpy(program, time_limit)
+    return solve_with_highs(program, backend, time_limit)
+
+
+def _optimum(program: LinearProgram, row: Row, answer: LPAnswer, worst: float) -> ProgramOptimum:
+    multiplier = max(-float(answer.dual[program.rows["failure"]][0]), 0.0)
+    objective = float(program.cost @ answer.x)
+    n_rows, n_columns = program.matrix.shape
+    ratio = float(answer.dual[program.rows["normaliser"]][0]) if row.ratio else 0.0
+    return ProgramOptimum(
+        objective=objective,
+        price=multiplier + ratio,
+        report=f"{answer.backend}: {objective:.10g}, {n_rows:,} rows x {n_columns:,} columns, "
+        f"residual {worst:.0e}, {answer.seconds:.2g} s",
+    )

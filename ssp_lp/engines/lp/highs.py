@@ -1,0 +1,70 @@
+"""HiGHS, called directly through highspy with CSC arrays."""
+
+from __future__ import annotations
+
+import time
+
+import highspy
+import numpy as np
+
+from ssp_lp.engines.lp.answer import LPAnswer
+from ssp_lp.errors import SolverError
+from ssp_lp.program import LinearProgram
+
+_SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx"}
+
+
+def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
+    """Solve with HiGHS' dual simplex or its interior point IPX (with crossover).
+
+    IPX ignores the time limit. The name ``ipm`` is avoided: it means another solver where
+    ``highspy-extras`` is installed.
+
+    Args:
+        backend: "highs-simplex" or "highs-ipx".
+        time_limit: seconds.
+
+    Raises:
+        SolverError: HiGHS refuses an option or the model.
+    """
+    began = time.perf_counter()
+    solver = highspy.Highs()
+    options = {
+        "output_flag": False,
+        "solver": _SOLVERS[backend],
+        "primal_feasibility_tolerance": 1e-9,
+        "dual_feasibility_tolerance": 1e-9,
+        "threads": 1,
+    }
+    if np.isfinite(time_limit):
+        options["time_limit"] = max(time_limit, 1e-3)
+    for name, value in options.items():
+        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
+            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    if solver.passModel(_highs_lp(program)) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the linear program")
+    solver.run()
+    solution = solver.getSolution()
+    return LPAnswer(
+        backend=backend,
+        x=np.asarray(solution.col_value, dtype=np.float64),
+        dual=np.asarray(solution.row_dual, dtype=np.float64),
+        status=solver.modelStatusToString(solver.getModelStatus()),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _highs_lp(program: LinearProgram) -> highspy.HighsLp:
+    n_rows, n_columns = program.matrix.shape
+    lp = highspy.HighsLp()
+    lp.num_col_, lp.num_row_ = n_columns, n_rows
+    lp.col_cost_ = program.cost
+    lp.col_lower_ = np.zeros(n_columns)
+    lp.col_upper_ = np.full(n_columns, highspy.kHighsInf)
+    lp.row_lower_ = np.maximum(program.lower, -highspy.kHighsInf)
+    lp.row_upper_ = np.minimum(program.upper, highspy.kHighsInf)
+    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+    lp.a_matrix_.start_ = program.matrix.indptr
+    lp.a_matrix_.index_ = program.matrix.indices
+    lp.a_matrix_.value_ = program.matrix.data
+    return lp

@@ -1,0 +1,1 @@
+"""Oracles: dynamic programming on a process at a given price of failure."""

@@ -1,0 +1,53 @@
+"""The error tree: one class per remedy, all under :class:`SSPError`."""
+
+from __future__ import annotations
+
+
+class SSPError(Exception):
+    """Root of every error that this library raises on purpose."""
+
+
+class ModelError(SSPError, ValueError):
+    """The model or the problem is stated wrongly; the message names the place and the remedy."""
+
+
+class InfeasibleError(SSPError):
+    """No policy respects the failure budget.
+
+    Attributes:
+        failure_budget: the budget that was asked for (``None``: no budget, the goal is unreachable).
+        least_failure: the least failure probability that any policy attains.
+        least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
+            surrogate can be infeasible where the real problem is not (paper, Theorem t2-2).
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        failure_budget: float | None,
+        least_failure: float,
+        least_discounted_failure: float | None = None,
+    ) -> None:
+        super().__init__(message)
+        self.failure_budget = failure_budget
+        self.least_failure = least_failure
+        self.least_discounted_failure = least_discounted_failure
+
+
+class SolverError(SSPError, RuntimeError):
+    """An engine did not deliver an answer that passes its check; says what was tried."""
+
+
+class MissingDependencyError(SSPError, ImportError):
+    """An optional package is not installed; the message carries the pip line.
+
+    Args:
+        package: the package that could not be imported.
+        extra: the extra of ``ssp-lp`` that brings it.
+    """
+
+    def __init__(self, package: str, extra: str) -> None:
+        super().__init__(f"{package} is not installed: pip install 'ssp-lp[{extra}]'")
+        self.package = package
+        self.extra = extra

@@ -1,0 +1,176 @@
+"""Exact evaluation of any policy under a problem's semantics, by sparse linear solves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.chain import Chain, policy_chain, reaching
+from ssp_lp.ends import end_marks
+from ssp_lp.errors import ModelError
+from ssp_lp.failing import give_up_costs, lost_costs
+from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem
+from ssp_lp.process.semantics import start_distribution
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a policy attains from the start. Costs are in the model's unit."""
+
+    goal_probability: float
+    failure_probability: float  # 1 - goal_probability: wandering for ever is failure
+    success_cost: float  # E[total cost; goal]
+    conditional_cost: float  # E[total cost | goal]; nan if the goal is never reached
+    expected_cost: float  # E[r_tau]: until failure is declared, charges included, undiscounted
+    objective: float  # what the problem minimises, discounted where it is
+    discounted_failure: float | None  # paper, eq. constrain_condition_approximate
+    ends: Mapping[str, float]  # how episodes end: goal, each label, dead_end, gave_up, wandering
+
+
+def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
+    """Evaluate a policy exactly, with the stopping time taken from its own chain.
+
+    The paper's tau (section 2.4) is the first time at which the goal cannot be reached any more
+    under the policy; the problem's ``give_up`` and ``charge_failing_step`` say what happens then.
+    Any policy will do: a solution's, a :class:`DeterministicPolicy` of the user's own, or a
+    lottery. The conditional cost of a lottery is the ratio of the weighted sums, never the mean
+    of the members' conditional costs.
+
+    Args:
+        policy: the policy, on the problem's model.
+        problem: says the start, the discount and the semantics.
+
+    Returns:
+        Exact numbers, up to the rounding of linear solves.
+
+    Raises:
+        ModelError: the policy has no decision in a state that it reaches, or gives up where the
+            problem forbids it.
+    """
+    if policy.model is not problem.model:
+        raise ModelError("the policy was made for another model object")
+    start = start_distribution(problem.model, problem.start)
+    if isinstance(policy, MixedPolicy):
+        parts = [_measure(p, problem, start) for p in policy.policies]
+        return _report(_mean(parts, policy.weights), problem)
+    return _report(_measure(policy, problem, start), problem)
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Quantities of a policy that are linear in the start lottery."""
+
+    goal: float
+    success_cost: float
+    expected_cost: float
+    discounted_goal: float  # E[gamma^T; goal]
+    discounted_cost: float  # case M: discounted E[r_tau]; case S: E[gamma^(T - 1) r_T; goal]
+    ends: Mapping[str, float]
+
+
+def _mean(parts: list[Measures], weights: FloatArray) -> Measures:
+    """Mean of measures over a lottery; an infinite cost of weight 0 does not count."""
+    used = [(p, float(w)) for p, w in zip(parts, weights, strict=True) if w > 0]
+    scalars = {
+        f.name: sum(w * getattr(p, f.name) for p, w in used)
+        for f in fields(Measures)
+        if f.name != "ends"
+    }
+    names = list(dict.fromkeys(name for p, _ in used for name in p.ends))
+    return Measures(
+        **scalars, ends={n: sum(w * p.ends.get(n, 0.0) for p, w in used) for n in names}
+    )
+
+
+def _report(sums: Measures, problem: Problem) -> Evaluation:
+    discounted = problem.discount is not None
+    failure = _complement(sums.goal)
+    surrogate = _complement(sums.discounted_goal)
+    objective = sums.discounted_cost
+    if problem.ratio:
+        reached = sums.discounted_goal
+        objective = objective / reached if reached > 0 else float("nan")
+    return Evaluation(
+        goal_probability=sums.goal,
+        failure_probability=failure,
+        success_cost=sums.success_cost,
+        conditional_cost=sums.success_cost / sums.goal if sums.goal > 0 else float("nan"),
+        expected_cost=sums.expected_cost,
+        objective=objective,
+        discounted_failure=surrogate if discounted else None,
+        ends=sums.ends,
+    )
+
+
+def _complement(probability: float) -> float:
+    return min(max(1.0 - probability, 0.0), 1.0)
+
+
+def _measure(policy: Policy, problem: Problem, start: FloatArray) -> Measures:
+    chain = policy_chain(problem.model, policy, start)
+    gamma = 1.0 if problem.discount is None else problem.discount
+    hopeful = reaching(chain, chain.goal > 0)
+    alive = hopeful & (chain.goal == 0)
+    goal, success = _success(chain, alive, 1.0)
+    early, early_cost = _success(chain, alive, gamma)
+    stopped = _until_failure(chain, hopeful, problem.semantics, 1.0)
+    if problem.ratio:
+        target = float(chain.start @ early_cost)
+    else:
+        target = stopped if gamma == 1.0 else _until_failure(
+            chain, hopeful, problem.semantics, gamma
+        )  # fmt: skip
+    return Measures(
+        goal=float(chain.start @ (goal + chain.goal)),
+        success_cost=float(chain.start @ success),
+        expected_cost=stopped,
+        discounted_goal=float(chain.start @ (gamma * early + chain.goal)),
+        discounted_cost=target,
+        ends=_ends(chain),
+    )
+
+
+def _success(chain: Chain, alive: BoolArray, survival: float) -> tuple[FloatArray, FloatArray]:
+    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] at nodes before the goal."""
+    hit = chain.per_node(chain.goal[chain.target])
+    early = chain.accumulate(hit, alive, survival)
+    weight = np.where(chain.goal[chain.target] > 0, 1.0, survival * early[chain.target])
+    priced = chain.per_node(weight * chain.cost)
+    return early, chain.accumulate(priced, alive, survival)
+
+
+def _until_failure(
+    chain: Chain, hopeful: BoolArray, semantics: Semantics, survival: float
+) -> float:
+    """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs."""
+    lost = lost_costs(chain, hopeful, semantics, survival)
+    charged = chain.give_up * give_up_costs(chain, semantics)
+    endless = np.isinf(lost)
+    if endless.any() and (chain.start[reaching(chain, endless)] > 0).any():
+        return float("inf")
+    lost = np.where(endless, 0.0, lost)
+    alive = hopeful & (chain.goal == 0)
+    stage = chain.per_node(chain.cost) + charged + survival * (chain.matrix @ lost)
+    return float(
+        chain.start @ (lost + chain.accumulate(np.where(alive, stage, 0.0), alive, survival))
+    )
+
+
+def _ends(chain: Chain) -> dict[str, float]:
+    """Probability of each way in which episodes end."""
+    final = (chain.goal > 0) | (chain.dead > 0)
+    settling = reaching(chain, final | (chain.give_up > 0)) & ~final
+    names = ["goal", *chain.model.state_labels, "dead_end", "gave_up"]
+    marks = end_marks(chain.model)
+    at_end = np.stack([final & (marks[chain.state] == i) for i in range(len(names))], axis=1)
+    hits = chain.matrix @ at_end.astype(np.float64)
+    hits[:, -1] += chain.give_up
+    totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling)
+    shares = chain.start @ (totals + at_end)
+    ends = {name: float(share) for name, share in zip(names, shares, strict=True)}
+    return ends | {"wandering": _complement(sum(ends.values()))}

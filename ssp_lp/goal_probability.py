@@ -1,0 +1,24 @@
+"""Greatest and least probability of reaching the goal (MAXPROB and MINPROB; paper, section 2.3)."""
+
+from __future__ import annotations
+
+from ssp_lp.arrays import FloatArray, read_only
+from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach, least_goal_reach
+from ssp_lp.model import SSP
+
+
+def max_goal_probability(model: SSP) -> FloatArray:
+    """The greatest probability of reaching the goal from each state, [states].
+
+    MAXPROB (Kolobov et al. 2011; paper, section 2.3), by policy iteration from a policy that
+    reaches the goal from wherever it can be reached.
+    """
+    return read_only(greatest_goal_reach(model).goal)
+
+
+def min_goal_probability(model: SSP) -> FloatArray:
+    """The least probability of reaching the goal from each state, [states].
+
+    MINPROB (paper, section 2.3); exactly 0 at the attention states, which are found on the graph.
+    """
+    return read_only(least_goal_reach(model).goal)

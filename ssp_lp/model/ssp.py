@@ -1,0 +1,309 @@
+"""The stochastic shortest path model with dead-ends (paper, section 2.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model.builders import FlatModel, Outcomes, flatten_successors, flatten_transitions
+from ssp_lp.model.checks import check_offsets, check_outcomes, unit_sums
+from ssp_lp.model.labels import action_table, goal_mask_of
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SSP:
+    """A finite Markov decision process with goal states, in sparse state-action-pair form.
+
+    Build it with :meth:`from_transitions`, :meth:`from_arrays` or :meth:`from_successors`, which
+    check their input; the fields below are read-only afterwards. An *outcome* of a pair is
+    (probability, successor, cost); two outcomes of a pair may share a successor and differ in
+    cost. Goal states are absorbing and free (the paper's state 0): an episode ends there, so
+    they have no pairs. A state without pairs that is no goal is a dead-end.
+    """
+
+    states: Sequence[Hashable]  # [states] labels
+    action_names: Sequence[Hashable]  # the distinct action labels
+    pair_action: IntArray  # [pairs] position in action_names
+    pair_offsets: IntArray  # [states + 1] pairs of state s: pair_offsets[s] : pair_offsets[s + 1]
+    outcome_offsets: IntArray  # [pairs + 1] outcomes of pair k, likewise
+    successors: IntArray  # [outcomes]
+    probabilities: FloatArray  # [outcomes], each pair's sum to one
+    costs: FloatArray  # [outcomes], finite and non-negative
+    goal_mask: BoolArray  # [states]
+    state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
+    exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
+
+    @classmethod
+    def from_transitions(
+        cls,
+        transitions: Mapping[Hashable, Mapping[Hashable, Iterable[tuple[float, Hashable, float]]]],
+        goal: Iterable[Hashable],
+        *,
+        state_labels: Mapping[str, Iterable[Hashable]] | None = None,
+        treat_actionless_as_dead_ends: bool = False,
+    ) -> SSP:
+        """Build a model from nested dicts ``{state: {action: [(probability, successor, cost)]}}``.
+
+        Args:
+            transitions: every state that is not a goal must be a key. Actions listed at a goal
+                state are left out: the episode ends there.
+            goal: the labels of the goal states.
+            state_labels: names for sets of states ("wall"), used in reports.
+            treat_actionless_as_dead_ends: accept states without actions that are not goals.
+
+        Returns:
+            The model, with states numbered in the order of the keys, goals that are no keys last.
+
+        Raises:
+            ModelError: naming the state and the action at fault.
+
+        Example:
+            >>> model = SSP.from_transitions(
+            ...     {"start": {"go": [(0.9, "goal", 1.0), (0.1, "pit", 1.0)]}, "pit": {}},
+            ...     goal={"goal"}, treat_actionless_as_dead_ends=True)
+            >>> model.n_states, model.n_pairs, model.n_outcomes
+            (3, 1, 2)
+        """
+        flat = flatten_transitions(transitions, goal)
+        return cls._from_flat(flat, state_labels, treat_actionless_as_dead_ends)
+
+    @classmethod
+    def from_successors(
+        cls,
+        start: Hashable | Iterable[Hashable],
+        successors: Callable[[Any], Mapping[Hashable, Outcomes]],
+        goal: Callable[[Any], bool] | Iterable[Hashable],
+        *,
+        state_limit: int = 1_000_000,
+        progress: Callable[[int], None] | None = None,
+        state_labels: Mapping[str, Callable[[Any], bool]] | None = None,
+        treat_actionless_as_dead_ends: bool = False,
+    ) -> SSP:
+        """Explore a successor function breadth-first from the start and build the model.
+
+        Args:
+            start: a state, or a list or set of states, to explore from.
+            successors: maps a state to ``{action: [(probability, successor, cost), ...]}``.
+            goal: a predicate on states, or the goal states.
+            state_limit: raise when more states than this are found.
+            progress: called now and then with the number of states found so far.
+            state_labels: label -> predicate on states.
+            treat_actionless_as_dead_ends: accept states without actions that are not goals.
+
+        Raises:
+            ModelError: naming the state and the action at fault, or that the limit was passed.
+        """
+        flat = flatten_successors(start, successors, goal, state_limit, progress)
+        marked = {
+            name: [s for s in flat.states if holds(s)]
+            for name, holds in (state_labels or {}).items()
+        }
+        return cls._from_flat(flat, marked, treat_actionless_as_dead_ends)
+
+    @classmethod
+    def _from_flat(
+        cls,
+        flat: FlatModel,
+        state_labels: Mapping[str, Iterable[Hashable]] | None,
+        treat_actionless_as_dead_ends: bool,
+    ) -> SSP:
+        return cls.from_arrays(
+            **flat._asdict(),
+            state_labels=state_labels,
+            treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
+        )
+
+    @classmethod
+    def from_arrays(
+        cls,
+        *,
+        pair_offsets: npt.ArrayLike,
+        outcome_offsets: npt.ArrayLike,
+        successors: npt.ArrayLike,
+        probabilities: npt.ArrayLike,
+        costs: npt.ArrayLike,
+        goal_states: npt.ArrayLike,
+        states: Sequence[Hashable] | None = None,
+        actions: Sequence[Hashable] | None = None,
+        state_labels: Mapping[str, Iterable[Hashable]] | None = None,
+        exact_costs: Mapping[float, Fraction] | None = None,
+        treat_actionless_as_dead_ends: bool = False,
+    ) -> SSP:
+        """Build a model from CSR arrays, without a Python loop over pairs.
+
+        Args:
+            pair_offsets: [states + 1]; the pairs of state s are ``pair_offsets[s] :
+                pair_offsets[s + 1]``.
+            outcome_offsets: [pairs + 1]; the outcomes of pair k, likewise.
+            successors: [outcomes], indices of states.
+            probabilities: [outcomes].
+            costs: one number, or one per pair, or one per outcome.
+            goal_states: indices of the goal states, which must have no pairs.
+            states: labels of the states; their indices if left out.
+            actions: [pairs] labels of the actions; their position within the state if left out.
+            state_labels: names for sets of states, given by their labels.
+            exact_costs: the fraction meant by a float cost such as 1/3; others mean their
+                shortest decimal. It decides the lattice of accumulated costs.
+            treat_actionless_as_dead_ends: accept states without pairs that are not goals.
+
+        Raises:
+            ModelError: naming the state and the action at fault.
+        """
+        draft = cls._draft(pair_offsets, outcome_offsets, goal_states, states, actions)
+        n_outcomes = int(draft.outcome_offsets[-1])
+        target = _integers(successors)
+        chance = read_only(probabilities, np.float64)
+        if target.shape != (n_outcomes,) or chance.shape != (n_outcomes,):
+            raise ModelError(f"successors and probabilities must have length {n_outcomes}")
+        stage_cost = draft._per_outcome(costs)
+        check_outcomes(target, chance, stage_cost, draft.n_states, draft._describe_outcome)
+        chance = unit_sums(chance, draft.outcome_offsets, draft.describe_pair)
+        draft._check_actionless(treat_actionless_as_dead_ends)
+        return cls(
+            states=draft.states,
+            action_names=draft.action_names,
+            pair_action=draft.pair_action,
+            pair_offsets=draft.pair_offsets,
+            outcome_offsets=draft.outcome_offsets,
+            successors=read_only(target, np.int32),
+            probabilities=read_only(chance),
+            costs=stage_cost,
+            goal_mask=draft.goal_mask,
+            state_labels=draft._indexed_labels(state_labels or {}),
+            exact_costs=dict(exact_costs or {}),
+        )
+
+    @classmethod
+    def _draft(
+        cls,
+        pair_offsets: npt.ArrayLike,
+        outcome_offsets: npt.ArrayLike,
+        goal_states: npt.ArrayLike,
+        states: Sequence[Hashable] | None,
+        actions: Sequence[Hashable] | None,
+    ) -> SSP:
+        """A model without outcomes: enough to name states and actions while checking the rest."""
+        pairs, outcomes = read_only(pair_offsets, np.int64), read_only(outcome_offsets, np.int64)
+        n_states, n_pairs = pairs.size - 1, outcomes.size - 1
+        check_offsets("pair_offsets", pairs, n_pairs)
+        check_offsets("outcome_offsets", outcomes, int(outcomes[-1]) if outcomes.size else 0)
+        names = range(n_states) if states is None else states
+        if len(names) != n_states:
+            raise ModelError(f"{len(names)} state labels given for {n_states} states")
+        action_names, pair_action = action_table(actions, pairs)
+        nothing = read_only(np.zeros(0))
+        return cls(
+            states=names,
+            action_names=action_names,
+            pair_action=read_only(pair_action),
+            pair_offsets=pairs,
+            outcome_offsets=outcomes,
+            successors=nothing.astype(np.int32),
+            probabilities=nothing,
+            costs=nothing,
+            goal_mask=goal_mask_of(goal_states, n_states),
+            state_labels={},
+            exact_costs={},
+        )
+
+    @property
+    def n_states(self) -> int:
+        """Number of states, goals included."""
+        return len(self.pair_offsets) - 1
+
+    @property
+    def n_pairs(self) -> int:
+        """Number of state-action pairs."""
+        return len(self.outcome_offsets) - 1
+
+    @property
+    def n_outcomes(self) -> int:
+        """Number of outcomes over all pairs."""
+        return len(self.successors)
+
+    @cached_property
+    def pair_state(self) -> IntArray:
+        """The state of each pair, [pairs]."""
+        counts = np.diff(self.pair_offsets)
+        return read_only(np.repeat(np.arange(self.n_states, dtype=np.int32), counts))
+
+    @cached_property
+    def _index(self) -> Mapping[Hashable, int]:
+        return {label: i for i, label in enumerate(self.states)}
+
+    def index_of(self, state: Hashable) -> int:
+        """Index of the state with this label.
+
+        Raises:
+            ModelError: no state has the label.
+        """
+        if isinstance(self.states, range):
+            if isinstance(state, (int, np.integer)) and state in self.states:
+                return int(state)
+        elif state in self._index:
+            return self._index[state]
+        raise ModelError(f"{state!r} is not a state of the model")
+
+    def action_of(self, pair: int) -> Hashable:
+        """Label of the action of a pair."""
+        return self.action_names[int(self.pair_action[pair])]
+
+    def describe_pair(self, pair: int) -> str:
+        """Name a pair for a person: "action 'go' of state 'start'"."""
+        state = int(np.searchsorted(self.pair_offsets, pair, side="right")) - 1
+        return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
+
+    def __repr__(self) -> str:
+        """One line: the sizes."""
+        return (
+            f"SSP({self.n_states:,} states, {self.n_pairs:,} pairs, {self.n_outcomes:,} outcomes, "
+            f"{int(self.goal_mask.sum()):,} goals)"
+        )
+
+    def _describe_outcome(self, outcome: int) -> str:
+        return self.describe_pair(
+            int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
+        )
+
+    def _per_outcome(self, costs: npt.ArrayLike) -> FloatArray:
+        """Spread costs (scalar, per pair or per outcome) over outcomes; a scalar takes no room."""
+        given, n_outcomes = np.asarray(costs, dtype=np.float64), int(self.outcome_offsets[-1])
+        if given.ndim == 0 or given.shape == (n_outcomes,):
+            return read_only(np.broadcast_to(given, (n_outcomes,)))
+        if given.shape == (self.n_pairs,):
+            return read_only(np.repeat(given, np.diff(self.outcome_offsets)))
+        raise ModelError(f"costs must be a number, {self.n_pairs} or {n_outcomes} numbers")
+
+    def _check_actionless(self, accept: bool) -> None:
+        counts = np.diff(self.pair_offsets)
+        acting_goal = self.goal_mask & (counts > 0)
+        if acting_goal.any():
+            state = self.states[int(np.argmax(acting_goal))]
+            raise ModelError(f"goal state {state!r} has actions: an episode ends there; drop them")
+        idle = (counts == 0) & ~self.goal_mask
+        if idle.any() and not accept:
+            raise ModelError(
+                f"state {self.states[int(np.argmax(idle))]!r} has no actions and is no goal; "
+                "pass treat_actionless_as_dead_ends=True to accept such states as dead-ends"
+            )
+
+    def _indexed_labels(self, labels: Mapping[str, Iterable[Hashable]]) -> Mapping[str, IntArray]:
+        return {
+            name: read_only(np.array(sorted({self.index_of(s) for s in members}), dtype=np.int64))
+            for name, members in labels.items()
+        }
+
+
+def _integers(values: npt.ArrayLike) -> IntArray:
+    array = np.asarray(values)
+    if array.size and not np.issubdtype(array.dtype, np.integer):
+        raise ModelError("successors must be integers (indices of states)")
+    return read_only(array, np.int64 if array.dtype.itemsize > 4 else np.int32)

@@ -1,0 +1,87 @@
+"""Expected visits of a policy, and the randomised policy equivalent to a lottery."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.chain import Chain, policy_chain, reaching
+from ssp_lp.errors import ModelError
+from ssp_lp.policies import CostAwarePolicy, MixedPolicy, Policy, StochasticPolicy
+from ssp_lp.policies.policy import Branches
+from ssp_lp.problem import Problem
+from ssp_lp.process.semantics import start_distribution
+
+
+def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
+    """Expected number of visits of each node, visits at time t weighted survival^t, [nodes].
+
+    Raises:
+        ModelError: the policy may wander for ever, so that visits are infinite.
+    """
+    if survival == 1.0:
+        ends = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
+        if not reaching(chain, ends).all():
+            raise ModelError("the policy may wander for ever: its expected visits are infinite")
+    return chain.push(chain.start, survival)
+
+
+def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:
+    """The stationary randomised policy that visits every pair as often as the lottery does.
+
+    Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
+    the lottery's expected visits. Under a discount visits are discounted, so that the discounted
+    cost and failure are kept: a stationary policy cannot keep both those and the real ones. Members of the state alone are carried along the accumulated
+    cost where another member needs it.
+
+    Raises:
+        ModelError: a member may wander for ever.
+    """
+    model, start = problem.model, start_distribution(problem.model, problem.start)
+    survival = 1.0 if problem.discount is None else problem.discount
+    carrier = next((p for p in policy.policies if isinstance(p, CostAwarePolicy)), None)
+    keys, pairs, flows = [], [], []
+    for member, weight in zip(policy.policies, policy.weights, strict=True):
+        lifted = member if carrier is None else _Carried(member, carrier)
+        chain = policy_chain(model, lifted, start)
+        visits = expected_visits(chain, survival)
+        flow = weight * visits[chain.branch_node] * chain.branch_probability
+        keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
+        pairs.append(chain.branch_pair)
+        flows.append(flow)
+    return _shares(model.n_pairs, policy, carrier, *map(np.concatenate, (keys, pairs, flows)))
+
+
+def _shares(
+    n_pairs: int,
+    policy: MixedPolicy,
+    carrier: Policy | None,
+    keys: IntArray,
+    pairs: IntArray,
+    flows: FloatArray,
+) -> StochasticPolicy:
+    joint, back = np.unique(keys * (n_pairs + 1) + pairs + 1, return_inverse=True)
+    flow = np.bincount(back, weights=flows)
+    joint, flow = joint[flow > 0], flow[flow > 0]
+    key, pair = np.divmod(joint, n_pairs + 1)
+    situation, first = np.unique(key, return_index=True)
+    offsets = np.append(first, key.size)
+    total = np.repeat(np.add.reduceat(flow, first), np.diff(offsets)) if key.size else flow
+    return StochasticPolicy(policy.model, situation, offsets, pair - 1, flow / total, carrier)
+
+
+class _Carried(Policy):
+    """A policy that decides as one policy does, with the memory of another."""
+
+    def __init__(self, decider: Policy, carrier: CostAwarePolicy) -> None:
+        self.model = decider.model
+        self._decider, self._carrier = decider, carrier
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        return self._carrier.start_memory(states)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        return self._decider.branches(states, memory)
+
+    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+        return self._carrier.remember(memory, successors, costs)

@@ -1,0 +1,86 @@
+"""Semi-Markov policies: decisions that depend on the state and on the cost paid so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.policies.deterministic import check_decisions
+from ssp_lp.policies.playing import Playable
+from ssp_lp.policies.policy import UNDECIDED, Branches, Policy
+
+_OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CostAwarePolicy(Policy, Playable):
+    """A deterministic decision for each (state, accumulated cost) below a cap, then a tail policy.
+
+    Costs are counted in layers of ``unit``. Memory below ``cap`` is the layer. At the cap the
+    policy switches for good to one of its stationary tails: to the last one (which fails where it
+    can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
+    state, else to the first; memory is then ``cap + tail``.
+    """
+
+    model: SSP
+    unit: float  # cost of one layer
+    decision: IntArray  # [cap, states] pair, GIVE_UP_CODE or UNDECIDED
+    tails: IntArray  # [tails, states] likewise
+    tail_threshold: FloatArray  # [states] layer from which the last tail is followed
+
+    def __post_init__(self) -> None:
+        for name in ("decision", "tails", "tail_threshold"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        everywhere = np.arange(self.model.n_states)
+        check_decisions(self.model, self.decision, everywhere)
+        check_decisions(self.model, self.tails, everywhere)
+
+    @property
+    def cap(self) -> int:
+        """Number of layers of accumulated cost with decisions of their own (M / unit)."""
+        return self.decision.shape[0]
+
+    def member(self, rng: np.random.Generator | None) -> Policy:
+        """The policy itself."""
+        return self
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """Nothing is paid yet: layer 0, [episodes]."""
+        return self._memory_at(np.zeros(len(states), dtype=np.int64), states)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The one decision of each (state, memory)."""
+        below = memory < self.cap
+        pair = np.empty(len(states), dtype=np.int64)
+        pair[below] = self.decision[memory[below], states[below]]
+        pair[~below] = self.tails[memory[~below] - self.cap, states[~below]]
+        return Branches(np.arange(len(states)), pair, np.ones(len(states)))
+
+    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+        """Add the observed cost; switch to a tail when the cap is reached.
+
+        Raises:
+            ModelError: a cost is no whole number of layers.
+        """
+        paid = costs / self.unit
+        steps = np.rint(paid)
+        acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
+        off = acting & (np.abs(paid - steps) > _OFF_LATTICE)
+        if off.any():
+            cost = costs[int(np.argmax(off))]
+            raise ModelError(f"observed cost {cost!r} is no multiple of the unit {self.unit!r}")
+        layer = np.where(acting, memory + steps.astype(np.int64), memory)
+        return np.where(acting, self._memory_at(layer, successors), memory)
+
+    def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
+        last = len(self.tails) - 1
+        tail = np.where(layer >= self.tail_threshold[states], last, 0)
+        return np.where(layer < self.cap, layer, self.cap + tail)
+
+    def __repr__(self) -> str:
+        """One line: the cap and the unit."""
+        return f"CostAwarePolicy({self.cap} layers of cost {self.unit:g})"

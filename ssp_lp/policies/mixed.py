@@ -1,0 +1,57 @@
+"""Mixed policies: a lottery, drawn once at the start, over deterministic policies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.policies.playing import Playable
+from ssp_lp.policies.policy import Policy
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MixedPolicy(Playable):
+    """A lottery at the start over a few policies (paper, section 2.2).
+
+    Raises:
+        ModelError: no members, or weights that are negative or do not sum to one.
+    """
+
+    policies: tuple[Policy, ...]
+    weights: FloatArray  # [policies]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "policies", tuple(self.policies))
+        object.__setattr__(self, "weights", read_only(self.weights, np.float64))
+        if not self.policies or len(self.policies) != len(self.weights):
+            raise ModelError("a mixed policy needs one weight for each of its policies")
+        if (self.weights < 0).any() or abs(float(self.weights.sum()) - 1.0) > 1e-9:
+            raise ModelError(f"weights must form a distribution, not {self.weights.tolist()}")
+        if any(p.model is not self.model for p in self.policies):
+            raise ModelError("the members of a mixed policy must act on one model")
+
+    @property
+    def model(self) -> SSP:
+        """The model that the members act on."""
+        return self.policies[0].model
+
+    def member(self, rng: np.random.Generator | None) -> Policy:
+        """Draw the member that plays the next episode.
+
+        Raises:
+            ModelError: there are several members and no generator.
+        """
+        if len(self.policies) == 1:
+            return self.policies[0]
+        if rng is None:
+            raise ModelError("a lottery over policies needs a random generator: reset(rng)")
+        return self.policies[int(rng.choice(len(self.policies), p=self.weights))]
+
+    def __repr__(self) -> str:
+        """The weights and the members."""
+        parts = (f"{w:.6g} x {p!r}" for w, p in zip(self.weights, self.policies, strict=True))
+        return f"MixedPolicy({' + '.join(parts)})"

@@ -1,0 +1,105 @@
+"""Playing a policy step by step: reset, action, observe."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Hashable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import attention_states, staying_pairs
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
+
+
+@dataclass
+class Episode:
+    """The state of one episode: the member drawn, its memory, whether it gave up. Mutable."""
+
+    policy: Policy
+    rng: np.random.Generator | None
+    memory: IntArray | None = None
+    staying: IntArray | None = None  # [states], once the episode goes on after giving up
+
+    def action(self, state: Hashable) -> Hashable:
+        model = self.policy.model
+        here = np.array([model.index_of(state)])
+        if self.staying is not None:
+            pair = int(self.staying[here[0]])
+            if pair == UNDECIDED:
+                raise ModelError(f"no action of state {state!r} surely avoids the goal")
+            return model.action_of(pair)
+        if self.memory is None:
+            self.memory = self.policy.start_memory(here)
+        pair = int(self.policy.sample(here, self.memory, self.rng)[0])
+        return GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
+
+    def observe(self, successor: Hashable, cost: float) -> None:
+        if self.memory is None:
+            raise ModelError("observe() was called before the first action() of the episode")
+        if self.staying is None:
+            there = np.array([self.policy.model.index_of(successor)])
+            self.memory = self.policy.remember(self.memory, there, np.array([float(cost)]))
+
+
+class Playable(ABC):
+    """Mix-in of the policies that a person's own loop can drive.
+
+    Example:
+        >>> policy.reset(np.random.default_rng(0))     # doctest: +SKIP
+        >>> action = policy.action(state)               # doctest: +SKIP
+        >>> policy.observe(successor, cost)             # doctest: +SKIP
+    """
+
+    _episode: Episode | None = None
+
+    @abstractmethod
+    def member(self, rng: np.random.Generator | None) -> Policy:
+        """The policy that plays the next episode, drawn where there is a lottery."""
+
+    def reset(self, rng: np.random.Generator | None = None) -> None:
+        """Begin an episode; ``rng`` draws the lottery and random actions.
+
+        Raises:
+            ModelError: a lottery without a generator.
+        """
+        object.__setattr__(self, "_episode", Episode(self.member(rng), rng))
+
+    def action(self, state: Hashable) -> Hashable:
+        """The action in this state, or :data:`GIVE_UP`, with which an episode ends.
+
+        Raises:
+            ModelError: unknown state, or one in which the policy has no decision.
+        """
+        return self._current().action(state)
+
+    def observe(self, successor: Hashable, cost: float) -> None:
+        """Tell the policy where the step led and what it cost; this moves its memory.
+
+        Raises:
+            ModelError: a cost off the lattice that the policy was made for.
+        """
+        self._current().observe(successor, cost)
+
+    def continue_after_give_up(self) -> None:
+        """From now on play the policy that stays in the attention states (it avoids the goal)."""
+        episode = self._current()
+        episode.staying = staying_policy(episode.policy.model)
+
+    def _current(self) -> Episode:
+        if self._episode is None:
+            raise ModelError("call reset(rng) before the first action of an episode")
+        return self._episode
+
+
+def staying_policy(model: SSP) -> IntArray:
+    """A pair that surely avoids the goal in each state that has one, else UNDECIDED, [states]."""
+    pairs = np.flatnonzero(staying_pairs(model, attention_states(model)))
+    states = model.pair_state[pairs]
+    first = np.flatnonzero(np.diff(states, prepend=-1))
+    decision = np.full(model.n_states, UNDECIDED, dtype=np.int64)
+    decision[states[first]] = pairs[first]
+    return decision

@@ -1,0 +1,93 @@
+"""Randomised policies: a distribution over decisions in each (state, memory)."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.policies.deterministic import find_pair
+from ssp_lp.policies.playing import Playable
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Branches, Policy
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StochasticPolicy(Policy, Playable):
+    """A distribution over decisions in each situation, that is in each (state, memory).
+
+    Situations are sorted by (memory, state). Memory moves as that of ``carrier`` does; without a
+    carrier the policy is stationary on the model's states. The policy that is equivalent to a
+    mixed policy (paper, section 2.2) has this form.
+    """
+
+    model: SSP
+    situation_key: IntArray  # [situations] memory * n_states + state, increasing
+    offsets: IntArray  # [situations + 1] branches of situation i: offsets[i] : offsets[i + 1]
+    pair: IntArray  # [branches] pair of the model or GIVE_UP_CODE
+    probability: FloatArray  # [branches], each situation's sum to one
+    carrier: Policy | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("situation_key", "offsets", "pair", "probability"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        sums = np.add.reduceat(self.probability, self.offsets[:-1]) if len(self.pair) else 1.0
+        if (self.probability < 0).any() or np.any(np.abs(np.asarray(sums) - 1.0) > 1e-9):
+            raise ModelError("the decisions of each state need probabilities that sum to one")
+
+    @classmethod
+    def from_actions(
+        cls, model: SSP, actions: Mapping[Hashable, Mapping[Hashable, float]]
+    ) -> StochasticPolicy:
+        """Build a stationary policy from ``{state: {action or GIVE_UP: probability}}``.
+
+        Raises:
+            ModelError: unknown state or action, or probabilities that do not sum to one.
+        """
+        rows = sorted((model.index_of(state), table) for state, table in actions.items())
+        pairs = [
+            GIVE_UP_CODE if a is GIVE_UP else find_pair(model, s, a) for s, t in rows for a in t
+        ]
+        return cls(
+            model,
+            np.array([s for s, _ in rows], dtype=np.int64),
+            np.cumsum([0] + [len(table) for _, table in rows]),
+            np.array(pairs, dtype=np.int64),
+            np.array([w for _, table in rows for w in table.values()], dtype=np.float64),
+        )
+
+    def member(self, rng: np.random.Generator | None) -> Policy:
+        """The policy itself."""
+        return self
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """The carrier's start memory, [episodes]."""
+        if self.carrier is not None:
+            return self.carrier.start_memory(states)
+        return np.zeros(len(states), dtype=np.int64)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The decisions with their probabilities; UNDECIDED in situations that are not listed."""
+        key = np.asarray(memory, dtype=np.int64) * self.model.n_states + states
+        at = np.minimum(np.searchsorted(self.situation_key, key), len(self.situation_key) - 1)
+        known = self.situation_key[at] == key
+        count = np.where(known, np.diff(self.offsets)[at], 1)
+        index = concatenated_ranges(np.where(known, self.offsets[at], 0), count)
+        listed = np.repeat(known, count)
+        return Branches(
+            np.repeat(np.arange(len(states)), count),
+            np.where(listed, self.pair[index], UNDECIDED),
+            np.where(listed, self.probability[index], 1.0),
+        )
+
+    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+        """Move the carrier's memory."""
+        return memory if self.carrier is None else self.carrier.remember(memory, successors, costs)
+
+    def __repr__(self) -> str:
+        """One line: in how many situations it decides, and in how many at random."""
+        random = int((np.diff(self.offsets) > 1).sum())
+        return f"StochasticPolicy({len(self.situation_key):,} situations, {random:,} at random)"

@@ -1,0 +1,1 @@
+"""Substochastic processes: the augmentations of a model that a criterion is solved on."""

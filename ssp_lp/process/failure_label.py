@@ -1,0 +1,128 @@
+"""The failure label {s, f} of case M (paper, section 3.1.2) as a substochastic process.
+
+States labelled f cost nothing more and never reach the goal, so they are not kept: a pair that
+gives up takes its mass out as failure. What is left are the states labelled s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import attention_states
+from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.process.semantics import (
+    GiveUp,
+    Semantics,
+    dead_end_charges,
+    expected_costs,
+    give_up_charges,
+)
+from ssp_lp.process.skeleton import Skeleton, build_skeleton, costless_pairs
+
+
+@dataclass(frozen=True, eq=False)
+class FailureLabelled:
+    """The process of case M together with the way back to the model."""
+
+    process: ExplicitProcess
+    skeleton: Skeleton
+
+    def policy(self, choice: IntArray) -> DeterministicPolicy:
+        """Pull a choice back to the model.
+
+        Args:
+            choice: one pair of the process per state of the process, [states].
+        """
+        decision = self.skeleton.pull_back(choice[: self.skeleton.n_nodes])
+        return DeterministicPolicy(self.skeleton.model, decision)
+
+
+def label_failure(
+    model: SSP,
+    start: FloatArray,
+    semantics: Semantics,
+    discount: float | None = None,
+    usable: BoolArray | None = None,
+) -> FailureLabelled:
+    """Build the process of case M.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        semantics: where giving up is allowed and whether failing is charged.
+        discount: None keeps real probabilities; a number scales every transition by it, so that
+            what leaks out of a non-goal state counts as failure (paper, section 3.5).
+        usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
+            the second stage of a least-failure problem (DESIGN, section 4).
+    """
+    free = None if discount is not None else costless_pairs(model)
+    attention = attention_states(model)
+    exits = ~model.goal_mask & (attention | (semantics.give_up is GiveUp.ANYWHERE))
+    if semantics.give_up is GiveUp.DEAD_ENDS or usable is not None:
+        exits = np.zeros(model.n_states, dtype=np.bool_)
+    skeleton = build_skeleton(
+        model, usable=usable, free=free, exits=exits, free_exits=usable is None
+    )
+    charges = give_up_charges(model, attention, skeleton.merged, semantics)
+    entering = dead_end_charges(model, skeleton.dead, semantics)
+    process = _fill(model, skeleton, charges, entering, 1.0 if discount is None else discount)
+    return FailureLabelled(_with_start(process, skeleton, start, entering), skeleton)
+
+
+def _fill(
+    model: SSP, skeleton: Skeleton, charges: FloatArray, entering: FloatArray, survival: float
+) -> ExplicitProcess:
+    per_node = skeleton.least_over_members(charges)
+    stage = _at_pairs(skeleton, expected_costs(model), per_node)
+    into_dead = skeleton.dead[model.successors].astype(np.float64)
+    to_dead = skeleton.expectation(into_dead, 1.0)
+    charged = skeleton.expectation(entering[model.successors])
+    to_goal = skeleton.expectation(model.goal_mask[model.successors].astype(np.float64))
+    acting = skeleton.pair_at >= 0
+    return ExplicitProcess(
+        pair_offsets=skeleton.pair_offsets,
+        transitions=sp.csr_array(skeleton.outcomes * survival),
+        start=np.zeros(skeleton.n_nodes),
+        cost=stage + survival * charged,
+        failure=np.where(acting, (1.0 - survival) + survival * to_dead, 1.0),
+        goal=survival * to_goal,
+    )
+
+
+def _at_pairs(skeleton: Skeleton, per_pair: FloatArray, give_up: FloatArray) -> FloatArray:
+    """Values of model pairs and, for pairs that give up, of their nodes, [pairs]."""
+    values = give_up[skeleton.pair_node].copy()
+    acting = skeleton.pair_at >= 0
+    values[acting] = per_pair[skeleton.pair_at[acting]]
+    return values
+
+
+def _with_start(
+    process: ExplicitProcess, skeleton: Skeleton, start: FloatArray, entering: FloatArray
+) -> ExplicitProcess:
+    """Set the start; mass on goals or dead-ends enters through a source state, the last one."""
+    model, live_start = skeleton.model, skeleton.gather(start)
+    at_goal = float(start[model.goal_mask].sum())
+    at_dead = float(start[skeleton.dead].sum())
+    if at_goal + at_dead == 0.0:
+        return replace(process, start=live_start)
+    n = skeleton.n_nodes
+    source_row = sp.csr_array(np.concatenate([live_start, [0.0]])[None, :])
+    wider = sp.csr_array(
+        (process.transitions.data, process.transitions.indices, process.transitions.indptr),
+        shape=(process.n_pairs, n + 1),
+    )
+    return ExplicitProcess(
+        pair_offsets=np.append(process.pair_offsets, process.n_pairs + 1),
+        transitions=sp.csr_array(sp.vstack([wider, source_row])),
+        start=np.concatenate([np.zeros(n), [1.0]]),
+        cost=np.append(process.cost, float(start @ entering)),
+        failure=np.append(process.failure, at_dead),
+        goal=np.append(process.goal, at_goal),
+    )

@@ -1,0 +1,147 @@
+"""The accumulated-cost process cut at a cap M, with the tail policies that take over there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, read_only
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.policy import UNDECIDED
+from ssp_lp.process.accumulated_cost import AccumulatedCost
+from ssp_lp.process.explicit import ExplicitProcess
+
+
+@dataclass(frozen=True, eq=False)
+class Tails:
+    """Stationary policies for accumulated costs beyond the cap, as values per node.
+
+    Row 0 fails least (then is cheapest), the last row fails most (the paper's pi'_or).
+    """
+
+    decisions: IntArray  # [tails, states]
+    goal: FloatArray  # [tails, nodes] E[gamma^T; goal]
+    early: FloatArray  # [tails, nodes] E[gamma^(T - 1); goal]
+    cost: FloatArray  # [tails, nodes] E[gamma^(T - 1) * cost; goal]
+    greatest_goal: FloatArray  # [nodes] checked upper bound of E[gamma^T; goal]
+    least_goal: FloatArray  # [nodes] checked lower bound of it
+
+    def threshold(self, unit: float, failure_price: float) -> FloatArray:
+        """Layer from which the last tail is no worse than the first at this price, [nodes].
+
+        The value of tail k at accumulated cost r is price * (1 - goal_k) + r * early_k + cost_k.
+        """
+        saved = self.early[0] - self.early[-1]
+        owed = failure_price * (self.goal[0] - self.goal[-1]) + self.cost[-1] - self.cost[0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            layer = np.ceil(owed / (saved * unit) - 1e-9)
+        return np.where(saved > 0, layer, np.where(owed < 0, -np.inf, np.inf))
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredProcess:
+    """States (node, layer) for layers below ``cap``; beyond it each node follows one tail."""
+
+    base: AccumulatedCost
+    cap: int
+    tails: Tails
+    threshold: FloatArray  # [nodes] layer from which the last tail is followed
+
+    @cached_property
+    def beyond(self) -> tuple[FloatArray, FloatArray]:
+        """(cost, failure) of entering (node, cap + i) for i below ``width - 1``, 2 x [i, nodes]."""
+        layer = self.cap + np.arange(self.base.width - 1)[:, None]
+        last = layer >= self.threshold[None, :]
+        tails = self.tails
+        early = np.where(last, tails.early[-1], tails.early[0])
+        cost = np.where(last, tails.cost[-1], tails.cost[0])
+        goal = np.where(last, tails.goal[-1], tails.goal[0])
+        return cost + layer * self.base.unit * early, 1.0 - goal
+
+    def beyond_bound(self, failure_price: float) -> FloatArray:
+        """Lower bound of the value of every policy at (node, cap + i), [width - 1, nodes].
+
+        Every success pays at least the r that has been paid: r * early + price * (1 - goal), and
+        early = goal / gamma (DESIGN, section 5: r + (kappa - r) F).
+        """
+        layer = self.cap + np.arange(self.base.width - 1)[:, None]
+        excess = layer * self.base.unit / self.base.survival - failure_price
+        goal = np.where(excess < 0, self.tails.greatest_goal, self.tails.least_goal)
+        rounded = np.where(goal == 0, 1.0, 1.0 - 8.0 * MACHINE_EPSILON)
+        return np.maximum(failure_price + excess * goal, 0.0) * rounded
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """Pull a choice back to the model.
+
+        Args:
+            choice: position among the pairs of one layer, [cap, nodes].
+        """
+        skeleton = self.base.skeleton
+        threshold = np.full(skeleton.model.n_states, np.inf)
+        live = skeleton.node_of >= 0
+        threshold[live] = self.threshold[skeleton.node_of[live]]
+        decision = np.full((self.cap, skeleton.model.n_states), UNDECIDED, dtype=np.int32)
+        for layer in range(self.cap):
+            decision[layer] = skeleton.pull_back(choice[layer])
+        return CostAwarePolicy(
+            model=skeleton.model,
+            unit=self.base.unit,
+            decision=read_only(decision),
+            tails=self.tails.decisions,
+            tail_threshold=threshold,
+        )
+
+    def materialise(self) -> ExplicitProcess:
+        """Write all layers out: state = layer * nodes + node, for the engines that need it.
+
+        Start mass on goals and dead-ends enters through a source state, the last one.
+        """
+        base, n = self.base, self.base.n_nodes
+        n_pairs = len(base.gain)
+        layers = np.arange(self.cap)
+        rows, blocks = np.repeat(np.arange(n_pairs), np.diff(base.steps.indptr)), base.steps
+        ahead, node = np.divmod(blocks.indices.astype(np.int64), n)
+        target = (layers[:, None] + ahead) * n + node  # [cap, nonzeros]
+        inside = target < self.cap * n
+        row = (layers[:, None] * n_pairs + rows)[inside]
+        data = np.broadcast_to(blocks.data, inside.shape)[inside]
+        transitions = sp.csr_array(
+            (data, (row, target[inside])), shape=(self.cap * n_pairs, self.cap * n + 1)
+        )
+        cost, failure = (self._pair_values(k) for k in range(2))
+        gone = transitions.sum(axis=1)
+        return self._with_source(transitions, cost, failure, 1.0 - gone - failure)
+
+    def _pair_values(self, which: int) -> FloatArray:
+        """Objective (0) or failure (1) of each pair of each layer, tails included, [cap * pairs]."""
+        base, n = self.base, self.base.n_nodes
+        padded = np.zeros((self.cap + base.width - 1, n))
+        padded[self.cap :] = self.beyond[which]
+        values = np.empty((self.cap, len(base.gain)))
+        for layer in range(self.cap):
+            own = base.failure if which else base.gain * layer * base.unit + base.gain_cost
+            values[layer] = own + base.steps @ padded[layer : layer + base.width].reshape(-1)
+        return values.reshape(-1)
+
+    def _with_source(
+        self, transitions: sp.csr_array, cost: FloatArray, failure: FloatArray, goal: FloatArray
+    ) -> ExplicitProcess:
+        base, n_states = self.base, self.cap * self.base.n_nodes
+        entry = sp.csr_array(
+            (base.start, (np.zeros(base.n_nodes, dtype=np.int64), np.arange(base.n_nodes))),
+            shape=(1, n_states + 1),
+        )
+        counts = np.tile(np.diff(base.pair_offsets), self.cap)
+        source = np.zeros(n_states + 1)
+        source[-1] = 1.0
+        return ExplicitProcess(
+            pair_offsets=np.concatenate([[0], np.cumsum(np.append(counts, 1))]),
+            transitions=sp.csr_array(sp.vstack([transitions, entry])),
+            start=source,
+            cost=np.append(cost, 0.0),
+            failure=np.append(failure, base.start_failure),
+            goal=np.append(np.maximum(goal, 0.0), base.start_goal),
+        )

@@ -1,0 +1,105 @@
+"""Who may give up where, what failing costs, and where an episode starts."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, segment_minima, segment_sums
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import staying_pairs
+
+
+class GiveUp(enum.StrEnum):
+    """Where a policy of case M may give up (DESIGN, section 3).
+
+    ``ANYWHERE`` is the linear program of Trevizan et al. (2017); ``ATTENTION`` is the paper's
+    stopping time of section 2.4, which may only fall where the goal can be avoided for sure;
+    ``DEAD_ENDS`` pays until a dead-end is entered, as Storm does.
+    """
+
+    ANYWHERE = "anywhere"
+    ATTENTION = "attention"
+    DEAD_ENDS = "dead_ends"
+
+
+@dataclass(frozen=True)
+class Semantics:
+    """The two choices that decide what a failing episode costs."""
+
+    give_up: GiveUp
+    charge_failing_step: bool
+
+
+def parse_give_up(value: str | GiveUp) -> GiveUp:
+    """Turn a word into a :class:`GiveUp`; raises :class:`ModelError` naming the choices."""
+    try:
+        return GiveUp(value)
+    except ValueError as error:
+        choices = ", ".join(repr(str(g)) for g in GiveUp)
+        raise ModelError(f"give_up must be one of {choices}, not {value!r}") from error
+
+
+def expected_costs(model: SSP) -> FloatArray:
+    """Expected stage cost E[g(x, u, w)] of each pair, [pairs]."""
+    return segment_sums(model.probabilities * model.costs, model.outcome_offsets)
+
+
+def dead_end_charges(model: SSP, dead: BoolArray, semantics: Semantics) -> FloatArray:
+    """What entering each dead-end costs once: its least expected stage cost, [states].
+
+    Zero for other states, for dead-ends without actions and without ``charge_failing_step``.
+    """
+    if not semantics.charge_failing_step:
+        return np.zeros(model.n_states)
+    least = segment_minima(expected_costs(model), model.pair_offsets)
+    return np.where(dead & np.isfinite(least), least, 0.0)
+
+
+def give_up_charges(
+    model: SSP, attention: BoolArray, wandering: BoolArray, semantics: Semantics
+) -> FloatArray:
+    """What giving up in each state costs, infinite where it is not allowed, [states].
+
+    Args:
+        attention: attention states, [states].
+        wandering: states of zero-cost end components, where staying for ever is free, [states].
+        semantics: where giving up is allowed and whether it is charged.
+    """
+    charge = np.full(model.n_states, np.inf)
+    if semantics.give_up is not GiveUp.DEAD_ENDS:
+        anywhere = semantics.give_up is GiveUp.ANYWHERE
+        allowed = ~model.goal_mask & (anywhere | attention)
+        charge[allowed] = 0.0
+        if semantics.charge_failing_step:
+            costs = expected_costs(model)
+            if not anywhere:
+                costs = np.where(staying_pairs(model, attention), costs, np.inf)
+            charge[allowed] = segment_minima(costs, model.pair_offsets)[allowed]
+    charge[wandering] = 0.0
+    return charge
+
+
+def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -> FloatArray:
+    """The distribution over states in which an episode begins, [states].
+
+    Args:
+        start: the label of a state, or ``{label: probability}``.
+
+    Raises:
+        ModelError: unknown state, negative probability, or a sum that is not one.
+    """
+    weights = start if isinstance(start, Mapping) else {start: 1.0}
+    distribution = np.zeros(model.n_states)
+    for state, probability in weights.items():
+        if not 0.0 <= float(probability) <= 1.0 + 1e-12:
+            raise ModelError(f"start probability of state {state!r} is {probability!r}")
+        distribution[model.index_of(state)] += float(probability)
+    total = float(distribution.sum())
+    if abs(total - 1.0) > 1e-9:
+        raise ModelError(f"start probabilities sum to {total:.12g}, not to 1")
+    return distribution / total

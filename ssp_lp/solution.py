@@ -1,0 +1,158 @@
+"""What ``solve`` hands back: the optimum, its proof, and the policy that attains it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.evaluation import Evaluation, evaluate
+from ssp_lp.occupation import equivalent_randomised_policy
+from ssp_lp.policies import MixedPolicy, StochasticPolicy
+from ssp_lp.problem import Problem
+
+
+@dataclass(frozen=True)
+class Run:
+    """Which engine ran, why, and what it did."""
+
+    engine: str  # "columns" or "lp"
+    reason: str  # why this engine, and what it had to do
+    oracle_calls: int
+    seconds: float
+    program: str = ""  # the linear program's own report, where one was solved
+
+
+NOT_YET_RUN = Run("", "", 0, 0.0)
+"""Stands in for the run while a solution is put together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
+
+    ``objective`` is an exact evaluation of the policy on the augmented process. The other numbers
+    about the policy are evaluated on the model itself when they are first asked for.
+    """
+
+    problem: Problem
+    policy: MixedPolicy
+    objective: float  # c*: the exact value of the policy
+    lower_bound: float  # certified by value_function at the failure price
+    failure_price: float | None  # lambda >= 0; None at least failure
+    value_function: FloatArray | None  # sub-solution: [process states], or [layers, nodes]
+    run: Run
+    note: str = ""
+
+    @cached_property
+    def evaluation(self) -> Evaluation:
+        """The policy evaluated on the model."""
+        return evaluate(self.policy, self.problem)
+
+    @property
+    def gap(self) -> float:
+        """Relative gap between the objective and its lower bound."""
+        return relative_gap(self.objective, self.lower_bound)
+
+    @property
+    def failure_probability(self) -> float:
+        """Exact, undiscounted probability of never reaching the goal."""
+        return self.evaluation.failure_probability
+
+    @property
+    def goal_probability(self) -> float:
+        """Exact, undiscounted probability of reaching the goal."""
+        return self.evaluation.goal_probability
+
+    @property
+    def discounted_failure(self) -> float | None:
+        """The surrogate of section 2.5 of the paper; None in the exact setting."""
+        return self.evaluation.discounted_failure
+
+    @property
+    def expected_cost(self) -> float:
+        """Undiscounted expected cost until failure is declared or the goal is reached."""
+        return self.evaluation.expected_cost
+
+    @property
+    def conditional_cost(self) -> float:
+        """Undiscounted expected cost given that the goal is reached."""
+        return self.evaluation.conditional_cost
+
+    @property
+    def budget_slope(self) -> float | None:
+        """-d c* / d budget: the price in case M, price / (1 - budget) in case S."""
+        price, budget = self.failure_price, self.problem.failure_budget
+        if price is None or budget is None or not self.problem.ratio:
+            return price
+        return 0.0 if price == 0.0 else price / (1.0 - budget) if budget < 1.0 else float("inf")
+
+    @property
+    def adversary_weight(self) -> float | None:
+        """alpha*: the weight of the objective MDP in the paper's game (section 3.2).
+
+        Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
+        the failure e that attains the minimum. None at least failure.
+        """
+        price, budget = self.failure_price, self.problem.failure_budget
+        if price is None or budget is None:
+            return None
+        mine, other = self.objective, price * budget
+        if self.problem.ratio:
+            spent = budget
+            if price == 0.0:
+                surrogate = self.evaluation.discounted_failure
+                spent = self.failure_probability if surrogate is None else surrogate
+            mine, other = self.objective * (1 - spent), (self.objective + price) * spent
+        return mine / (mine + other) if mine + other > 0 else 1.0
+
+    @property
+    def engine(self) -> str:
+        """Name of the engine that ran."""
+        return self.run.engine
+
+    @property
+    def seconds(self) -> float:
+        """Wall-clock seconds of the call to ``solve``."""
+        return self.run.seconds
+
+    @cached_property
+    def randomised_policy(self) -> StochasticPolicy:
+        """The stationary randomised policy equivalent to the lottery (paper, section 2.2).
+
+        It lives on the augmented states: the model's states in case M, (state, accumulated cost)
+        in case S, and spends the same expected time in each.
+        """
+        return equivalent_randomised_policy(self.policy, self.problem)
+
+    def summary(self) -> str:
+        """The answer in a few lines for a person."""
+        name, budget = type(self.problem).__name__, self.problem.failure_budget
+        asked = "least failure" if budget is None else f"failure budget {budget:g}"
+        setting = (
+            "exact" if self.problem.discount is None else f"discount {self.problem.discount:g}"
+        )
+        rows = [
+            ("objective c*", f"{self.objective:.9g}"),
+            ("lower bound", f"{self.lower_bound:.9g}   (relative gap {self.gap:.1e})"),
+            ("failure probability", f"{self.failure_probability:.6g}"),
+            ("cost given success", f"{self.conditional_cost:.6g}"),
+            ("cost until failure", f"{self.expected_cost:.6g}"),
+        ]
+        if self.discounted_failure is not None:
+            rows.insert(3, ("discounted failure", f"{self.discounted_failure:.6g}"))
+        if self.failure_price is not None:
+            rows.append(("failure price", f"{self.failure_price:.6g}"))
+        lottery = ", ".join(f"{w:.4f}" for w in self.policy.weights)
+        rows.append(("policy", f"lottery over {len(self.policy.weights)} ({lottery})"))
+        rows.append(("engine", f"{self.engine}: {self.run.reason}, {self.seconds:.3g} s"))
+        if self.note:
+            rows.append(("note", self.note))
+        body = "\n".join(f"  {label:<20} {value}" for label, value in rows)
+        return f"{name}, {asked}, {setting}\n{body}"
+
+
+def relative_gap(objective: float, lower_bound: float) -> float:
+    """(objective - lower_bound) / |objective|; 0 where both are 0."""
+    difference = max(objective - lower_bound, 0.0)
+    return 0.0 if difference == 0.0 else difference / max(abs(objective), 1e-300)
