@@ -124,9 +124,8 @@ class Chain:
         stays = self.memory[self.source] == self.memory[self.target]
         busy = np.zeros(n + 1, dtype=np.bool_)
         busy[self.source[stays]] = True
-        active = np.logical_or.reduceat(busy, cuts[:-1]) if n else []
-        ranges = zip(cuts[:-1].tolist(), cuts[1:].tolist(), active, strict=True)
-        return [(b, e, bool(a)) for b, e, a in reversed(list(ranges))]
+        ranges = zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
+        return [(b, e, bool(busy[b:e].any())) for b, e in reversed(list(ranges))]
 
 
 def _rows(matrix: sp.csr_array, begin: int, end: int) -> sp.csr_array:
@@ -254,7 +253,7 @@ def reaching(chain: Chain, ends: BoolArray) -> BoolArray:
     """Nodes from which the chain may come to one of the given nodes, [nodes]."""
     mask = ends.copy()
     backward = chain.matrix.tocsc()
-    frontier = np.flatnonzero(mask)
+    frontier: IntArray = np.flatnonzero(mask)
     while frontier.size:
         begin = backward.indptr[frontier]
         before = backward.indices[concatenated_ranges(begin, backward.indptr[frontier + 1] - begin)]

@@ -15,7 +15,7 @@ class InfeasibleError(SSPError):
     """No policy respects the failure budget.
 
     Attributes:
-        failure_budget: the budget that was asked for (``None``: no budget, the goal is unreachable).
+        failure_budget: the budget that was asked for (``None``: none was).
         least_failure: the least failure probability that any policy attains.
         least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
             surrogate can be infeasible where the real problem is not (paper, Theorem t2-2).

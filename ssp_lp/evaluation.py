@@ -15,7 +15,7 @@ from ssp_lp.failing import give_up_costs, lost_costs
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
-from ssp_lp.process.semantics import start_distribution
+from ssp_lp.process.semantics import Semantics, start_distribution
 
 
 @dataclass(frozen=True)

@@ -72,10 +72,11 @@ def _krylov(
         relative = size / scale if scale > 0 else 0.0
         if relative <= target or attempt == _RESTARTS or not np.isfinite(relative):
             break
+        unit = residual / size  # scipy's test for breakdown is absolute
         step, _ = linalg.bicgstab(
-            system, residual, rtol=0.0, atol=0.3 * target * scale, maxiter=_KRYLOV_STEPS
+            system, unit, rtol=0.0, atol=0.3 * target * scale / size, maxiter=_KRYLOV_STEPS
         )
-        x = x + step
+        x = x + size * step
     return x, relative if np.isfinite(relative) else np.inf
 
 

@@ -31,8 +31,8 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
 
     Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
     the lottery's expected visits. Under a discount visits are discounted, so that the discounted
-    cost and failure are kept: a stationary policy cannot keep both those and the real ones. Members of the state alone are carried along the accumulated
-    cost where another member needs it.
+    cost and failure are kept: a stationary policy cannot keep both those and the real ones.
+    Members of the state alone are carried along the accumulated cost where another needs it.
 
     Raises:
         ModelError: a member may wander for ever.
@@ -49,17 +49,19 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
         keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
         pairs.append(chain.branch_pair)
         flows.append(flow)
-    return _shares(model.n_pairs, policy, carrier, *map(np.concatenate, (keys, pairs, flows)))
+    return _shares(
+        policy, carrier, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows)
+    )
 
 
 def _shares(
-    n_pairs: int,
     policy: MixedPolicy,
     carrier: Policy | None,
     keys: IntArray,
     pairs: IntArray,
     flows: FloatArray,
 ) -> StochasticPolicy:
+    n_pairs = policy.model.n_pairs
     joint, back = np.unique(keys * (n_pairs + 1) + pairs + 1, return_inverse=True)
     flow = np.bincount(back, weights=flows)
     joint, flow = joint[flow > 0], flow[flow > 0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from typing import Protocol
 
+from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.engines.instance import Instance
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
@@ -60,7 +61,7 @@ def check_setting(failure_budget: float | None, discount: float | None) -> None:
         ModelError: a budget outside [0, 1], a discount outside (0, 1), or least failure together
             with a discount.
     """
-    if failure_budget is not None and not 0.0 <= failure_budget <= 1.0:
+    if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
         raise ModelError(f"failure_budget must be a probability or None, not {failure_budget!r}")
     if discount is not None and not 0.0 < discount < 1.0:
         raise ModelError(

@@ -149,7 +149,8 @@ def _conclude(
 ) -> HullSearch:
     weight = _weight(row, inside, outside)
     best = _best(row, inside, outside)
-    columns, weights = (inside,), np.ones(1)
+    columns: tuple[Column, ...] = (inside,)
+    weights = np.ones(1)
     if outside is not None and weight > 0.0:
         columns, weights = (inside, outside), np.array([1.0 - weight, weight])
     price = max(price, best) if row.ratio else price

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 from ssp_lp.errors import ModelError
 
@@ -55,7 +55,8 @@ def flatten_successors(
         ModelError: more than ``state_limit`` states, or an outcome that is no triple.
     """
     is_goal = goal if callable(goal) else set(goal).__contains__
-    starts = list(start) if isinstance(start, (list, set, frozenset)) else [start]
+    several = isinstance(start, (list, set, frozenset))
+    starts: list[Any] = list(cast(Iterable[Any], start)) if several else [start]
     found: dict[Hashable, None] = dict.fromkeys(starts)
     queue = list(found)
     table: dict[Hashable, Mapping[Hashable, Outcomes]] = {}

@@ -57,8 +57,10 @@ def staying_pairs(model: SSP, attention: BoolArray) -> BoolArray:
         attention: the result of :func:`attention_states`, [states].
     """
     leaving = ~attention[model.successors] & (model.probabilities > 0)
-    leaves = np.logical_or.reduceat(leaving, model.outcome_offsets[:-1]) if model.n_pairs else []
-    return np.asarray(attention[model.pair_state] & ~np.asarray(leaves, dtype=np.bool_))
+    leaves = np.zeros(0, dtype=np.bool_)
+    if model.n_pairs:
+        leaves = np.logical_or.reduceat(leaving, model.outcome_offsets[:-1])
+    return np.asarray(attention[model.pair_state] & ~leaves)
 
 
 def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]:

@@ -12,7 +12,11 @@ from ssp_lp.errors import ModelError
 
 
 def goal_mask_of(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
-    """Turn indices of goal states into a mask, [states]; raises :class:`ModelError` if none or unknown."""
+    """Turn indices of goal states into a mask, [states].
+
+    Raises:
+        ModelError: there are none, or one is no index of a state.
+    """
     goals = np.asarray(goal_states, dtype=np.int64).reshape(-1)
     if goals.size == 0:
         raise ModelError("the model has no goal state; name at least one")

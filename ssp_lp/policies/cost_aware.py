@@ -42,7 +42,7 @@ class CostAwarePolicy(Policy, Playable):
     @property
     def cap(self) -> int:
         """Number of layers of accumulated cost with decisions of their own (M / unit)."""
-        return self.decision.shape[0]
+        return int(self.decision.shape[0])
 
     def member(self, rng: np.random.Generator | None) -> Policy:
         """The policy itself."""

@@ -25,6 +25,7 @@ class Episode:
     staying: IntArray | None = None  # [states], once the episode goes on after giving up
 
     def action(self, state: Hashable) -> Hashable:
+        """The action in this state, or :data:`GIVE_UP`."""
         model = self.policy.model
         here = np.array([model.index_of(state)])
         if self.staying is not None:
@@ -38,6 +39,7 @@ class Episode:
         return GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
 
     def observe(self, successor: Hashable, cost: float) -> None:
+        """Move the memory."""
         if self.memory is None:
             raise ModelError("observe() was called before the first action() of the episode")
         if self.staying is None:

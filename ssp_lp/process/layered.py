@@ -71,7 +71,7 @@ class LayeredProcess:
         excess = layer * self.base.unit / self.base.survival - failure_price
         goal = np.where(excess < 0, self.tails.greatest_goal, self.tails.least_goal)
         rounded = np.where(goal == 0, 1.0, 1.0 - 8.0 * MACHINE_EPSILON)
-        return np.maximum(failure_price + excess * goal, 0.0) * rounded
+        return np.asarray(np.maximum(failure_price + excess * goal, 0.0) * rounded)
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
         """Pull a choice back to the model.
@@ -116,7 +116,7 @@ class LayeredProcess:
         return self._with_source(transitions, cost, failure, 1.0 - gone - failure)
 
     def _pair_values(self, which: int) -> FloatArray:
-        """Objective (0) or failure (1) of each pair of each layer, tails included, [cap * pairs]."""
+        """Objective (0) or failure (1) of each pair of each layer, with tails, [cap * pairs]."""
         base, n = self.base, self.base.n_nodes
         padded = np.zeros((self.cap + base.width - 1, n))
         padded[self.cap :] = self.beyond[which]

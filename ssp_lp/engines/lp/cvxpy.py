@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import cvxpy as cp
 import numpy as np
@@ -23,16 +24,17 @@ def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
     """
     began = time.perf_counter()
     visits = cp.Variable(program.matrix.shape[1], nonneg=True)
-    constraints = {
-        name: program.matrix[rows] @ visits == program.upper[rows]
-        if program.equality[rows].all()
-        else program.matrix[rows] @ visits <= program.upper[rows]
-        for name, rows in program.rows.items()
-        if rows.stop > rows.start
-    }
+    constraints: dict[str, Any] = {}
+    for name, rows in program.rows.items():
+        if rows.stop == rows.start:
+            continue
+        activity: Any = program.matrix[rows] @ visits
+        limit = program.upper[rows]
+        equal = program.equality[rows].all()
+        constraints[name] = activity == limit if equal else activity <= limit
     problem = cp.Problem(cp.Minimize(program.cost @ visits), list(constraints.values()))
     try:
-        problem.solve()
+        problem.solve()  # type: ignore[no-untyped-call]
     except cp.SolverError as error:
         raise SolverError(f"cvxpy: {error}") from error
     dual = np.full(program.matrix.shape[0], np.nan)

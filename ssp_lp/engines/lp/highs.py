@@ -28,8 +28,8 @@ def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) ->
         SolverError: HiGHS refuses an option or the model.
     """
     began = time.perf_counter()
-    solver = highspy.Highs()
-    options = {
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    options: dict[str, bool | int | float | str] = {
         "output_flag": False,
         "solver": _SOLVERS[backend],
         "primal_feasibility_tolerance": 1e-9,

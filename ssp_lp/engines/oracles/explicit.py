@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.engines.oracles.oracle import Column
+from ssp_lp.engines.oracles.oracle import Column, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.errors import ModelError
@@ -73,4 +73,6 @@ class ExplicitOracle:
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""
-        return column.policy if column.choice is None else self.labelled.policy(column.choice)
+        if column.policy is not None:
+            return column.policy
+        return self.labelled.policy(required(column.choice))

@@ -16,7 +16,7 @@ from ssp_lp.arrays import (
     first_minimisers,
     segment_minima,
 )
-from ssp_lp.engines.oracles.oracle import Column
+from ssp_lp.engines.oracles.oracle import Column, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import backup_rounding, sub_solution
 from ssp_lp.errors import ModelError
@@ -119,7 +119,9 @@ class LayeredOracle:
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""
-        return column.policy if column.choice is None else self.process.policy(column.choice)
+        if column.policy is not None:
+            return column.policy
+        return self.process.policy(required(column.choice))
 
     @cached_property
     def _acyclic(self) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 
 
@@ -20,6 +21,17 @@ class Column:
     failure: float
     choice: IntArray | None  # the oracle's own form of the policy
     policy: Policy | None = None  # the policy on the model, where it did not come from the oracle
+
+
+def required(choice: IntArray | None) -> IntArray:
+    """The choice of a column that an oracle made.
+
+    Raises:
+        ModelError: the column came from elsewhere.
+    """
+    if choice is None:
+        raise ModelError("this column was not made by the oracle and carries no choice")
+    return choice
 
 
 class Oracle(Protocol):
