@@ -65,8 +65,8 @@ def certify(solution: Solution) -> Certificate:
         raise ModelError("a certificate needs the failure price and its value function")
     if not (np.isfinite(price) and price >= 0.0):
         return _certificate(found, failure, 0.0, 0.0, _allowed(problem), "price is not >= 0")
-    instance = problem.instance().matching(np.asarray(values))
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
+    instance = problem.instance().matching(np.asarray(values), kappa)
     bound, tail = _lower_bound(instance, problem, kappa, np.asarray(values), found.objective)
     return _certificate(found, failure, bound, tail, _allowed(problem), "")
 

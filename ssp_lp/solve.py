@@ -71,9 +71,8 @@ def solve(
     deadline = np.inf if time_limit is None else began + time_limit
     row = Row(max(problem.failure_budget, least.column.failure), instance.ratio)
     chosen = "columns" if engine == "auto" else engine
-    program = ""
+    program, hint, calls = "", None, 0
     while True:
-        hint = None
         if chosen == "lp":
             answer = solve_program(instance, row, backend, deadline)
             hint, program = answer.price, answer.report
@@ -88,14 +87,15 @@ def solve(
         )
         if chosen == "lp":
             check_agreement(answer, found.objective)
+        calls += found.rounds
         wide = relative_gap(found.objective, found.lower_bound) > tolerance
         finer = instance.refined(found.price) if wide and found.finished else None
         if finer is None:
             break
-        instance = finer
-    reason = _REASONS[engine] + f", {found.rounds} oracle calls"
+        instance, hint = finer, found.price
+    reason = _REASONS[engine] + f", {calls} oracle calls"
     solution = _conclude(problem, instance, least, found, row)
-    run = Run(chosen, reason, found.rounds, time.perf_counter() - began, program)
+    run = Run(chosen, reason, calls, time.perf_counter() - began, program)
     return replace(solution, run=run)
 
 

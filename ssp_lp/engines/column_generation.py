@@ -21,6 +21,7 @@ from ssp_lp.engines.oracles.oracle import Column, Oracle
 
 _ROUNDS = 200
 _SAME_FAILURE = 1e-15
+_STRADDLE = 1e-6  # relative step to the other side of a hinted price, to bracket it at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,6 +108,8 @@ def search(
         else:
             outside = found
         price = _next_price(row, inside, outside)
+        if hint is not None and calls == 1 and price > 0.0:
+            price = hint * (1.0 - _STRADDLE if found is inside else 1.0 + _STRADDLE)
         if time.perf_counter() > deadline:
             finished = False
             break

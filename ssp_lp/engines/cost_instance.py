@@ -114,12 +114,13 @@ class CostInstance:
             exact_tail = replace(self, tail_price=price)
             return None if self.tail_price is not None else self._carry(exact_tail)
         here = self.process.cap
-        wanted = max(2 * here, min(int(np.ceil(price / self.base.unit)) + 1, 8 * here))
+        lossless = int(np.ceil(price / self.base.unit)) + 1  # where every state can fail at will
+        wanted = lossless if here < lossless <= 2 * here else 2 * here
         if wanted * self.base.n_nodes > _MOST_ENTRIES:
             return None
         return self._carry(replace(self, cap=wanted, tail_price=price))
 
-    def matching(self, values: FloatArray) -> CostInstance:
+    def matching(self, values: FloatArray, price: float) -> CostInstance:
         """The same problem with as many layers as the value function, [layers, nodes].
 
         Raises:
@@ -127,7 +128,7 @@ class CostInstance:
         """
         if values.ndim != 2 or values.shape[0] == 0:
             raise ModelError("a value function of shape [layers, nodes] is needed")
-        return self._carry(replace(self, cap=values.shape[0], tail_price=None))
+        return self._carry(replace(self, cap=values.shape[0], tail_price=price))
 
     def tail_loss(self, price: float) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""

@@ -48,8 +48,8 @@ class Instance(Protocol):
         """
         ...
 
-    def matching(self, values: FloatArray) -> Instance:
-        """The instance whose value functions have the shape of this one.
+    def matching(self, values: FloatArray, price: float) -> Instance:
+        """The instance whose value functions have the shape of this one, made at this price.
 
         Raises:
             ModelError: no instance of the problem has such value functions.

@@ -53,7 +53,7 @@ class LabelInstance:
         """Nothing is truncated: there is nothing to refine."""
         return
 
-    def matching(self, values: FloatArray) -> LabelInstance:
+    def matching(self, values: FloatArray, price: float) -> LabelInstance:
         """The instance itself."""
         return self
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+import numpy.typing as npt
 
-from ssp_lp.arrays import PROBABILITY_SUM, BoolArray, FloatArray, IntArray, segment_sums
+from ssp_lp.arrays import PROBABILITY_SUM, BoolArray, FloatArray, IntArray, read_only, segment_sums
 from ssp_lp.errors import ModelError
 
 Describe = Callable[[int], str]
@@ -75,3 +76,11 @@ def unit_sums(probabilities: FloatArray, offsets: IntArray, describe: Describe) 
     if np.all(sums == 1.0):
         return probabilities
     return probabilities / np.repeat(sums, np.diff(offsets))
+
+
+def successor_array(successors: npt.ArrayLike) -> IntArray:
+    """Successors as integers, [outcomes]; raises :class:`ModelError` if they are none."""
+    array = np.asarray(successors)
+    if array.size and not np.issubdtype(array.dtype, np.integer):
+        raise ModelError("successors must be integers (indices of states)")
+    return read_only(array, np.int64 if array.dtype.itemsize > 4 else np.int32)

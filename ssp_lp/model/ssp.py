@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model.builders import FlatModel, Outcomes, flatten_successors, flatten_transitions
-from ssp_lp.model.checks import check_offsets, check_outcomes, unit_sums
+from ssp_lp.model.checks import check_offsets, check_outcomes, successor_array, unit_sums
 from ssp_lp.model.labels import action_table, goal_mask_of
 
 
@@ -159,7 +159,7 @@ class SSP:
         """
         draft = cls._draft(pair_offsets, outcome_offsets, goal_states, states, actions)
         n_outcomes = int(draft.outcome_offsets[-1])
-        target = _integers(successors)
+        target = successor_array(successors)
         chance = read_only(probabilities, np.float64)
         if target.shape != (n_outcomes,) or chance.shape != (n_outcomes,):
             raise ModelError(f"successors and probabilities must have length {n_outcomes}")
@@ -263,15 +263,12 @@ class SSP:
 
     def __repr__(self) -> str:
         """One line: the sizes."""
-        return (
-            f"SSP({self.n_states:,} states, {self.n_pairs:,} pairs, {self.n_outcomes:,} outcomes, "
-            f"{int(self.goal_mask.sum()):,} goals)"
-        )
+        sizes = f"{self.n_states:,} states, {self.n_pairs:,} pairs, {self.n_outcomes:,} outcomes"
+        return f"SSP({sizes}, {int(self.goal_mask.sum()):,} goals)"
 
     def _describe_outcome(self, outcome: int) -> str:
-        return self.describe_pair(
-            int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
-        )
+        pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
+        return self.describe_pair(pair)
 
     def _per_outcome(self, costs: npt.ArrayLike) -> FloatArray:
         """Spread costs (scalar, per pair or per outcome) over outcomes; a scalar takes no room."""
@@ -301,9 +298,3 @@ class SSP:
             for name, members in labels.items()
         }
 
-
-def _integers(values: npt.ArrayLike) -> IntArray:
-    array = np.asarray(values)
-    if array.size and not np.issubdtype(array.dtype, np.integer):
-        raise ModelError("successors must be integers (indices of states)")
-    return read_only(array, np.int64 if array.dtype.itemsize > 4 else np.int32)

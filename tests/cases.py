@@ -1,0 +1,71 @@
+"""The acceptance cases: models with exact fractions and the values expected of them.
+
+They lie beside the repository in `../shared/cases`; tests that need them are skipped where that
+folder is absent.
+"""
+
+import json
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parents[2] / "shared" / "cases"
+
+needs_cases = pytest.mark.skipif(
+    not (FOLDER / "expected.json").is_file(), reason=f"no acceptance cases in {FOLDER}"
+)
+
+Transitions = dict[int, dict[str, list[tuple[Fraction, int, Fraction]]]]
+
+
+@dataclass(frozen=True)
+class Case:
+    """One model as nested dictionaries of exact fractions; goals have no choices."""
+
+    name: str
+    choices: Transitions
+    goal: frozenset[int]
+    start: int
+
+    def floats(self) -> dict[int, dict[str, list[tuple[float, int, float]]]]:
+        """The same choices in floating point."""
+        return {
+            state: {
+                action: [(float(p), successor, float(cost)) for p, successor, cost in outcomes]
+                for action, outcomes in actions.items()
+            }
+            for state, actions in self.choices.items()
+        }
+
+
+@cache
+def load_case(name: str, cost: str) -> Case:
+    """Read one model with the named cost ("unit": 1 for every choice of a non-goal state)."""
+    raw = json.loads((FOLDER / name).read_text())
+    goal = frozenset(raw["goal"])
+    choices: Transitions = {
+        state: {
+            f"{position}:{choice['name']}": _outcomes(choice, cost)
+            for position, choice in enumerate(listed)
+        }
+        for state, listed in enumerate(raw["choices"])
+        if state not in goal
+    }
+    return Case(name, choices, goal, raw["init"])
+
+
+def _outcomes(choice: dict[str, Any], cost: str) -> list[tuple[Fraction, int, Fraction]]:
+    """The outcomes of one choice; its cost is the same for all of them."""
+    paid = Fraction(1) if cost == "unit" else Fraction(choice["rewards"].get(cost, 0))
+    return [(Fraction(p), successor, paid) for successor, p in choice["to"]]
+
+
+@cache
+def expected() -> dict[str, Any]:
+    """The table of expected values; empty where the cases are absent."""
+    path = FOLDER / "expected.json"
+    return json.loads(path.read_text()) if path.is_file() else {"cases": [], "hand_cases": []}

@@ -1,0 +1,188 @@
+"""The references against closed forms: a yardstick that is itself measured."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from cases import expected, load_case, needs_cases
+
+from references import mcmp, s3p, s3p_program
+from references.chain import plain_model
+from references.frontier import (
+    Point,
+    constrained_optimum,
+    constrained_ratio,
+    lower_hull,
+    price_interval,
+)
+
+EXACT = {"rel": 1e-12, "abs": 1e-12}
+
+
+def case_model(name, cost):
+    case = load_case(f"explicit/{name}.json", cost)
+    return plain_model(case.floats(), case.goal), case.start
+
+
+def hull_value(points, budget):
+    """The frontier read off the lower hull instead of from pairs."""
+    hull = lower_hull(points)
+    return float(np.interp(budget, [p.failure for p in hull], [p.cost for p in hull]))
+
+
+FREE_LOOP = plain_model({"x": {"loop": [(1.0, "x", 0.0)], "out": [(1.0, "g", 5.0)]}}, {"g"})
+
+
+@pytest.mark.parametrize("give_up", ["anywhere", "attention", "dead_ends"])
+def test_wandering_in_a_free_loop_is_a_real_policy(give_up):
+    """One state, a loop of cost 0, a way out of cost 5: at price 10 the way out is taken."""
+    points = mcmp.points(FREE_LOOP, "x", give_up=give_up)
+    assert sorted(set(points)) == [Point(0.0, 5.0), Point(1.0, 0.0)]
+    assert min(cost + 10 * failure for failure, cost in points) == 5.0
+    assert constrained_optimum(points, 0.25) == pytest.approx(3.75, **EXACT)
+    assert price_interval(points, 0.25, 3.75) == pytest.approx((5.0, 5.0))
+
+
+def test_a_paying_loop_is_given_up_on_entry_or_pays_for_ever():
+    """Loop of cost 2: tau is 0 where giving up is allowed, never under "dead_ends"."""
+    model = plain_model({"x": {"loop": [(1.0, "x", 2.0)], "out": [(1.0, "g", 5.0)]}}, {"g"})
+    for give_up in ("anywhere", "attention"):
+        assert min(mcmp.points(model, "x", give_up=give_up, charge_failing_step=False)) == (0, 5)
+        charged = mcmp.points(model, "x", give_up=give_up)
+        assert constrained_optimum(charged, 0.5) == pytest.approx(3.5, **EXACT)
+    real = mcmp.points(model, "x", give_up="dead_ends")
+    assert constrained_optimum(real, 0.5) == pytest.approx(5.0, **EXACT)
+    discounted = mcmp.points(model, "x", give_up="dead_ends", discount=0.5)
+    assert set(discounted) == {Point(0.5, 5.0), Point(1.0, 4.0)}
+
+
+def test_charges_of_the_failing_step():
+    """A dead-end charges its least action once on entry, one step after the action's own cost."""
+    choices = {
+        "x": {"go": [(0.5, "g", 1.0), (0.5, "d", 1.0)]},
+        "d": {"a": [(1.0, "e", 7.0)], "b": [(1.0, "d", 3.0)]},
+        "e": {"a": [(1.0, "d", 0.0)]},
+    }
+    model = plain_model(choices, {"g"})
+    for give_up in ("attention", "dead_ends"):
+        assert mcmp.points(model, "x", give_up=give_up) == [Point(0.5, 2.5)]
+        assert mcmp.points(model, "x", give_up=give_up, discount=0.5) == [Point(0.75, 1.75)]
+        assert mcmp.points(model, "d", give_up=give_up) == [Point(1.0, 3.0)]
+    assert set(mcmp.points(model, "x", give_up="anywhere")) == {Point(0.5, 2.5), Point(1.0, 1.0)}
+    assert mcmp.at_least_failure(model, "x", charge_failing_step=False) == (0.5, 1.0)
+
+
+@needs_cases
+@pytest.mark.parametrize(
+    ("give_up", "charge", "value"),
+    [
+        ("anywhere", False, Fraction(19, 12)),
+        ("attention", False, Fraction(19, 12)),
+        ("dead_ends", False, Fraction(151, 84)),
+        ("anywhere", True, Fraction(7, 3)),
+        ("attention", True, Fraction(7, 3)),
+        ("dead_ends", True, Fraction(107, 42)),
+    ],
+)
+def test_four_numbers_of_the_robot(give_up, charge, value):
+    """The robot of PRISM at P(goal) >= 1/4, under every meaning of giving up."""
+    model, start = case_model("prism_robot_goal1", "time")
+    points = mcmp.points(model, start, give_up=give_up, charge_failing_step=charge)
+    assert constrained_optimum(points, 0.75) == pytest.approx(float(value), **EXACT)
+    assert hull_value(points, 0.75) == pytest.approx(float(value), **EXACT)
+
+
+@needs_cases
+def test_hand_cases_of_the_two_move_domain():
+    """H1 = 79/49 and H2 = 8/5 at P >= 0.98."""
+    model, start = case_model("gubs_test_domain", "unit")
+    points = mcmp.points(model, start, give_up="anywhere", charge_failing_step=False)
+    assert constrained_optimum(points, 0.02) == pytest.approx(8 / 5, **EXACT)
+    assert constrained_ratio(s3p.stationary_points(model, start), 0.02) == pytest.approx(79 / 49)
+    low, high = s3p_program.ratio_bounds(model, start, 0.02)
+    assert (low, high) == pytest.approx((79 / 49, 79 / 49), rel=1e-9)
+
+
+@needs_cases
+def test_hand_case_of_the_attack_tree():
+    """H5: every successful run pays 15; the published MCMP of the same policies is 11.02."""
+    model, start = case_model("prism_attacktree", "cost")
+    assert s3p.at_least_failure(model, start)[1] == pytest.approx(15.0, rel=1e-12)
+    least = mcmp.at_least_failure(model, start, charge_failing_step=False)
+    assert least.cost == pytest.approx(11.02, rel=1e-12)
+
+
+@needs_cases
+@pytest.mark.parametrize(
+    "row",
+    [
+        row
+        for row in expected()["cases"]
+        if row["model"].split("_")[-1]
+        in {"goal1.json", "goal2.json", "x1.json", "rewpoliter.json", "t1.json", "domain.json"}
+    ],
+    ids=lambda row: row["model"],
+)
+def test_enumeration_agrees_with_the_table(row):
+    """The small models of the table, all columns that the references know."""
+    model, start = case_model(row["model"][9:-5], row["cost"])
+    low, high = s3p.goal_probability_range(model, start)
+    assert (low, high) == pytest.approx((row["minprob"], row["maxprob"]), rel=1e-9, abs=1e-9)
+    least = mcmp.at_least_failure(model, start, charge_failing_step=False)
+    assert least.cost == pytest.approx(row["mcmp_at_maxprob"], rel=1e-9)
+    assert s3p.at_least_failure(model, start)[1] == pytest.approx(row["s3p_at_maxprob"], rel=1e-9)
+    points = mcmp.points(model, start, give_up="anywhere", charge_failing_step=False)
+    for share, value in row["min_cost_s.t._P>=f*maxprob"].items():
+        budget = 1 - float(share) * high
+        assert constrained_optimum(points, budget) == pytest.approx(value, rel=1e-9)
+        assert hull_value(points, budget) == pytest.approx(value, rel=1e-9)
+
+
+RISKY = plain_model(
+    {
+        "x": {"safe": [(1.0, "y", 2.0)], "fast": [(0.5, "g", 1.0), (0.5, "d", 0.0)]},
+        "y": {"safe": [(0.5, "g", 1.0), (0.5, "x", 0.0)], "stay": [(1.0, "y", 1.0)]},
+    },
+    {"g"},
+)
+
+
+@pytest.mark.parametrize("discount", [None, 0.9])
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.75])
+def test_program_and_enumeration_of_the_product_agree(discount, share):
+    """Every live state is an attention state, so six layers are exact for a small optimum."""
+    model = plain_model(
+        RISKY.choices | {"x": dict(RISKY.choices["x"], wait=[(1.0, "x", 1.0)])}, {"g"}
+    )
+    points = s3p.product_points(model, "x", 7, discount)
+    least = min(p.failure for p in points)
+    budget = least + share * (1 - least)
+    low, high = s3p_program.ratio_bounds(model, "x", budget, discount=discount)
+    assert high - low <= 1e-8
+    assert constrained_ratio(points, budget) >= low - 1e-9
+    assert constrained_ratio(points, budget) == pytest.approx(high, rel=1e-7)
+
+
+def test_conditional_cost_of_a_geometric_trial():
+    """Success p, else back at cost 1: E[cost; goal] = 1/p; discounted, q = p*g/(1-g(1-p))."""
+    p, gamma = 0.25, 0.9
+    model = plain_model({"x": {"try": [(p, "g", 1.0), (1 - p, "x", 1.0)]}}, {"g"})
+    assert s3p.at_least_failure(model, "x") == pytest.approx((0.0, 1 / p))
+    failure, value = s3p.at_least_failure(model, "x", gamma)
+    turn = gamma * (1 - p)
+    assert failure == pytest.approx(1 - gamma * p / (1 - turn))
+    assert value == pytest.approx((p / (1 - turn) ** 2) / (1 - failure))
+    assert s3p_program.ratio_bounds(model, "x", 0.5)[1] == pytest.approx(1 / p, rel=1e-9)
+
+
+def test_the_price_of_the_program_is_recognised():
+    """Two moves, 79/49 at budget 1/50: kappa = c* + price solves the two active inequalities."""
+    model = plain_model(
+        {"x": {"slow": [(1.0, "g", 2.0)], "fast": [(0.95, "g", 1.0), (0.05, "d", 1.0)]}}, {"g"}
+    )
+    value = 79 / 49
+    price = (2 - value) / 0.02
+    low, high = s3p_program.price_slack(model, "x", 0.02, value, price)
+    assert (low, high) == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert s3p_program.price_slack(model, "x", 0.02, value, price + 1)[0] < -1e-3
+    assert s3p_program.price_slack(model, "x", 0.02, value, price - 1)[0] < -1e-3

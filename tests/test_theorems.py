@@ -1,0 +1,131 @@
+"""A user's own stationary policies: exact evaluation, and the paper's theorems of section 2.5."""
+
+import numpy as np
+import pytest
+from checks import CLOSE, library_model, plain
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from plain_policies import stationary_policies
+from strategies import discounts, problems
+
+from formulations import MCMP, S3P
+from references import mcmp, s3p
+from references.chain import STOP, mean, moves_of, start_distribution
+from ssp_lp import GIVE_UP, evaluate
+from ssp_lp.policies import DeterministicPolicy
+
+meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
+drawn_settings = settings(max_examples=150, deadline=None, derandomize=True)
+
+
+def library_policy(model, decisions):
+    """The decisions as a policy of the library."""
+    actions = {s: GIVE_UP if a == STOP else a for s, a in decisions.items()}
+    return DeterministicPolicy.from_actions(model, actions)
+
+
+@drawn_settings
+@given(problems(most_live=3), meanings, st.booleans(), discounts, st.data())
+def test_evaluation_under_case_m(drawn, give_up, charge, discount, data):
+    """Tau comes from the policy's own chain; a class that pays for ever costs infinity."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, give_up))
+    begin = start_distribution(drawn.start)
+    problem = MCMP(
+        model,
+        start=drawn.start,
+        failure_budget=1.0,
+        discount=discount,
+        give_up=give_up,
+        charge_failing_step=charge,
+    )
+    evaluation = evaluate(library_policy(model, decisions), problem)
+    failure, cost = mcmp.evaluate(reference, begin, decisions, give_up, charge)
+    assert evaluation.failure_probability == pytest.approx(failure, abs=1e-12)
+    assert evaluation.goal_probability == pytest.approx(1 - failure, abs=1e-12)
+    assert evaluation.expected_cost == pytest.approx(cost, **CLOSE)
+    if discount is None:
+        assert evaluation.objective == pytest.approx(cost, **CLOSE)
+        assert evaluation.discounted_failure is None
+    else:
+        failure, cost = mcmp.evaluate(reference, begin, decisions, give_up, charge, discount)
+        assert evaluation.discounted_failure == pytest.approx(failure, abs=1e-12)
+        assert evaluation.objective == pytest.approx(cost, **CLOSE)
+
+
+@drawn_settings
+@given(problems(most_live=3), discounts, st.data())
+def test_evaluation_under_case_s(drawn, discount, data):
+    """Cost on success, its ratio to the success, exact and discounted."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, "dead_ends"))
+    begin = start_distribution(drawn.start)
+    problem = S3P(model, start=drawn.start, failure_budget=1.0, discount=discount)
+    evaluation = evaluate(library_policy(model, decisions), problem)
+    weight, cost = (mean(begin, part) for part in s3p.values(reference, decisions, None))
+    assert evaluation.goal_probability == pytest.approx(weight, abs=1e-12)
+    assert evaluation.success_cost == pytest.approx(cost, **CLOSE)
+    if weight > 0:
+        assert evaluation.conditional_cost == pytest.approx(cost / weight, **CLOSE)
+        weight, cost = (mean(begin, part) for part in s3p.values(reference, decisions, discount))
+        assert evaluation.objective == pytest.approx(cost / weight, **CLOSE)
+
+
+def long_run_average(reference, begin, decisions, doublings=30):
+    """(1/T) sum of P(x_t != goal) over t < T = 2^doublings, by doubling: S_2T = S_T + M^T S_T."""
+    states = list(reference.choices)
+    moves = moves_of(reference, decisions)
+    matrix = np.zeros((len(states), len(states)))
+    for row, state in enumerate(states):
+        outcomes = moves[state] or [(1.0, state, 0.0)]
+        for p, successor, _ in outcomes:
+            if successor not in reference.goals:
+                matrix[row, states.index(successor)] += p
+    average = np.ones(len(states))
+    for _ in range(doublings):
+        average = (average + matrix @ average) / 2
+        matrix = matrix @ matrix
+    return mean(begin, dict(zip(states, average.tolist(), strict=True)))
+
+
+@drawn_settings
+@given(problems(), meanings, st.data())
+def test_failure_is_the_long_run_average_of_not_being_at_the_goal(drawn, give_up, data):
+    """Theorem t2-0; stopping and dead-ends stay where they are."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, give_up))
+    problem = MCMP(model, start=drawn.start, failure_budget=1.0, give_up=give_up)
+    evaluation = evaluate(library_policy(model, decisions), problem)
+    average = long_run_average(reference, start_distribution(drawn.start), decisions)
+    assert evaluation.failure_probability == pytest.approx(average, abs=1e-6)
+
+
+@drawn_settings
+@given(problems(), meanings, st.data())
+def test_discounted_failure_falls_to_the_failure(drawn, give_up, data):
+    """Theorems t2-1 and t2-2: F <= L(gamma) <= F + (1 - gamma) E[T; goal], and L falls in gamma."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, give_up))
+    policy = library_policy(model, decisions)
+    steps = plain(
+        type(drawn)(
+            {
+                s: {a: [(p, t, 1.0) for p, t, _ in outcomes] for a, outcomes in actions.items()}
+                for s, actions in drawn.choices.items()
+            },
+            drawn.goals,
+            drawn.start,
+        )
+    )
+    time = mean(start_distribution(drawn.start), s3p.values(steps, decisions, None)[1])
+    before = 1.0
+    for gamma in (0.5, 0.9, 0.999, 1 - 1e-6, 1 - 1e-9):
+        problem = MCMP(
+            model, start=drawn.start, failure_budget=1.0, discount=gamma, give_up=give_up
+        )
+        evaluation = evaluate(policy, problem)
+        failure, surrogate = evaluation.failure_probability, evaluation.discounted_failure
+        assert surrogate >= failure - 1e-12
+        assert surrogate <= failure + (1 - gamma) * time + 1e-12
+        assert surrogate <= before + 1e-12
+        before = surrogate
