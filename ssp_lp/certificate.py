@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,6 +14,10 @@ from ssp_lp.problem import Problem
 from ssp_lp.solution import Solution, relative_gap
 
 _BUDGET_ROUNDING = 1e-12
+
+_BELOW = 2.5e-10
+"""Relative step below the ratio at which a slack budget's bound is checked: there it is strictly
+best to fail, so that no rounding enters (see ``Row.lower_bound``)."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def certify(solution: Solution) -> Certificate:
         return _certificate(found, failure, 0.0, 0.0, _allowed(problem), "price is not >= 0")
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     instance = problem.instance().matching(np.asarray(values), kappa)
-    bound, tail = _lower_bound(instance, problem, kappa, np.asarray(values), found.objective)
+    bound, tail = _lower_bound(instance, problem, kappa, price == 0.0, solution)
     return _certificate(found, failure, bound, tail, _allowed(problem), "")
 
 
@@ -79,15 +83,17 @@ def _allowed(problem: Problem) -> float:
 
 
 def _lower_bound(
-    instance: Instance, problem: Problem, price: float, values: np.ndarray, objective: float
+    instance: Instance, problem: Problem, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
     """Lower bound of the objective, and the relative gap that truncation leaves in it."""
     row = Row(max(problem.failure_budget or 0.0, 0.0), problem.ratio)
-    priced, _ = instance.oracle().check(price, values)
-    bound = row.lower_bound(priced, price)
-    lost = instance.tail_loss(price)
-    scale = max(abs(objective), 1e-300) * (1.0 - row.budget if problem.ratio else 1.0)
-    return bound, lost / scale if scale > 0 else 0.0
+    slack = slack and problem.ratio
+    price = price * (1.0 - _BELOW) if slack else price
+    proof = instance.oracle().check(price, np.asarray(solution.value_function), slack=slack)
+    bound, lost = row.lower_bound(proof), instance.tail_loss(price, slack=slack)
+    if lost == 0.0:
+        return bound, 0.0
+    return bound, relative_gap(row.lower_bound(replace(proof, bound=proof.bound + lost)), bound)
 
 
 def _certificate(

@@ -72,6 +72,7 @@ def solve(
     row = Row(max(problem.failure_budget, least.column.failure), instance.ratio)
     chosen = "columns" if engine == "auto" else engine
     program, hint, calls = "", None, 0
+    gaps: list[float] = []
     while True:
         if chosen == "lp":
             answer = solve_program(instance, row, backend, deadline)
@@ -88,8 +89,10 @@ def solve(
         if chosen == "lp":
             check_agreement(answer, found.objective)
         calls += found.rounds
-        wide = relative_gap(found.objective, found.lower_bound) > tolerance
-        finer = instance.refined(found.price) if wide and found.finished else None
+        gaps.append(relative_gap(found.objective, found.lower_bound))
+        finer = None
+        if gaps[-1] > tolerance and found.finished and not _stagnant(gaps):
+            finer = instance.refined(found.price)
         if finer is None:
             break
         instance, hint = finer, found.price
@@ -97,6 +100,11 @@ def solve(
     solution = _conclude(problem, instance, least, found, row)
     run = Run(chosen, reason, calls, time.perf_counter() - began, program)
     return replace(solution, run=run)
+
+
+def _stagnant(gaps: list[float]) -> bool:
+    """Whether the last three refinements did not even halve the gap: rounding, not truncation."""
+    return len(gaps) > 3 and gaps[-1] > 0.5 * gaps[-4]
 
 
 def _require_feasible(problem: Problem, least: LeastFailure) -> None:
@@ -165,7 +173,7 @@ def _conclude(
         objective=found.objective,
         lower_bound=found.lower_bound,
         failure_price=price,
-        value_function=read_only(found.proof),
+        value_function=read_only(found.proof.values),
         run=NOT_YET_RUN,
         note=_note(problem, least, found),
     )

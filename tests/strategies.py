@@ -100,7 +100,7 @@ def _forward(drawn):
     return Draw({**drawn.choices, **onward}, drawn.goals, drawn.start)
 
 
-budgets = st.sampled_from([0.0, 0.1, 0.25, 1 / 3, 0.5, 0.75, 0.95, "kink", "below"])
+budgets = st.sampled_from([0.1, 0.0, 0.25, 1 / 3, 0.5, 0.75, 0.95, 1e-3, "kink", "below"])
 """Where the budget lies between the least failure (0) and sure failure (1), or a named place."""
 
 discounts = st.sampled_from([None, 0.5, 0.9, 0.99])

@@ -240,3 +240,69 @@ def test_the_cost_lattice_is_exact(unit, engine):
         scaled = solve(S3P(model_of(choices), start="x", failure_budget=budget), engine=engine)
         plain = solve(S3P(model_of(whole), start="x", failure_budget=budget), engine=engine)
         assert scaled.objective == pytest.approx(plain.objective * float(unit), **EXACT)
+
+
+@each_engine
+def test_a_start_at_the_goal(engine):
+    """Nothing to do, nothing to pay."""
+    model = model_of({"x": {"go": [(1.0, "g", 1)]}})
+    for problem in (
+        MCMP(model, start="g", failure_budget=0.1),
+        S3P(model, start="g", failure_budget=0.1),
+        S3P(model, start="g", failure_budget=None),
+        MCMP(model, start="g", failure_budget=0.1, discount=0.9),
+    ):
+        solution = solve(problem, engine=engine)
+        assert (solution.objective, solution.failure_probability) == (0.0, 0.0)
+        assert solution.gap == 0.0
+
+
+@pytest.mark.parametrize("formulation", [MCMP, S3P])
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"failure_budget": -0.1},
+        {"failure_budget": 1.5},
+        {"failure_budget": float("nan")},
+        {"discount": 0.0},
+        {"discount": 1.0},
+        {"discount": -0.5},
+        {"discount": float("nan")},
+        {"start": "nowhere"},
+        {"start": {"x": 0.5}},
+        {"start": {"x": 1.5, "d": -0.5}},
+    ],
+    ids=str,
+)
+def test_what_a_problem_refuses(formulation, wrong):
+    """Budgets outside [0, 1], discounts outside (0, 1), starts that are no distribution."""
+    settings = {"start": "x", "failure_budget": 0.1} | wrong
+    with pytest.raises(ModelError):
+        solve(formulation(model_of(TWO_MOVES), **settings))
+
+
+@each_engine
+def test_slow_chains_stay_exact(engine):
+    """A million steps on average: cost 1/p, or a gamble that costs 1 and fails half the time."""
+    p = 1e-6
+    choices = {
+        "x": {"slow": [(p, "g", 1), (1 - p, "x", 1)], "fast": [(0.5, "g", 1), (0.5, "d", 1)]},
+        "d": {},
+    }
+    solution = solve(MCMP(model_of(choices), start="x", failure_budget=0.125), engine=engine)
+    assert solution.objective == pytest.approx(0.75 / p + 0.25, rel=1e-9)
+    assert solution.gap <= 1e-8
+
+
+@pytest.mark.parametrize("cap", [1, 2, 4, 8])
+def test_a_cap_on_the_accumulated_cost_keeps_the_bounds_honest(cap):
+    """Whatever the cap, the policy is real and the bound is a bound: 79/49 lies between."""
+    model = model_of(TWO_MOVES)
+    solution = solve(S3P(model, start="x", failure_budget=0.02, cost_cap=cap))
+    assert solution.lower_bound <= 79 / 49 + 1e-12
+    assert solution.objective >= 79 / 49 - 1e-12
+    found = evaluate(solution.policy, solution.problem)
+    assert found.objective == pytest.approx(solution.objective, **EXACT)
+    assert found.failure_probability <= 0.02 + 1e-12
+    if cap >= 2:
+        assert solution.objective == pytest.approx(79 / 49, **EXACT)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.engines.oracles.oracle import Column, Oracle
+from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof
 
 _ROUNDS = 200
 _SAME_FAILURE = 1e-15
@@ -33,8 +33,7 @@ class HullSearch:
     price: float  # kappa: price of failure at which the columns are optimal
     objective: float  # cost, or cost / (1 - failure)
     lower_bound: float
-    proof: FloatArray  # the sub-solution at the price behind the bound
-    bound_price: float  # the price at which the sub-solution was made
+    proof: Proof  # behind the bound
     rounds: int  # oracle calls
     finished: bool  # false: stopped by the time limit
 
@@ -50,19 +49,24 @@ class Row:
         """Objective of a point of the hull."""
         return cost / (1.0 - failure) if self.ratio and failure < 1.0 else cost
 
-    def lower_bound(self, priced: float, price: float) -> float:
-        """Bound on the objective from ``cost + price * failure >= priced`` for every policy.
+    def lower_bound(self, proof: Proof) -> float:
+        """Bound on the objective from a proof about every policy's value.
 
-        Case M: cost >= priced - price * budget. Case S: cost - c (1 - failure) >= 0 holds for
-        c = price - (price - priced) / (1 - budget), and for c = priced if priced >= price.
+        Case M: cost + price * failure >= bound gives cost >= bound - price * budget. Case S:
+        cost >= c * goal follows for c = bound if bound >= price, else, as failure <= budget, for
+        c = (bound - price * budget) / (1 - budget). With failing counted 0 the value is shifted
+        by the price, which is exact where the budget is slack.
         """
+        bound, price, share = proof.bound, proof.price, 1.0 - self.budget
         if not self.ratio:
-            return max(priced - price * self.budget, 0.0)
-        if priced >= price:
-            return priced
-        if self.budget >= 1.0:
-            return 0.0
-        return max(price - (price - priced) / (1.0 - self.budget), 0.0)
+            return max(bound - price * self.budget, 0.0)
+        if proof.failing == 0.0:
+            if bound >= 0.0:
+                return price + bound
+            return max(price + bound / share, 0.0) if share > 0.0 else 0.0
+        if bound >= price:
+            return bound
+        return max((bound - price * self.budget) / share, 0.0) if share > 0.0 else 0.0
 
 
 def search(
@@ -103,17 +107,27 @@ def search(
             outside = None  # the budget is slack: go on with Dinkelbach's iteration
         elif found.failure <= row.budget:
             inside = found
-        elif outside is not None and abs(found.failure - outside.failure) <= _SAME_FAILURE:
+        elif _is_stalled(row, inside, outside, found, price):
             break
         else:
             outside = found
         price = _next_price(row, inside, outside)
-        if hint is not None and calls == 1 and price > 0.0:
+        if hint and calls == 1 and price > 0.0:
             price = hint * (1.0 - _STRADDLE if found is inside else 1.0 + _STRADDLE)
         if time.perf_counter() > deadline:
             finished = False
             break
     return _conclude(oracle, row, inside, outside, price, warm, calls, finished, tolerance)
+
+
+def _is_stalled(
+    row: Row, inside: Column, outside: Column | None, found: Column, price: float
+) -> bool:
+    """Whether pricing at the slope only found the column beyond the budget again (rounding)."""
+    if outside is None or price != _next_price(row, inside, outside):
+        return False
+    same = abs(found.failure - outside.failure) <= _SAME_FAILURE
+    return same and found.cost >= outside.cost * (1.0 - _SAME_FAILURE)
 
 
 def _next_price(row: Row, inside: Column, outside: Column | None) -> float:
@@ -160,15 +174,14 @@ def _conclude(
     slack = row.ratio and price <= best  # then bound just below the ratio: see Row.lower_bound
     bound_price = price * (1.0 - 0.25 * tolerance) if slack else price
     start = warm if warm is not None else inside
-    priced, proof = oracle.bound(bound_price, start)
+    proof = oracle.prove(bound_price, start, slack=slack)
     return HullSearch(
         columns=columns,
         weights=weights,
         price=price,
         objective=best,
-        lower_bound=min(row.lower_bound(priced, bound_price), best),
+        lower_bound=min(row.lower_bound(proof), best),
         proof=proof,
-        bound_price=bound_price,
         rounds=calls,
         finished=finished,
     )

@@ -130,9 +130,9 @@ class CostInstance:
             raise ModelError("a value function of shape [layers, nodes] is needed")
         return self._carry(replace(self, cap=values.shape[0], tail_price=price))
 
-    def tail_loss(self, price: float) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
-        return self.oracle().tail_loss(price)
+        return self.oracle().tail_loss(price, slack=slack)
 
     def _carry(self, other: CostInstance) -> CostInstance:
         """Hand what does not depend on the cap to a copy of this instance."""

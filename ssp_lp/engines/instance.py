@@ -56,6 +56,6 @@ class Instance(Protocol):
         """
         ...
 
-    def tail_loss(self, price: float) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """How much of a bound at this price is lost to truncation; 0 where nothing is."""
         ...

@@ -41,7 +41,7 @@ class LabelInstance:
             label_failure(self.model, self.start, self.semantics, self.discount, usable)
         )
         column = second.minimise(0.0)
-        bound, _ = second.bound(0.0, column)
+        bound = second.prove(0.0, column).bound
         policy = second.policy(column)
         return LeastFailure(policy, replace(column, choice=None, policy=policy), bound)
 
@@ -57,6 +57,6 @@ class LabelInstance:
         """The instance itself."""
         return self
 
-    def tail_loss(self, price: float) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """Nothing is truncated: 0."""
         return 0.0

@@ -297,4 +297,3 @@ class SSP:
             name: read_only(np.array(sorted({self.index_of(s) for s in members}), dtype=np.int64))
             for name, members in labels.items()
         }
-

@@ -52,26 +52,32 @@ class LayeredProcess:
 
     @cached_property
     def beyond(self) -> tuple[FloatArray, FloatArray]:
-        """(cost, failure) of entering (node, cap + i) for i below ``width - 1``, 2 x [i, nodes]."""
+        """(cost, goal) of entering (node, cap + i) for i below ``width - 1``, 2 x [i, nodes]."""
         layer = self.cap + np.arange(self.base.width - 1)[:, None]
         last = layer >= self.threshold[None, :]
         tails = self.tails
         early = np.where(last, tails.early[-1], tails.early[0])
         cost = np.where(last, tails.cost[-1], tails.cost[0])
         goal = np.where(last, tails.goal[-1], tails.goal[0])
-        return cost + layer * self.base.unit * early, 1.0 - goal
+        return cost + layer * self.base.unit * early, goal
 
-    def beyond_bound(self, failure_price: float) -> FloatArray:
-        """Lower bound of the value of every policy at (node, cap + i), [width - 1, nodes].
+    def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
+        """Lower bound of every policy's value at (node, cap + i), [width - 1, nodes].
 
-        Every success pays at least the r that has been paid: r * early + price * (1 - goal), and
-        early = goal / gamma (DESIGN, section 5: r + (kappa - r) F).
+        Every success pays at least the r that has been paid: r * early + price * (1 - goal) with
+        early = goal / gamma (DESIGN, section 5: r + (kappa - r) F). It is exact where it is best
+        to fail and possible.
+
+        Args:
+            failure_price: kappa.
+            failing: what failing counts: kappa, or 0 with -kappa for success.
         """
         layer = self.cap + np.arange(self.base.width - 1)[:, None]
-        excess = layer * self.base.unit / self.base.survival - failure_price
-        goal = np.where(excess < 0, self.tails.greatest_goal, self.tails.least_goal)
-        rounded = np.where(goal == 0, 1.0, 1.0 - 8.0 * MACHINE_EPSILON)
-        return np.asarray(np.maximum(failure_price + excess * goal, 0.0) * rounded)
+        paid = layer * self.base.unit / self.base.survival
+        goal = np.where(paid < failure_price, self.tails.greatest_goal, self.tails.least_goal)
+        rest = failing * (1.0 - goal) - (failure_price - failing) * goal
+        size = np.where(goal == 0, 0.0, (paid + failure_price) * MACHINE_EPSILON)
+        return np.asarray(rest + paid * goal - 8.0 * size)
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
         """Pull a choice back to the model.
@@ -119,7 +125,8 @@ class LayeredProcess:
         """Objective (0) or failure (1) of each pair of each layer, with tails, [cap * pairs]."""
         base, n = self.base, self.base.n_nodes
         padded = np.zeros((self.cap + base.width - 1, n))
-        padded[self.cap :] = self.beyond[which]
+        beyond_cost, beyond_goal = self.beyond
+        padded[self.cap :] = 1.0 - beyond_goal if which else beyond_cost
         values = np.empty((self.cap, len(base.gain)))
         for layer in range(self.cap):
             own = base.failure if which else base.gain * layer * base.unit + base.gain_cost

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.engines.oracles.oracle import Column, required
+from ssp_lp.engines.oracles.oracle import Column, Proof, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.errors import ModelError
@@ -54,22 +54,27 @@ class ExplicitOracle:
         totals = process.start @ accumulate(process.transitions[choice], reward)
         return Column(float(totals[0]), float(totals[1]), choice)
 
-    def bound(self, failure_price: float, best: Column) -> tuple[float, FloatArray]:
-        """A certified lower bound of the priced cost, with its sub-solution, [states]."""
+    def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
+        """Prove a lower bound from the values of a policy of least priced cost."""
         process = self.process
-        priced = process.cost + failure_price * process.failure
+        priced = process.cost + price * process.failure
         choice = self._leaving if best.choice is None else best.choice
-        return self.check(failure_price, accumulate(process.transitions[choice], priced[choice]))
+        return self.check(price, accumulate(process.transitions[choice], priced[choice]))
 
-    def check(self, failure_price: float, values: FloatArray) -> tuple[float, FloatArray]:
-        """Lower values, [states], to a checked sub-solution; the bound at the start with them."""
+    def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower values, [states], to a checked sub-solution.
+
+        Raises:
+            ModelError: values of another shape, or ``slack``, which is for ratios.
+        """
         process = self.process
-        if values.shape != (process.n_states,):
+        if values.shape != (process.n_states,) or slack:
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
-        priced = process.cost + failure_price * process.failure
+        priced = process.cost + price * process.failure
         checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
-        terms = np.count_nonzero(process.start) - 1.0  # a sum of one term is exact
-        return float(process.start @ checked) * (1.0 - terms * MACHINE_EPSILON), checked
+        summands = np.count_nonzero(process.start)  # a sum of one term is exact
+        bound = float(process.start @ checked) * (1.0 - (summands - 1.0) * MACHINE_EPSILON)
+        return Proof(price, price, bound, checked)
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""

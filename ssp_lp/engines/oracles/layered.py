@@ -16,7 +16,7 @@ from ssp_lp.arrays import (
     first_minimisers,
     segment_minima,
 )
-from ssp_lp.engines.oracles.oracle import Column, required
+from ssp_lp.engines.oracles.oracle import Column, Proof, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import backup_rounding, sub_solution
 from ssp_lp.errors import ModelError
@@ -37,8 +37,8 @@ class LayeredOracle:
         """A policy of least ``E[cost; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         choice = np.empty((self.process.cap, base.n_nodes), dtype=np.int32)
-        beyond_cost, beyond_failure = self.process.beyond
-        window = beyond_cost + failure_price * beyond_failure  # the layers ahead, nearest first
+        beyond_cost, beyond_goal = self.process.beyond
+        window = beyond_cost + failure_price * (1.0 - beyond_goal)  # layers ahead, nearest first
         inner = self._first_choice
         for layer in reversed(range(self.process.cap)):
             ahead = self._stage(layer, failure_price) + base.later @ window.reshape(-1)
@@ -54,7 +54,8 @@ class LayeredOracle:
     def measure(self, choice: IntArray) -> Column:
         """Exact E[cost; goal] and failure of a choice, [cap, nodes], by a backward sweep."""
         base = self.process.base
-        window = np.stack(self.process.beyond, axis=-1)  # [width - 1, nodes, 2]
+        beyond_cost, beyond_goal = self.process.beyond
+        window = np.stack([beyond_cost, 1.0 - beyond_goal], axis=-1)  # [width - 1, nodes, 2]
         values = np.zeros((base.n_nodes, 2))
         for layer in reversed(range(self.process.cap)):
             chosen = choice[layer]
@@ -67,55 +68,66 @@ class LayeredOracle:
         totals = base.start @ values
         return Column(float(totals[0]), float(totals[1]) + base.start_failure, choice)
 
-    def bound(self, failure_price: float, best: Column) -> tuple[float, FloatArray]:
-        """A certified lower bound of the priced cost, with its sub-solution, [cap, nodes]."""
-        anything = np.full((self.process.cap, self.process.base.n_nodes), np.inf)
-        return self.check(failure_price, anything)
+    def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
+        """Prove the best lower bound that a sweep gives; no policy is needed for it."""
+        return self.check(price, self._anything, slack=slack)
 
-    def check(self, failure_price: float, values: FloatArray) -> tuple[float, FloatArray]:
-        """Lower values, [cap, nodes], to a checked sub-solution; the bound at the start with them.
+    def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower values, [cap, nodes], to a checked sub-solution.
 
         The sweep starts from the lower bound beyond the cap and counts the rounding of every
         backup against itself. Infinite values ask for the best that can be proved.
-        """
-        return self._checked(failure_price, values, self.process.beyond_bound(failure_price))
 
-    def tail_loss(self, failure_price: float) -> float:
+        Raises:
+            ModelError: values of another shape.
+        """
+        failing = 0.0 if slack else price
+        beyond = self.process.beyond_bound(price, failing)
+        return self._swept(price, failing, values, beyond)
+
+    def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """How much of the bound the cap costs: 0 where the tails are proved to be optimal.
 
         The difference, at the start, between the bound with the tail policies' own values beyond
         the cap and the one with the lower bound there.
         """
-        anything = np.full((self.process.cap, self.process.base.n_nodes), np.inf)
-        cost, failure = self.process.beyond
-        reached, _ = self._checked(failure_price, anything, cost + failure_price * failure)
-        return max(reached - self.bound(failure_price, Column(0.0, 0.0, None))[0], 0.0)
+        failing = 0.0 if slack else price
+        cost, goal = self.process.beyond
+        beyond = cost + failing * (1.0 - goal) - (price - failing) * goal
+        reached = self._swept(price, failing, self._anything, beyond).bound
+        return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
 
-    def _checked(
-        self, failure_price: float, values: FloatArray, beyond: FloatArray
-    ) -> tuple[float, FloatArray]:
-        base, offsets = self.process.base, self.process.base.pair_offsets
+    def _swept(self, price: float, failing: float, values: FloatArray, beyond: FloatArray) -> Proof:
+        base, offsets, success = self.process.base, self.process.base.pair_offsets, price - failing
         if values.shape != (self.process.cap, base.n_nodes):
             raise ModelError(
                 f"a value function of shape {self.process.cap, base.n_nodes} is needed"
             )
-        proof, window = np.empty_like(values), beyond
-        deflate = 1.0 - backup_rounding(base.steps)
-        inner = self._first_choice
+        checked, window = np.empty_like(values), beyond
+        rounding, inner = backup_rounding(base.steps), self._first_choice
+        owed, saved = failing * base.failure, success * base.survival * base.gain
         for layer in reversed(range(self.process.cap)):
-            ahead = self._stage(layer, failure_price) + base.later @ window.reshape(-1)
-            ahead = ahead * deflate
-            given = np.maximum(np.nan_to_num(values[layer], nan=0.0, posinf=np.inf), 0.0)
+            paid = base.gain * (layer * base.unit) + base.gain_cost + owed
+            size = paid + saved + base.later @ np.abs(window).reshape(-1)
+            ahead = paid - saved + base.later @ window.reshape(-1)
+            ahead = np.where(size == owed, ahead, ahead - rounding * size)
+            given = np.maximum(np.nan_to_num(values[layer], nan=-success, posinf=np.inf), -success)
             if self._acyclic:
-                proof[layer] = np.minimum(segment_minima(ahead, offsets), given)
+                checked[layer] = np.minimum(segment_minima(ahead, offsets), given)
             else:
                 inner, best = improve(offsets, base.instant, ahead, inner)
                 given = np.minimum(best, given)
-                proof[layer] = sub_solution(offsets, base.instant, ahead, given)
-            window = np.vstack([proof[layer][None, :], window])[: base.width - 1]
-        bound = float(base.start @ proof[0]) + failure_price * base.start_failure
-        terms = np.count_nonzero(base.start) - 1.0 + 2.0 * (base.start_failure > 0)
-        return bound * (1.0 - max(terms, 0.0) * MACHINE_EPSILON), proof
+                checked[layer] = sub_solution(offsets, base.instant, ahead, given, -success)
+            window = np.vstack([checked[layer][None, :], window])[: base.width - 1]
+        parts = np.append(base.start * checked[0], [failing * base.start_failure,
+                                                    -success * base.start_goal])  # fmt: skip
+        loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
+        return Proof(price, failing, float(parts.sum()) - max(loss, 0.0), checked)
+
+    @cached_property
+    def _anything(self) -> FloatArray:
+        """Values that ask for the best that can be proved, [cap, nodes]."""
+        return np.full((self.process.cap, self.process.base.n_nodes), np.inf)
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""

@@ -23,6 +23,21 @@ class Column:
     policy: Policy | None = None  # the policy on the model, where it did not come from the oracle
 
 
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """A certified lower bound of the value of every policy at a price of failure.
+
+    A policy's value is ``cost + failing * failure - (price - failing) * goal``. With ``failing``
+    equal to the price this is ``cost + price * failure``; with 0 it is ``cost - price * goal``,
+    which is exact where it is best to fail and serves in case S where the budget is slack.
+    """
+
+    price: float
+    failing: float
+    bound: float  # at the start
+    values: FloatArray  # the checked sub-solution behind it, in the oracle's own shape
+
+
 def required(choice: IntArray | None) -> IntArray:
     """The choice of a column that an oracle made.
 
@@ -45,23 +60,18 @@ class Oracle(Protocol):
         """A policy of least priced cost, measured exactly; ``warm`` is a policy to start from."""
         ...
 
-    def bound(self, failure_price: float, best: Column) -> tuple[float, FloatArray]:
-        """A certified lower bound of the priced cost of every policy.
+    def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
+        """Prove a lower bound of the value of every policy.
 
         Args:
-            best: the policy found at this price.
-
-        Returns:
-            The bound, and the checked sub-solution that proves it.
+            price: of failure.
+            best: a policy of least value at this price.
+            slack: count failing as 0 and success as minus the price.
         """
         ...
 
-    def check(self, failure_price: float, values: FloatArray) -> tuple[float, FloatArray]:
-        """Lower any values as far as is needed to make them a checked sub-solution.
-
-        Returns:
-            The bound at the start that they prove, and the checked values.
-        """
+    def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower any values as far as is needed to make them a checked sub-solution."""
         ...
 
     def policy(self, column: Column) -> Policy:

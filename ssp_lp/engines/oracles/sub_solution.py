@@ -1,9 +1,8 @@
 """Certified lower bounds: values v with v <= T v, checked by one backup with its rounding.
 
-If v >= 0 satisfies v <= c_u + P_u v for every pair u of non-negative cost, then v bounds the cost
-of every policy from below: of those that leave the process by iterating the inequality, and of
-those that stay for ever provided that staying counts as at least max v (it does: staying is
-failure, and a price times 1 is at least any value of giving up there).
+If v satisfies v <= c_u + P_u v for every pair u, then v bounds the cost of every policy from below:
+of those that leave the process by iterating the inequality, and of those that stay for ever since
+staying is failure, which costs at least as much as v says.
 """
 
 from __future__ import annotations
@@ -26,49 +25,51 @@ _SHRINKAGES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e
 
 
 def backup_rounding(transitions: sp.csr_array) -> FloatArray:
-    """Relative rounding of a backup of non-negative numbers, per pair, [pairs].
-
-    Pairs without successors (giving up) are exact.
-    """
-    terms = np.diff(transitions.indptr)
-    return np.where(terms == 0, 0.0, (terms + 3.0) * MACHINE_EPSILON)
+    """Rounding of a backup relative to the sum of its terms' magnitudes, per pair, [pairs]."""
+    return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
 
 
 def shortfall(
     pair_offsets: IntArray, transitions: sp.csr_array, pair_cost: FloatArray, values: FloatArray
 ) -> FloatArray:
     """How far each state's value exceeds its backup, rounding counted against us, [states]."""
-    ahead = (pair_cost + transitions @ values) * (1.0 - backup_rounding(transitions))
+    size = np.abs(pair_cost) + transitions @ np.abs(values)
+    ahead = pair_cost + transitions @ values - backup_rounding(transitions) * size
     return np.maximum(values - segment_minima(ahead, pair_offsets), 0.0)
 
 
 def sub_solution(
-    pair_offsets: IntArray, transitions: sp.csr_array, pair_cost: FloatArray, values: FloatArray
+    pair_offsets: IntArray,
+    transitions: sp.csr_array,
+    pair_cost: FloatArray,
+    values: FloatArray,
+    floor: float = 0.0,
 ) -> FloatArray:
     """Lower the given values, as little as is needed, to ones that pass the check.
 
     Args:
-        pair_cost: non-negative, [pairs].
+        pair_cost: [pairs].
         values: near-optimal values, or any others (the bound is then worse), [states].
+        floor: a constant that is known to be a sub-solution: 0 where no pair cost is negative.
 
     Returns:
         Values that are checked lower bounds of the optimum, [states].
     """
-    values = np.nan_to_num(np.maximum(values, 0.0), nan=0.0, posinf=0.0)
+    values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
     lack = shortfall(pair_offsets, transitions, pair_cost, values)
     if not lack.any():
         return values
     run = _longest_run(pair_offsets, transitions, pair_cost, values, lack)
     if run is not None:
         for factor in (1.5, 4.0, 16.0, 64.0, 1024.0):
-            lowered = np.maximum(values - factor * run, 0.0)
+            lowered = np.maximum(values - factor * run, floor)
             if not shortfall(pair_offsets, transitions, pair_cost, lowered).any():
                 return lowered
     for share in _SHRINKAGES:
-        lowered = (1.0 - share) * values
+        lowered = floor + (1.0 - share) * (values - floor)
         if not shortfall(pair_offsets, transitions, pair_cost, lowered).any():
             return lowered
-    return np.zeros_like(values)
+    return np.full_like(values, floor)
 
 
 def _longest_run(
