@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.engines.column_generation import Row
 from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.problem import Problem
@@ -118,7 +118,4 @@ def _certificate(
 def _least_failure_certificate(problem: Problem, found: Evaluation, failure: float) -> Certificate:
     """At least failure the bound is that of the second stage over the maximising actions."""
     least = problem.instance().least_failure()
-    bound = least.cost_bound
-    if problem.ratio and found.goal_probability > 0:
-        bound = bound / found.goal_probability
-    return _certificate(found, failure, bound, 0.0, least.column.failure, "")
+    return _certificate(found, failure, least.objective_bound, 0.0, least.column.failure, "")

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, read_only
-from ssp_lp.engines.column_generation import HullSearch, Row, search
+from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure
 from ssp_lp.engines.lp import check_agreement, solve_program
+from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.goal_probability import max_goal_probability
 from ssp_lp.policies import MixedPolicy
@@ -77,6 +78,7 @@ def solve(
         if chosen == "lp":
             answer = solve_program(instance, row, backend, deadline)
             hint, program = answer.price, answer.report
+            instance = instance.priced(answer.price)
         found = search(
             instance.oracle(),
             least.column,
@@ -142,14 +144,13 @@ def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> So
     policy = MixedPolicy((least.policy,), np.ones(1))
     row = Row(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.failure)
-    bound = row.objective(least.cost_bound, least.column.failure)
     run = Run("columns", "two stages: greatest goal probability, then least cost", 2,
               time.perf_counter() - began)  # fmt: skip
     return Solution(
         problem=problem,
         policy=policy,
         objective=objective,
-        lower_bound=min(bound, objective),
+        lower_bound=min(least.objective_bound, objective),
         failure_price=None,
         value_function=None,
         run=run,

@@ -3,10 +3,10 @@
 from typing import Any
 
 import pytest
-from strategies import Draw
-
 from references.chain import PlainModel, plain_model
 from references.frontier import Point, least_failure, lower_hull
+from strategies import Draw
+
 from ssp_lp import SSP, certify, evaluate
 
 GAP = 1e-8

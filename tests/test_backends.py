@@ -4,11 +4,11 @@ import pytest
 from checks import CLOSE, budget_of, check_bounds, check_evaluation, library_model, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from references import mcmp, s3p
+from references.frontier import least_failure
 from strategies import discounts, problems
 
 from formulations import MCMP, S3P
-from references import mcmp, s3p
-from references.frontier import least_failure
 from ssp_lp import solve
 
 BACKENDS = ["highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy"]

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 from checks import check_bounds, check_certificate, check_evaluation
-
-from formulations import MCMP, S3P
 from references import mcmp_program, s3p
 from references.chain import plain_model
+
+from formulations import MCMP, S3P
 from ssp_lp import SSP, solve
 
 NEAR = {"rel": 1e-6, "abs": 1e-7}

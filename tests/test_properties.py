@@ -14,12 +14,12 @@ from checks import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_policies import mcmp_point, s3p_point
-from strategies import acyclic_problems, budgets, discounts, problems
-
-from formulations import MCMP, S3P
 from references import mcmp, s3p, s3p_program
 from references.chain import start_distribution
 from references.frontier import constrained_optimum, least_failure, price_interval
+from strategies import acyclic_problems, budgets, discounts, problems
+
+from formulations import MCMP, S3P
 from ssp_lp import InfeasibleError, goal_probability, solve
 
 ENGINES = ("lp", "columns")

@@ -4,8 +4,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import acyclic_problems, discounts, problems
-
 from references import mcmp, s3p, s3p_program
 from references.chain import plain_model
 from references.frontier import (
@@ -15,6 +13,7 @@ from references.frontier import (
     lower_hull,
     price_interval,
 )
+from strategies import acyclic_problems, discounts, problems
 
 drawn_often = settings(max_examples=120, deadline=None, derandomize=True)
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])

@@ -6,10 +6,10 @@ import pytest
 from checks import CLOSE, budget_of, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from references import mcmp
 from strategies import Draw, budgets, discounts, problems
 
 from formulations import MCMP, S3P
-from references import mcmp
 from ssp_lp import SSP, InfeasibleError, solve
 
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])

@@ -6,11 +6,11 @@ from checks import CLOSE, library_model, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plain_policies import stationary_policies
+from references import mcmp, s3p
+from references.chain import STOP, mean, moves_of, start_distribution
 from strategies import discounts, problems
 
 from formulations import MCMP, S3P
-from references import mcmp, s3p
-from references.chain import STOP, mean, moves_of, start_distribution
 from ssp_lp import GIVE_UP, evaluate
 from ssp_lp.policies import DeterministicPolicy
 

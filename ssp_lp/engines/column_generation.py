@@ -16,8 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
 from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof
+from ssp_lp.engines.row import Row
 
 _ROUNDS = 200
 _SAME_FAILURE = 1e-15
@@ -36,37 +37,6 @@ class HullSearch:
     proof: Proof  # behind the bound
     rounds: int  # oracle calls
     finished: bool  # false: stopped by the time limit
-
-
-@dataclass(frozen=True)
-class Row:
-    """The failure row and the objective's form."""
-
-    budget: float
-    ratio: bool
-
-    def objective(self, cost: float, failure: float) -> float:
-        """Objective of a point of the hull."""
-        return cost / (1.0 - failure) if self.ratio and failure < 1.0 else cost
-
-    def lower_bound(self, proof: Proof) -> float:
-        """Bound on the objective from a proof about every policy's value.
-
-        Case M: cost + price * failure >= bound gives cost >= bound - price * budget. Case S:
-        cost >= c * goal follows for c = bound if bound >= price, else, as failure <= budget, for
-        c = (bound - price * budget) / (1 - budget). With failing counted 0 the value is shifted
-        by the price, which is exact where the budget is slack.
-        """
-        bound, price, share = proof.bound, proof.price, 1.0 - self.budget
-        if not self.ratio:
-            return max(bound - price * self.budget, 0.0)
-        if proof.failing == 0.0:
-            if bound >= 0.0:
-                return price + bound
-            return max(price + bound / share, 0.0) if share > 0.0 else 0.0
-        if bound >= price:
-            return bound
-        return max((bound - price * self.budget) / share, 0.0) if share > 0.0 else 0.0
 
 
 def search(
@@ -105,8 +75,9 @@ def search(
             if settled and not (row.ratio and price < _best(row, inside, outside)):
                 break
             outside = None  # the budget is slack: go on with Dinkelbach's iteration
-        elif found.failure <= row.budget:
-            inside = found
+        elif found.failure <= row.budget + MACHINE_EPSILON:
+            if row.objective(found.cost, found.failure) < np.inf:  # else the price was too low
+                inside = found
         elif _is_stalled(row, inside, outside, found, price):
             break
         else:

@@ -24,6 +24,7 @@ from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess, Tails
+from ssp_lp.process.materialise import materialise
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers: 0.8 GB a policy."""
@@ -89,7 +90,10 @@ class CostInstance:
         safest = self.extremes.safest
         cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
         policy = DeterministicPolicy(self.model, safest.decision)
-        return LeastFailure(policy, Column(cost, max(1.0 - goal, 0.0), None, policy), cost)
+        column = Column(cost, max(1.0 - goal, 0.0), None, policy)
+        greatest = float(self.start @ self.extremes.greatest.bound)
+        ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
+        return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
 
     @cached_property
     def process(self) -> LayeredProcess:
@@ -106,7 +110,7 @@ class CostInstance:
 
     def explicit(self) -> ExplicitProcess:
         """All layers below the cap, written out."""
-        return self.process.materialise()
+        return materialise(self.process)
 
     def refined(self, price: float) -> CostInstance | None:
         """The same problem with more layers, and tails chosen by this price of failure."""
@@ -119,6 +123,10 @@ class CostInstance:
         if wanted * self.base.n_nodes > _MOST_ENTRIES:
             return None
         return self._carry(replace(self, cap=wanted, tail_price=price))
+
+    def priced(self, price: float) -> CostInstance:
+        """The same layers, with tails chosen by this price of failure."""
+        return self._carry(replace(self, cap=self.process.cap, tail_price=price))
 
     def matching(self, values: FloatArray, price: float) -> CostInstance:
         """The same problem with as many layers as the value function, [layers, nodes].

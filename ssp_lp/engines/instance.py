@@ -17,7 +17,7 @@ class LeastFailure:
 
     policy: Policy
     column: Column  # its cost and failure, both discounted under a discount
-    cost_bound: float  # certified lower bound of the cost of every policy that fails least
+    objective_bound: float  # certified lower bound of the objective of every such policy
 
 
 class Instance(Protocol):
@@ -46,6 +46,10 @@ class Instance(Protocol):
         Args:
             price: price of failure at the optimum of this instance.
         """
+        ...
+
+    def priced(self, price: float) -> Instance:
+        """The same instance, with whatever it fixes in advance fixed for this price."""
         ...
 
     def matching(self, values: FloatArray, price: float) -> Instance:

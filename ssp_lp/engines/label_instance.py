@@ -53,6 +53,10 @@ class LabelInstance:
         """Nothing is truncated: there is nothing to refine."""
         return
 
+    def priced(self, price: float) -> LabelInstance:
+        """The instance itself: it has no tails."""
+        return self
+
     def matching(self, values: FloatArray, price: float) -> LabelInstance:
         """The instance itself."""
         return self

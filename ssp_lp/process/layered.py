@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, read_only
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.process.accumulated_cost import AccumulatedCost
-from ssp_lp.process.explicit import ExplicitProcess
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,57 +96,4 @@ class LayeredProcess:
             decision=read_only(decision),
             tails=self.tails.decisions,
             tail_threshold=threshold,
-        )
-
-    def materialise(self) -> ExplicitProcess:
-        """Write all layers out: state = layer * nodes + node, for the engines that need it.
-
-        Start mass on goals and dead-ends enters through a source state, the last one.
-        """
-        base, n = self.base, self.base.n_nodes
-        n_pairs = len(base.gain)
-        layers = np.arange(self.cap)
-        rows, blocks = np.repeat(np.arange(n_pairs), np.diff(base.steps.indptr)), base.steps
-        ahead, node = np.divmod(blocks.indices.astype(np.int64), n)
-        target = (layers[:, None] + ahead) * n + node  # [cap, nonzeros]
-        inside = target < self.cap * n
-        row = (layers[:, None] * n_pairs + rows)[inside]
-        data = np.broadcast_to(blocks.data, inside.shape)[inside]
-        transitions = sp.csr_array(
-            (data, (row, target[inside])), shape=(self.cap * n_pairs, self.cap * n + 1)
-        )
-        cost, failure = (self._pair_values(k) for k in range(2))
-        gone = transitions.sum(axis=1)
-        return self._with_source(transitions, cost, failure, 1.0 - gone - failure)
-
-    def _pair_values(self, which: int) -> FloatArray:
-        """Objective (0) or failure (1) of each pair of each layer, with tails, [cap * pairs]."""
-        base, n = self.base, self.base.n_nodes
-        padded = np.zeros((self.cap + base.width - 1, n))
-        beyond_cost, beyond_goal = self.beyond
-        padded[self.cap :] = 1.0 - beyond_goal if which else beyond_cost
-        values = np.empty((self.cap, len(base.gain)))
-        for layer in range(self.cap):
-            own = base.failure if which else base.gain * layer * base.unit + base.gain_cost
-            values[layer] = own + base.steps @ padded[layer : layer + base.width].reshape(-1)
-        return values.reshape(-1)
-
-    def _with_source(
-        self, transitions: sp.csr_array, cost: FloatArray, failure: FloatArray, goal: FloatArray
-    ) -> ExplicitProcess:
-        base, n_states = self.base, self.cap * self.base.n_nodes
-        entry = sp.csr_array(
-            (base.start, (np.zeros(base.n_nodes, dtype=np.int64), np.arange(base.n_nodes))),
-            shape=(1, n_states + 1),
-        )
-        counts = np.tile(np.diff(base.pair_offsets), self.cap)
-        source = np.zeros(n_states + 1)
-        source[-1] = 1.0
-        return ExplicitProcess(
-            pair_offsets=np.concatenate([[0], np.cumsum(np.append(counts, 1))]),
-            transitions=sp.csr_array(sp.vstack([transitions, entry])),
-            start=source,
-            cost=np.append(cost, 0.0),
-            failure=np.append(failure, base.start_failure),
-            goal=np.append(np.maximum(goal, 0.0), base.start_goal),
         )

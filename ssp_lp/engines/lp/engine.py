@@ -6,12 +6,12 @@ import time
 from dataclasses import dataclass
 
 from ssp_lp.arrays import RESIDUAL
-from ssp_lp.engines.column_generation import Row
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.lp.answer import LPAnswer, residuals
 from ssp_lp.engines.lp.clarabel import solve_with_clarabel
 from ssp_lp.engines.lp.cvxpy import solve_with_cvxpy
 from ssp_lp.engines.lp.highs import solve_with_highs
+from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.program import LinearProgram, occupation_program
 

@@ -39,6 +39,7 @@ class ReachPolicy:
     goal: FloatArray  # [states] E[gamma^T; goal]
     early: FloatArray  # [states] E[gamma^(T - 1); goal], 0 at goals
     cost: FloatArray  # [states] E[gamma^(T - 1) * cost; goal]
+    cost_bound: FloatArray  # [states] checked lower bound of it
 
 
 def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
@@ -106,12 +107,14 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     chain = transitions[choice]
     gain = _goal_mass(skeleton)[choice]
     solved = accumulate(chain, np.stack([pair_cost[choice], gain], axis=1))
+    bound = sub_solution(skeleton.pair_offsets, transitions, pair_cost, solved[:, 0])
     early_goal = skeleton.lift(solved[:, 1])
     return ReachPolicy(
         decision=skeleton.pull_back(choice),
         goal=np.where(model.goal_mask, 1.0, survival * early_goal),
         early=early_goal,
         cost=skeleton.lift(solved[:, 0]),
+        cost_bound=skeleton.lift(bound),
     )
 
 

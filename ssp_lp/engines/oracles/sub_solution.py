@@ -82,14 +82,16 @@ def _longest_run(
     """Total lack gathered along the worst near-optimal policy, [states]; None if it is endless.
 
     Lowering the values by this amount absorbs the lack wherever it is met again: the violation
-    times the longest expected run (DESIGN, section 5).
+    times the longest expected run (DESIGN, section 5). States that never meet it are left alone.
     """
-    reward = np.full_like(values, float(lack.max()))
+    worst_lack, met = float(lack.max()), lack > 0
     ahead = pair_cost + transitions @ values
-    choice = first_minimisers(ahead, segment_minima(ahead, pair_offsets), pair_offsets)
-    spare = ahead - np.repeat(segment_minima(ahead, pair_offsets), np.diff(pair_offsets))
+    least = segment_minima(ahead, pair_offsets)
+    choice = first_minimisers(ahead, least, pair_offsets)
+    spare = ahead - np.repeat(least, np.diff(pair_offsets))
     run: FloatArray | None = None
     for _ in range(_ROUNDS):
+        reward = np.where(met, worst_lack, 0.0)
         try:
             run = accumulate(transitions[choice], reward, run, exact=False)
         except SolverError:
@@ -99,7 +101,8 @@ def _longest_run(
         loss = spare - transitions @ run
         worst = segment_minima(loss, pair_offsets)
         changed = worst < loss[choice] - 0.1 * reward
-        if not changed.any():
+        if not changed.any() and np.array_equal(met, run > 0):
             return run
+        met = run > 0
         choice = np.where(changed, first_minimisers(loss, worst, pair_offsets), choice)
     return run

@@ -1,0 +1,42 @@
+"""The failure row together with the form of the objective that it constrains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.engines.oracles.oracle import Proof
+
+
+@dataclass(frozen=True)
+class Row:
+    """The failure row and the objective's form."""
+
+    budget: float
+    ratio: bool
+
+    def objective(self, cost: float, failure: float) -> float:
+        """Objective of a point of the hull."""
+        if not self.ratio:
+            return cost
+        return cost / (1.0 - failure) if failure < 1.0 else np.inf
+
+    def lower_bound(self, proof: Proof) -> float:
+        """Bound on the objective from a proof about every policy's value.
+
+        Case M: cost + price * failure >= bound gives cost >= bound - price * budget. Case S:
+        cost >= c * goal follows for c = bound if bound >= price, else, as failure <= budget, for
+        c = (bound - price * budget) / (1 - budget). With failing counted 0 the value is shifted
+        by the price, which is exact where the budget is slack.
+        """
+        bound, price, share = proof.bound, proof.price, 1.0 - self.budget
+        if not self.ratio:
+            return max(bound - price * self.budget, 0.0)
+        if proof.failing == 0.0:
+            if bound >= 0.0:
+                return price + bound
+            return max(price + bound / share, 0.0) if share > 0.0 else 0.0
+        if bound >= price:
+            return bound
+        return max((bound - price * self.budget) / share, 0.0) if share > 0.0 else 0.0

@@ -1,0 +1,72 @@
+"""The layered process written out state by state, for the engines that need it so."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.process.layered import LayeredProcess
+
+
+def materialise(process: LayeredProcess) -> ExplicitProcess:
+    """Write all layers out: state = layer * nodes + node.
+
+    The layers beyond the cap that a step can reach follow, with one pair for each tail policy,
+    so that the written-out process can do all that either tail can; the source state comes last.
+
+    Args:
+        process: the layered process.
+    """
+    base, n, cap = process.base, process.base.n_nodes, process.cap
+    n_beyond = (base.width - 1) * n
+    n_states = cap * n + n_beyond + 1
+    tails_cost, tails_goal = _tail_pairs(process)
+    steps = _layer_steps(process, n_states)
+    entry = sp.csr_array(
+        (base.start, (np.zeros(n, dtype=np.int64), np.arange(n))), shape=(1, n_states)
+    )
+    layers = np.arange(cap)[:, None]
+    cost = base.gain * layers * base.unit + base.gain_cost
+    own_pairs = np.tile(np.diff(base.pair_offsets), cap)
+    counts = np.concatenate([own_pairs, np.full(n_beyond, tails_cost.shape[1]), [1]])
+    start = np.zeros(n_states)
+    start[-1] = 1.0
+    return ExplicitProcess(
+        pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+        transitions=sp.csr_array(
+            sp.vstack([steps, sp.csr_array((tails_cost.size, n_states)), entry])
+        ),
+        start=start,
+        cost=np.concatenate([cost.ravel(), tails_cost.ravel(), [0.0]]),
+        failure=np.concatenate(
+            [np.tile(base.failure, cap), 1.0 - tails_goal.ravel(), [base.start_failure]]
+        ),
+        goal=np.concatenate(
+            [np.tile(base.survival * base.gain, cap), tails_goal.ravel(), [base.start_goal]]
+        ),
+    )
+
+
+def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
+    """Transitions of the pairs of all layers, [cap * pairs, states]."""
+    base, n, cap = process.base, process.base.n_nodes, process.cap
+    n_pairs, per_layer = len(base.gain), base.steps.nnz
+    shift = np.repeat(np.arange(cap, dtype=np.int64) * n, per_layer)
+    columns = np.tile(base.steps.indices.astype(np.int64), cap) + shift
+    row_ends = np.tile(base.steps.indptr[1:].astype(np.int64), cap)
+    row_ends += np.repeat(np.arange(cap, dtype=np.int64) * per_layer, n_pairs)
+    return sp.csr_array(
+        (np.tile(base.steps.data, cap), columns, np.concatenate([[0], row_ends])),
+        shape=(cap * n_pairs, n_states),
+    )
+
+
+def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray]:
+    """Cost and goal mass of following each tail from beyond the cap, [layers * nodes, tails]."""
+    base, tails = process.base, process.tails
+    paid = (process.cap + np.arange(base.width - 1)) * base.unit
+    cost = tails.cost.T[None] + paid[:, None, None] * tails.early.T[None]
+    goal = np.broadcast_to(tails.goal.T[None], cost.shape)
+    return cost.reshape(-1, cost.shape[-1]), goal.reshape(-1, cost.shape[-1])
