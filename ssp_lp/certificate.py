@@ -70,7 +70,7 @@ def certify(solution: Solution) -> Certificate:
     if not (np.isfinite(price) and price >= 0.0):
         return _certificate(found, failure, 0.0, 0.0, _allowed(problem), "price is not >= 0")
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
-    instance = problem.instance().matching(np.asarray(values), kappa)
+    instance = problem.instance().matching(np.asarray(values))
     bound, tail = _lower_bound(instance, problem, kappa, price == 0.0, solution)
     return _certificate(found, failure, bound, tail, _allowed(problem), "")
 

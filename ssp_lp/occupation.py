@@ -35,11 +35,14 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     Members of the state alone are carried along the accumulated cost where another needs it.
 
     Raises:
-        ModelError: a member may wander for ever.
+        ModelError: a member may wander for ever, or members follow different tails.
     """
     model, start = problem.model, start_distribution(problem.model, problem.start)
     survival = 1.0 if problem.discount is None else problem.discount
-    carrier = next((p for p in policy.policies if isinstance(p, CostAwarePolicy)), None)
+    aware = [p for p in policy.policies if isinstance(p, CostAwarePolicy)]
+    carrier = aware[0] if aware else None
+    if any(not np.array_equal(p.tail_threshold, aware[0].tail_threshold) for p in aware):
+        raise ModelError("members of the lottery leave the table of costs by different tails")
     keys, pairs, flows = [], [], []
     for member, weight in zip(policy.policies, policy.weights, strict=True):
         lifted = member if carrier is None else _Carried(member, carrier)

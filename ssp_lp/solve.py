@@ -78,7 +78,6 @@ def solve(
         if chosen == "lp":
             answer = solve_program(instance, row, backend, deadline)
             hint, program = answer.price, answer.report
-            instance = instance.priced(answer.price)
         found = search(
             instance.oracle(),
             least.column,

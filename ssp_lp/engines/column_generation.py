@@ -71,10 +71,10 @@ def search(
         if report is not None:
             report(calls, price, _best(row, inside, outside))
         if below <= 0.1 * tolerance * max(_best(row, inside, outside), 1e-300):
-            settled = outside is not None or price == _next_price(row, inside, outside)
-            if settled and not (row.ratio and price < _best(row, inside, outside)):
-                break
-            outside = None  # the budget is slack: go on with Dinkelbach's iteration
+            if price == _next_price(row, inside, outside):
+                if outside is None or not row.ratio or price >= _best(row, inside, outside):
+                    break
+                outside = None  # the budget is slack: go on with Dinkelbach's iteration
         elif found.failure <= row.budget + MACHINE_EPSILON:
             if row.objective(found.cost, found.failure) < np.inf:  # else the price was too low
                 inside = found
@@ -124,6 +124,15 @@ def _best(row: Row, inside: Column, outside: Column | None) -> float:
     return row.objective(cost, (1.0 - w) * inside.failure + w * outside.failure)
 
 
+def _aligned(
+    oracle: Oracle, row: Row, inside: Column, outside: Column, price: float
+) -> tuple[Column, Column]:
+    """Both columns with what they fix by a price fixed at the same one, if they still bracket."""
+    pair = oracle.aligned(inside, price), oracle.aligned(outside, price)
+    bracket = pair[0].failure <= row.budget < pair[1].failure
+    return pair if bracket else (inside, outside)
+
+
 def _conclude(
     oracle: Oracle,
     row: Row,
@@ -135,6 +144,8 @@ def _conclude(
     finished: bool,
     tolerance: float,
 ) -> HullSearch:
+    if outside is not None:
+        inside, outside = _aligned(oracle, row, inside, outside, price)
     weight = _weight(row, inside, outside)
     best = _best(row, inside, outside)
     columns: tuple[Column, ...] = (inside,)

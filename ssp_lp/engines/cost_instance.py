@@ -47,8 +47,8 @@ class Extremes:
 class CostInstance:
     """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
 
-    ``cap`` and ``tail_price`` say where the table of accumulated costs ends and by which price of
-    failure the tail policies are chosen there. None: chosen from the least-failure policy.
+    ``cap`` says where the table of accumulated costs ends; None: chosen from the least-failure
+    policy.
     """
 
     model: SSP
@@ -56,7 +56,6 @@ class CostInstance:
     discount: float | None = None
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     cap: int | None = None  # layers
-    tail_price: float | None = None
     ratio: bool = field(default=True, init=False)
 
     @property
@@ -90,7 +89,7 @@ class CostInstance:
         safest = self.extremes.safest
         cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
         policy = DeterministicPolicy(self.model, safest.decision)
-        column = Column(cost, max(1.0 - goal, 0.0), None, policy)
+        column = Column(cost, max(1.0 - goal, 0.0), None, policy=policy)
         greatest = float(self.start @ self.extremes.greatest.bound)
         ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
         return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
@@ -98,11 +97,7 @@ class CostInstance:
     @cached_property
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
-        tails = self._tails
-        cap = self._cap_layers()
-        price = cap * self.base.unit if self.tail_price is None else self.tail_price
-        threshold = tails.threshold(self.base.unit, price)
-        return LayeredProcess(self.base, cap, tails, threshold)
+        return LayeredProcess(self.base, self._cap_layers(), self._tails)
 
     def oracle(self) -> LayeredOracle:
         """One backward sweep over the layers."""
@@ -113,22 +108,17 @@ class CostInstance:
         return materialise(self.process)
 
     def refined(self, price: float) -> CostInstance | None:
-        """The same problem with more layers, and tails chosen by this price of failure."""
+        """The same problem with more layers, unless the user fixed them or memory ends."""
         if self.fixed_cap is not None:
-            exact_tail = replace(self, tail_price=price)
-            return None if self.tail_price is not None else self._carry(exact_tail)
+            return None
         here = self.process.cap
         lossless = int(np.ceil(price / self.base.unit)) + 1  # where every state can fail at will
         wanted = lossless if here < lossless <= 2 * here else 2 * here
         if wanted * self.base.n_nodes > _MOST_ENTRIES:
             return None
-        return self._carry(replace(self, cap=wanted, tail_price=price))
+        return self._carry(replace(self, cap=wanted))
 
-    def priced(self, price: float) -> CostInstance:
-        """The same layers, with tails chosen by this price of failure."""
-        return self._carry(replace(self, cap=self.process.cap, tail_price=price))
-
-    def matching(self, values: FloatArray, price: float) -> CostInstance:
+    def matching(self, values: FloatArray) -> CostInstance:
         """The same problem with as many layers as the value function, [layers, nodes].
 
         Raises:
@@ -136,7 +126,7 @@ class CostInstance:
         """
         if values.ndim != 2 or values.shape[0] == 0:
             raise ModelError("a value function of shape [layers, nodes] is needed")
-        return self._carry(replace(self, cap=values.shape[0], tail_price=price))
+        return self._carry(replace(self, cap=values.shape[0]))
 
     def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""

@@ -48,12 +48,8 @@ class Instance(Protocol):
         """
         ...
 
-    def priced(self, price: float) -> Instance:
-        """The same instance, with whatever it fixes in advance fixed for this price."""
-        ...
-
-    def matching(self, values: FloatArray, price: float) -> Instance:
-        """The instance whose value functions have the shape of this one, made at this price.
+    def matching(self, values: FloatArray) -> Instance:
+        """The instance whose value functions have the shape of this one.
 
         Raises:
             ModelError: no instance of the problem has such value functions.

@@ -53,11 +53,7 @@ class LabelInstance:
         """Nothing is truncated: there is nothing to refine."""
         return
 
-    def priced(self, price: float) -> LabelInstance:
-        """The instance itself: it has no tails."""
-        return self
-
-    def matching(self, values: FloatArray, price: float) -> LabelInstance:
+    def matching(self, values: FloatArray) -> LabelInstance:
         """The instance itself."""
         return self
 

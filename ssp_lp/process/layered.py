@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -41,18 +40,24 @@ class Tails:
 
 @dataclass(frozen=True, eq=False)
 class LayeredProcess:
-    """States (node, layer) for layers below ``cap``; beyond it each node follows one tail."""
+    """States (node, layer) for layers below ``cap``; beyond it a policy follows a tail for good."""
 
     base: AccumulatedCost
     cap: int
     tails: Tails
-    threshold: FloatArray  # [nodes] layer from which the last tail is followed
 
-    @cached_property
-    def beyond(self) -> tuple[FloatArray, FloatArray]:
-        """(cost, goal) of entering (node, cap + i) for i below ``width - 1``, 2 x [i, nodes]."""
+    def threshold(self, price: float) -> FloatArray:
+        """Layer from which the last tail is followed at a price of failure, [nodes].
+
+        -infinity where it is followed from the cap on, so that equal rules compare equal.
+        """
+        layer = self.tails.threshold(self.base.unit, price)
+        return np.where(layer <= self.cap, -np.inf, layer)
+
+    def beyond(self, price: float) -> tuple[FloatArray, FloatArray]:
+        """(cost, goal) of the tails chosen by a price at (node, cap + i), 2 x [i, nodes]."""
         layer = self.cap + np.arange(self.base.width - 1)[:, None]
-        last = layer >= self.threshold[None, :]
+        last = layer >= self.threshold(price)[None, :]
         tails = self.tails
         early = np.where(last, tails.early[-1], tails.early[0])
         cost = np.where(last, tails.cost[-1], tails.cost[0])
@@ -77,16 +82,17 @@ class LayeredProcess:
         size = np.where(goal == 0, 0.0, (paid + failure_price) * MACHINE_EPSILON)
         return np.asarray(rest + paid * goal - 8.0 * size)
 
-    def policy(self, choice: IntArray) -> CostAwarePolicy:
+    def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
         """Pull a choice back to the model.
 
         Args:
             choice: position among the pairs of one layer, [cap, nodes].
+            tail_price: the price of failure by which tails are chosen beyond the cap.
         """
         skeleton = self.base.skeleton
         threshold = np.full(skeleton.model.n_states, np.inf)
         live = skeleton.node_of >= 0
-        threshold[live] = self.threshold[skeleton.node_of[live]]
+        threshold[live] = self.threshold(tail_price)[skeleton.node_of[live]]
         decision = np.full((self.cap, skeleton.model.n_states), UNDECIDED, dtype=np.int32)
         for layer in range(self.cap):
             decision[layer] = skeleton.pull_back(choice[layer])

@@ -54,6 +54,10 @@ class ExplicitOracle:
         totals = process.start @ accumulate(process.transitions[choice], reward)
         return Column(float(totals[0]), float(totals[1]), choice)
 
+    def aligned(self, column: Column, price: float) -> Column:
+        """The column itself: it has no tails."""
+        return column
+
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
         process = self.process

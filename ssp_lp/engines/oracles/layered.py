@@ -37,7 +37,7 @@ class LayeredOracle:
         """A policy of least ``E[cost; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         choice = np.empty((self.process.cap, base.n_nodes), dtype=np.int32)
-        beyond_cost, beyond_goal = self.process.beyond
+        beyond_cost, beyond_goal = self.process.beyond(failure_price)
         window = beyond_cost + failure_price * (1.0 - beyond_goal)  # layers ahead, nearest first
         inner = self._first_choice
         for layer in reversed(range(self.process.cap)):
@@ -49,12 +49,17 @@ class LayeredOracle:
                 inner, values = improve(offsets, base.instant, ahead, inner)
             choice[layer] = inner
             window = np.vstack([values[None, :], window])[: base.width - 1]
-        return self.measure(choice)
+        return self.measure(choice, failure_price)
 
-    def measure(self, choice: IntArray) -> Column:
-        """Exact E[cost; goal] and failure of a choice, [cap, nodes], by a backward sweep."""
+    def measure(self, choice: IntArray, tail_price: float) -> Column:
+        """Exact E[cost; goal] and failure of a choice, by a backward sweep.
+
+        Args:
+            choice: [cap, nodes].
+            tail_price: the price of failure by which tails are chosen beyond the cap.
+        """
         base = self.process.base
-        beyond_cost, beyond_goal = self.process.beyond
+        beyond_cost, beyond_goal = self.process.beyond(tail_price)
         window = np.stack([beyond_cost, 1.0 - beyond_goal], axis=-1)  # [width - 1, nodes, 2]
         values = np.zeros((base.n_nodes, 2))
         for layer in reversed(range(self.process.cap)):
@@ -66,7 +71,15 @@ class LayeredOracle:
                 values = accumulate(base.instant[chosen], values)
             window = np.concatenate([values[None], window])[: base.width - 1]
         totals = base.start @ values
-        return Column(float(totals[0]), float(totals[1]) + base.start_failure, choice)
+        failure = float(totals[1]) + base.start_failure
+        return Column(float(totals[0]), failure, choice, tail_price)
+
+    def aligned(self, column: Column, price: float) -> Column:
+        """The column with its tails chosen by this price, measured again."""
+        if column.choice is None:
+            return column
+        here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
+        return column if np.array_equal(here, there) else self.measure(column.choice, price)
 
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
         """Prove the best lower bound that a sweep gives; no policy is needed for it."""
@@ -92,7 +105,7 @@ class LayeredOracle:
         the cap and the one with the lower bound there.
         """
         failing = 0.0 if slack else price
-        cost, goal = self.process.beyond
+        cost, goal = self.process.beyond(price)
         beyond = cost + failing * (1.0 - goal) - (price - failing) * goal
         reached = self._swept(price, failing, self._anything, beyond).bound
         return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
@@ -133,7 +146,7 @@ class LayeredOracle:
         """The column's policy on the original states."""
         if column.policy is not None:
             return column.policy
-        return self.process.policy(required(column.choice))
+        return self.process.policy(required(column.choice), column.tail_price)
 
     @cached_property
     def _acyclic(self) -> bool:

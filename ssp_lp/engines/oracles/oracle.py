@@ -20,6 +20,7 @@ class Column:
     cost: float
     failure: float
     choice: IntArray | None  # the oracle's own form of the policy
+    tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
     policy: Policy | None = None  # the policy on the model, where it did not come from the oracle
 
 
@@ -58,6 +59,10 @@ class Oracle(Protocol):
 
     def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
         """A policy of least priced cost, measured exactly; ``warm`` is a policy to start from."""
+        ...
+
+    def aligned(self, column: Column, price: float) -> Column:
+        """The column with its tails, where it has any, chosen by this price; measured again."""
         ...
 
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
