@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from formulations import MCMP, S3P
 from robot import RobotGrid, grid_arrays, grid_model, start_state
 from robot_figures import save_arena, save_frontier, save_trajectories
 from robot_study import BUDGET, Trial, designs, frontier, try_out
 from robot_tables import remarks, table_text
-
-from formulations import MCMP, S3P
 from ssp_lp import SSP
 
 WALL_COSTS = (1.0, 100.0)

@@ -8,11 +8,11 @@ The geometry is in `robot_arena`, the cells in `robot_grid`, the quadrature in `
 """
 
 import numpy as np
+
 from robot_arena import Arena, Box, Place
 from robot_grid import START_POINT, RobotGrid
 from robot_transitions import GridArrays, grid_arrays
 from robot_world import ContinuousRobot
-
 from ssp_lp import SSP
 
 __all__ = [

@@ -16,6 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
+
 from robot import Arena, Box, Place
 from robot_arena import FloatArray
 from robot_grid import START_BOX

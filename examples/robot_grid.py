@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
+
 from robot_arena import TOLERANCE, Arena, FloatArray, Place
 
 IntArray = npt.NDArray[np.int64]

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from robot import ContinuousRobot, RobotGrid
-from robot_arena import FloatArray
 
 from formulations import MCMP, S3P
+from robot import ContinuousRobot, RobotGrid
+from robot_arena import FloatArray
 from ssp_lp import SSP, Evaluation, Solution, simulate, solve
 from ssp_lp.simulation import SimulationReport
 

@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from textwrap import fill
 
 from robot_study import Trial
-
 from ssp_lp.simulation import SimulationReport
 
 PAPER = {

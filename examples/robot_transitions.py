@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+
 from robot_arena import TOLERANCE, BoolArray, FloatArray, Place, PlaceArray
 from robot_grid import N_ACTIONS, STEP_LENGTH, IntArray, RobotGrid
 

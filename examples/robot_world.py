@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
 from robot_arena import FloatArray, Place, PlaceArray
 from robot_grid import N_ACTIONS, NOISE, START_BOX, STEP_LENGTH, TURN_STEP, IntArray, RobotGrid
 

@@ -3,11 +3,11 @@
 from typing import Any
 
 import pytest
+
 from references.chain import PlainModel, plain_model
 from references.frontier import Point, least_failure, lower_hull
-from strategies import Draw
-
 from ssp_lp import SSP, certify, evaluate
+from strategies import Draw
 
 GAP = 1e-8
 CLOSE = {"rel": 1e-7, "abs": 1e-9}

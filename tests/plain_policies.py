@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 from hypothesis import strategies as st
+
 from references import mcmp, s3p
 from references.chain import STOP, PlainModel, State, mean, plain_model
 from references.frontier import Point
-
 from ssp_lp import GIVE_UP, SSP
 
 

@@ -1,15 +1,15 @@
 """Every LP backend on the same drawn problems: one answer, whatever kind of point it ends at."""
 
 import pytest
-from checks import CLOSE, budget_of, check_bounds, check_evaluation, library_model, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from checks import CLOSE, budget_of, check_bounds, check_evaluation, library_model, plain
+from formulations import MCMP, S3P
 from references import mcmp, s3p
 from references.frontier import least_failure
-from strategies import discounts, problems
-
-from formulations import MCMP, S3P
 from ssp_lp import solve
+from strategies import discounts, problems
 
 BACKENDS = ["highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy"]
 shares = st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.75])

@@ -8,8 +8,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from cases import FOLDER, expected, load_case, needs_cases
 
+from cases import FOLDER, expected, load_case, needs_cases
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, goal_probability, solve
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+
 from formulations import MCMP, S3P
 from ssp_lp import SSP, DeterministicPolicy, MixedPolicy, ModelError, Solution, certify, solve
 from ssp_lp.problem import Problem

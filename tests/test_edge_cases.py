@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, ModelError, certify, solve
 

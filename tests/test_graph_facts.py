@@ -1,10 +1,10 @@
 """Dead-ends, attention states and staying actions: searches on the graph against fixed points."""
 
-from checks import library_model, plain
 from hypothesis import given, settings
-from strategies import problems
 
+from checks import library_model, plain
 from ssp_lp.model import graph
+from strategies import problems
 
 
 @settings(max_examples=200, deadline=None, derandomize=True)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+
 from checks import check_bounds, check_certificate, check_evaluation
+from formulations import MCMP, S3P
 from references import mcmp_program, s3p
 from references.chain import plain_model
-
-from formulations import MCMP, S3P
 from ssp_lp import SSP, solve
 
 NEAR = {"rel": 1e-6, "abs": 1e-7}
@@ -67,20 +67,13 @@ def test_mcmp_against_the_explicit_program(seed, give_up, charge, discount):
 
 
 @pytest.mark.parametrize("discount", [None, 0.95])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(7))
 def test_s3p_engines_agree(seed, discount):
     """The program over cost layers and column generation, exact and discounted."""
-    model, reference = drawn_model(100 + seed, 8 + 4 * seed)
+    model, reference = drawn_model(100 + seed, 6 + 3 * seed)
     start = {state: 1 / len(reference.choices) for state in reference.choices}
-    smallest = 1.0
-    if discount is None:
-        data = mcmp_program.program(
-            reference, start, give_up="dead_ends", charge_failing_step=False
-        )
-        smallest = mcmp_program.least_failure(data)
-    else:
-        with_gamma = {"give_up": "dead_ends", "charge_failing_step": False, "discount": discount}
-        smallest = mcmp_program.least_failure(mcmp_program.program(reference, start, **with_gamma))
+    meaning = {"give_up": "dead_ends", "charge_failing_step": False, "discount": discount}
+    smallest = mcmp_program.least_failure(mcmp_program.program(reference, start, **meaning))
     values = []
     for share in (0.02, 0.1, 0.4):
         budget = smallest + share * (1 - smallest)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from formulations import MCMP, S3P
 from ssp_lp import SSP, ModelError, solve
 

@@ -1,6 +1,9 @@
 """Drawn problems, solved by every engine and by enumeration: one answer."""
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
 from checks import (
     CLOSE,
     budget_of,
@@ -11,16 +14,13 @@ from checks import (
     library_model,
     plain,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from formulations import MCMP, S3P
 from plain_policies import mcmp_point, s3p_point
 from references import mcmp, s3p, s3p_program
 from references.chain import start_distribution
 from references.frontier import constrained_optimum, least_failure, price_interval
-from strategies import acyclic_problems, budgets, discounts, problems
-
-from formulations import MCMP, S3P
 from ssp_lp import InfeasibleError, goal_probability, solve
+from strategies import acyclic_problems, budgets, discounts, problems
 
 ENGINES = ("lp", "columns")
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from references import mcmp, s3p, s3p_program
 from references.chain import plain_model
 from references.frontier import (

@@ -4,6 +4,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+
 from cases import expected, load_case, needs_cases
 from references import mcmp, s3p, s3p_program
 from references.chain import plain_model

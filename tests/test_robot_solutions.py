@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from formulations import MCMP, S3P
 from robot import RobotGrid, grid_model, start_state
 from ssp_lp import SSP, certify, evaluate, simulate, solve

@@ -1,6 +1,8 @@
 """Closed forms of case M, one for each choice of semantics that changes the numbers."""
 
 import pytest
+
+from formulations import MCMP, S3P
 from small_models import (
     EXACT,
     FREE_LOOP,
@@ -11,8 +13,6 @@ from small_models import (
     each_meaning,
     model_of,
 )
-
-from formulations import MCMP, S3P
 from ssp_lp import InfeasibleError, ModelError, evaluate, solve
 
 

@@ -3,9 +3,9 @@
 from fractions import Fraction
 
 import pytest
-from small_models import EXACT, TWO_MOVES, each_engine, model_of
 
 from formulations import MCMP, S3P
+from small_models import EXACT, TWO_MOVES, each_engine, model_of
 from ssp_lp import InfeasibleError, evaluate, solve
 
 

@@ -5,13 +5,13 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from checks import library_model
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from strategies import budgets, problems
 
+from checks import library_model
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, evaluate, simulate, solve
+from strategies import budgets, problems
 
 SIGMAS = 4.0
 EPISODES = 4_000

@@ -3,14 +3,14 @@
 from itertools import pairwise
 
 import pytest
-from checks import CLOSE, budget_of, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from references import mcmp
-from strategies import Draw, budgets, discounts, problems
 
+from checks import CLOSE, budget_of, plain
 from formulations import MCMP, S3P
+from references import mcmp
 from ssp_lp import SSP, InfeasibleError, solve
+from strategies import Draw, budgets, discounts, problems
 
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
 drawn_settings = settings(max_examples=80, deadline=None, derandomize=True)

@@ -2,17 +2,17 @@
 
 import numpy as np
 import pytest
-from checks import CLOSE, library_model, plain
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from checks import CLOSE, library_model, plain
+from formulations import MCMP, S3P
 from plain_policies import stationary_policies
 from references import mcmp, s3p
 from references.chain import STOP, mean, moves_of, start_distribution
-from strategies import discounts, problems
-
-from formulations import MCMP, S3P
 from ssp_lp import GIVE_UP, evaluate
 from ssp_lp.policies import DeterministicPolicy
+from strategies import discounts, problems
 
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
 drawn_settings = settings(max_examples=150, deadline=None, derandomize=True)

@@ -1,0 +1,28 @@
+"""The README's code runs, and prints what the README says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+
+
+def test_the_python_blocks_run_in_order() -> None:
+    namespace: dict[str, object] = {}
+    printed: list[str] = []
+    namespace["print"] = lambda text: printed.append(str(text))
+    for block in re.findall(r"```python\n(.*?)```", README, flags=re.DOTALL):
+        exec(block, namespace)
+    shown = re.findall(r"```text\n(.*?)```", README, flags=re.DOTALL)[0].splitlines()
+    told = printed[0].splitlines()
+    for mine, theirs in zip(shown, told, strict=False):
+        assert mine.split("(relative")[0].rstrip() == theirs.split("(relative")[0].rstrip()
+
+
+def test_there_are_two_commands() -> None:
+    commands = re.findall(r"```bash\n(.*?)\n```", README, flags=re.DOTALL)
+    assert len(commands) == 2
+    assert all("\n" not in command for command in commands)
+    assert "examples/obstacle_avoidance.py" in commands[0]
+    assert "pytest" in commands[1]
