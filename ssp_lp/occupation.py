@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, segment_sums
 from ssp_lp.chain import Chain, policy_chain, reaching
 from ssp_lp.errors import ModelError
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy, Policy, StochasticPolicy
@@ -66,13 +66,14 @@ def _shares(
 ) -> StochasticPolicy:
     n_pairs = policy.model.n_pairs
     joint, back = np.unique(keys * (n_pairs + 1) + pairs + 1, return_inverse=True)
-    flow = np.bincount(back, weights=flows)
-    joint, flow = joint[flow > 0], flow[flow > 0]
+    flow = np.bincount(back, weights=flows).astype(np.float64)
     key, pair = np.divmod(joint, n_pairs + 1)
     situation, first = np.unique(key, return_index=True)
     offsets = np.append(first, key.size)
-    total = np.repeat(np.add.reduceat(flow, first), np.diff(offsets)) if key.size else flow
-    return StochasticPolicy(policy.model, situation, offsets, pair - 1, flow / total, carrier)
+    total = np.repeat(segment_sums(flow, offsets), np.diff(offsets))
+    even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
+    share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
+    return StochasticPolicy(policy.model, situation, offsets, pair - 1, share, carrier)
 
 
 class _Carried(Policy):

@@ -112,7 +112,7 @@ def _require_feasible(problem: Problem, least: LeastFailure) -> None:
     """Raise :class:`InfeasibleError` where no policy keeps to the budget."""
     failure, budget = least.column.failure, problem.failure_budget
     start = start_distribution(problem.model, problem.start)
-    if problem.ratio and failure >= 1.0:
+    if problem.ratio and least.column.goal <= 0.0:
         raise InfeasibleError(
             "the goal cannot be reached from the start: no cost given success exists",
             failure_budget=budget,
@@ -142,7 +142,7 @@ def _require_feasible(problem: Problem, least: LeastFailure) -> None:
 def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> Solution:
     policy = MixedPolicy((least.policy,), np.ones(1))
     row = Row(least.column.failure, problem.ratio)
-    objective = row.objective(least.column.cost, least.column.failure)
+    objective = row.objective(least.column.cost, least.column.goal)
     run = Run("columns", "two stages: greatest goal probability, then least cost", 2,
               time.perf_counter() - began)  # fmt: skip
     return Solution(

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
-from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof
+from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof, excess_failure
 from ssp_lp.engines.row import Row
 
 _ROUNDS = 200
@@ -67,16 +67,17 @@ def search(
     while calls < _ROUNDS:
         found = oracle.minimise(price, warm)
         calls, warm = calls + 1, found
-        below = inside.cost + price * inside.failure - found.cost - price * found.failure
+        below = inside.cost - found.cost - price * excess_failure(found, inside)
+        scale = _best(row, inside, outside) * (inside.goal if row.ratio else 1.0)
         if report is not None:
             report(calls, price, _best(row, inside, outside))
-        if below <= 0.1 * tolerance * max(_best(row, inside, outside), 1e-300):
+        if below <= 0.1 * tolerance * max(scale, 1e-300):
             if price == _next_price(row, inside, outside):
                 if outside is None or not row.ratio or price >= _best(row, inside, outside):
                     break
                 outside = None  # the budget is slack: go on with Dinkelbach's iteration
         elif found.failure <= row.budget + MACHINE_EPSILON:
-            if row.objective(found.cost, found.failure) < np.inf:  # else the price was too low
+            if row.objective(found.cost, found.goal) < np.inf:  # else the price was too low
                 inside = found
         elif _is_stalled(row, inside, outside, found, price):
             break
@@ -103,15 +104,15 @@ def _is_stalled(
 
 def _next_price(row: Row, inside: Column, outside: Column | None) -> float:
     if outside is not None:
-        return max((inside.cost - outside.cost) / (outside.failure - inside.failure), 0.0)
-    return row.objective(inside.cost, inside.failure) if row.ratio else 0.0
+        return max((inside.cost - outside.cost) / excess_failure(outside, inside), 0.0)
+    return row.objective(inside.cost, inside.goal) if row.ratio else 0.0
 
 
 def _weight(row: Row, inside: Column, outside: Column | None) -> float:
     """Weight of the column beyond the budget at which the lottery meets the budget."""
     if outside is None:
         return 0.0
-    share = (row.budget - inside.failure) / (outside.failure - inside.failure)
+    share = (row.budget - inside.failure) / excess_failure(outside, inside)
     return float(min(max(share, 0.0), 1.0))
 
 
@@ -119,9 +120,9 @@ def _best(row: Row, inside: Column, outside: Column | None) -> float:
     """Objective of the lottery over the two columns."""
     w = _weight(row, inside, outside)
     if outside is None or w == 0.0:
-        return row.objective(inside.cost, inside.failure)
+        return row.objective(inside.cost, inside.goal)
     cost = (1.0 - w) * inside.cost + w * outside.cost
-    return row.objective(cost, (1.0 - w) * inside.failure + w * outside.failure)
+    return row.objective(cost, (1.0 - w) * inside.goal + w * outside.goal)
 
 
 def _aligned(

@@ -89,7 +89,7 @@ class CostInstance:
         safest = self.extremes.safest
         cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
         policy = DeterministicPolicy(self.model, safest.decision)
-        column = Column(cost, max(1.0 - goal, 0.0), None, policy=policy)
+        column = Column(cost, max(1.0 - goal, 0.0), goal, None, policy=policy)
         greatest = float(self.start @ self.extremes.greatest.bound)
         ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
         return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
@@ -159,7 +159,7 @@ class CostInstance:
             layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
         else:
             first = self.least_failure().column
-            typical = first.cost / max(1.0 - first.failure, 1e-300) / base.unit
+            typical = first.cost / max(first.goal, 1e-300) / base.unit
             layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
         if (layers + base.width) * base.n_nodes > _MOST_ENTRIES:
             raise ModelError(

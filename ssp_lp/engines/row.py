@@ -16,11 +16,11 @@ class Row:
     budget: float
     ratio: bool
 
-    def objective(self, cost: float, failure: float) -> float:
+    def objective(self, cost: float, goal: float) -> float:
         """Objective of a point of the hull."""
         if not self.ratio:
             return cost
-        return cost / (1.0 - failure) if failure < 1.0 else np.inf
+        return cost / goal if goal > 0.0 else np.inf
 
     def lower_bound(self, proof: Proof) -> float:
         """Bound on the objective from a proof about every policy's value.

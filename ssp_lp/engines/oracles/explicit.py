@@ -52,7 +52,7 @@ class ExplicitOracle:
         process = self.process
         reward = np.stack([process.cost[choice], process.failure[choice]], axis=1)
         totals = process.start @ accumulate(process.transitions[choice], reward)
-        return Column(float(totals[0]), float(totals[1]), choice)
+        return Column(float(totals[0]), float(totals[1]), 1.0 - float(totals[1]), choice)
 
     def aligned(self, column: Column, price: float) -> Column:
         """The column itself: it has no tails."""

@@ -48,7 +48,8 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     Args:
         survival: the discount; 1 for probabilities.
     """
-    skeleton = build_skeleton(model)
+    everything = np.ones(model.n_pairs, dtype=np.bool_) if survival == 1.0 else None
+    skeleton = build_skeleton(model, free=everything)  # moving about in a component risks nothing
     transitions = sp.csr_array(skeleton.outcomes * survival)
     hit = _goal_mass(skeleton) * survival
     first = approach(skeleton.pair_offsets, transitions, hit > 0)
@@ -131,7 +132,7 @@ def _on_states(
     skeleton: Skeleton, reach: FloatArray, bound: FloatArray, best: BoolArray, choice: IntArray
 ) -> GoalReach:
     model = skeleton.model
-    usable = np.zeros(model.n_pairs, dtype=np.bool_)
+    usable = skeleton.inside.copy()
     usable[skeleton.pair_at[best & (skeleton.pair_at >= 0)]] = True
     return GoalReach(
         goal=np.where(model.goal_mask, 1.0, skeleton.lift(np.clip(reach, 0.0, 1.0))),

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
@@ -24,7 +22,8 @@ from ssp_lp.linear import accumulate
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.layered import LayeredProcess
 
-LayerSolver = Callable[[int, FloatArray], tuple[IntArray, FloatArray]]
+_BELOW_EVERY_VALUE = 1e-6
+"""No value is below minus the price; a floor this much lower leaves room to count rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,11 +36,13 @@ class LayeredOracle:
         """A policy of least ``E[cost; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         choice = np.empty((self.process.cap, base.n_nodes), dtype=np.int32)
-        beyond_cost, beyond_goal = self.process.beyond(failure_price)
-        window = beyond_cost + failure_price * (1.0 - beyond_goal)  # layers ahead, nearest first
+        failing = failure_price if self._likely else 0.0
+        owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
+        window = self._tail_values(failure_price, failing)  # layers ahead, nearest first
         inner = self._first_choice
         for layer in reversed(range(self.process.cap)):
-            ahead = self._stage(layer, failure_price) + base.later @ window.reshape(-1)
+            paid = base.gain * (layer * base.unit) + base.gain_cost
+            ahead = paid + owed + base.later @ window.reshape(-1)
             if self._acyclic:
                 values = segment_minima(ahead, offsets)
                 inner = first_minimisers(ahead, values, offsets)
@@ -60,19 +61,21 @@ class LayeredOracle:
         """
         base = self.process.base
         beyond_cost, beyond_goal = self.process.beyond(tail_price)
-        window = np.stack([beyond_cost, 1.0 - beyond_goal], axis=-1)  # [width - 1, nodes, 2]
-        values = np.zeros((base.n_nodes, 2))
+        window = np.stack([beyond_cost, 1.0 - beyond_goal, beyond_goal], axis=-1)
+        values = np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
             chosen = choice[layer]
             cost = base.gain[chosen] * (layer * base.unit) + base.gain_cost[chosen]
-            values = np.stack([cost, base.failure[chosen]], axis=1)
-            values = values + base.later[chosen] @ window.reshape(-1, 2)
+            hit = base.survival * base.gain[chosen]
+            values = np.stack([cost, base.failure[chosen], hit], axis=1)
+            values = values + base.later[chosen] @ window.reshape(-1, 3)
             if not self._acyclic:
                 values = accumulate(base.instant[chosen], values)
             window = np.concatenate([values[None], window])[: base.width - 1]
-        totals = base.start @ values
-        failure = float(totals[1]) + base.start_failure
-        return Column(float(totals[0]), failure, choice, tail_price)
+        cost, failure, goal = (base.start @ values).tolist()
+        return Column(
+            cost, failure + base.start_failure, goal + base.start_goal, choice, tail_price
+        )
 
     def aligned(self, column: Column, price: float) -> Column:
         """The column with its tails chosen by this price, measured again."""
@@ -105,8 +108,7 @@ class LayeredOracle:
         the cap and the one with the lower bound there.
         """
         failing = 0.0 if slack else price
-        cost, goal = self.process.beyond(price)
-        beyond = cost + failing * (1.0 - goal) - (price - failing) * goal
+        beyond = self._tail_values(price, failing)
         reached = self._swept(price, failing, self._anything, beyond).bound
         return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
 
@@ -119,18 +121,19 @@ class LayeredOracle:
         checked, window = np.empty_like(values), beyond
         rounding, inner = backup_rounding(base.steps), self._first_choice
         owed, saved = failing * base.failure, success * base.survival * base.gain
+        floor = -success * (1.0 + _BELOW_EVERY_VALUE)
         for layer in reversed(range(self.process.cap)):
             paid = base.gain * (layer * base.unit) + base.gain_cost + owed
             size = paid + saved + base.later @ np.abs(window).reshape(-1)
             ahead = paid - saved + base.later @ window.reshape(-1)
             ahead = np.where(size == owed, ahead, ahead - rounding * size)
-            given = np.maximum(np.nan_to_num(values[layer], nan=-success, posinf=np.inf), -success)
+            given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
                 checked[layer] = np.minimum(segment_minima(ahead, offsets), given)
             else:
                 inner, best = improve(offsets, base.instant, ahead, inner)
                 given = np.minimum(best, given)
-                checked[layer] = sub_solution(offsets, base.instant, ahead, given, -success)
+                checked[layer] = sub_solution(offsets, base.instant, ahead, given, floor)
             window = np.vstack([checked[layer][None, :], window])[: base.width - 1]
         parts = np.append(base.start * checked[0], [failing * base.start_failure,
                                                     -success * base.start_goal])  # fmt: skip
@@ -154,14 +157,18 @@ class LayeredOracle:
         return self.process.base.instant.nnz == 0
 
     @cached_property
+    def _likely(self) -> bool:
+        """Whether some policy probably succeeds; else success is counted rather than failure."""
+        base, tails = self.process.base, self.process.tails
+        return float(base.start @ tails.goal[0]) + base.start_goal >= 0.5
+
+    @cached_property
     def _first_choice(self) -> IntArray:
         base = self.process.base
-        inside = base.instant
-        stays = np.asarray(inside.sum(axis=1)).ravel()
-        return approach(base.pair_offsets, sp.csr_array(inside), stays < 1.0 - 1e-9)
+        leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
+        return approach(base.pair_offsets, base.instant, leaving)
 
-    def _stage(self, layer: int, failure_price: float) -> FloatArray:
-        """Priced cost of each pair's step itself, [pairs]."""
-        base = self.process.base
-        paid = base.gain * (layer * base.unit) + base.gain_cost
-        return paid + failure_price * base.failure
+    def _tail_values(self, price: float, failing: float) -> FloatArray:
+        """Values of the tails beyond the cap, [width - 1, nodes]."""
+        cost, goal = self.process.beyond(price)
+        return cost + failing * (1.0 - goal) - (price - failing) * goal

@@ -19,9 +19,17 @@ class Column:
 
     cost: float
     failure: float
+    goal: float  # 1 - failure, measured by itself: each is exact where it is small
     choice: IntArray | None  # the oracle's own form of the policy
     tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
     policy: Policy | None = None  # the policy on the model, where it did not come from the oracle
+
+
+def excess_failure(risky: Column, safe: Column) -> float:
+    """How much more ``risky`` fails than ``safe``, without cancellation."""
+    if max(risky.goal, safe.goal) < 0.5:
+        return safe.goal - risky.goal
+    return risky.failure - safe.failure
 
 
 @dataclass(frozen=True, eq=False)
