@@ -68,18 +68,16 @@ def certify(solution: Solution) -> Certificate:
     if price is None or values is None:
         raise ModelError("a certificate needs the failure price and its value function")
     if not (np.isfinite(price) and price >= 0.0):
-        return _certificate(found, failure, 0.0, 0.0, _allowed(problem), "price is not >= 0")
+        reason = "the price is not a number >= 0"
+        return _certificate(found, failure, 0.0, 0.0, problem.failure_budget, reason)
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     instance = problem.instance().matching(np.asarray(values))
     bound, tail = _lower_bound(instance, problem, kappa, price == 0.0, solution)
-    return _certificate(found, failure, bound, tail, _allowed(problem), "")
-
-
-def _allowed(problem: Problem) -> float:
-    """The budget, or the least failure where that lies within rounding above it."""
-    budget = 1.0 if problem.failure_budget is None else problem.failure_budget
-    least = problem.instance().least_failure().column.failure
-    return max(budget, least)
+    least = instance.least_failure()
+    if problem.failure_budget <= least.column.failure:
+        bound = max(bound, least.objective_bound)
+    allowed = max(problem.failure_budget, least.column.failure)
+    return _certificate(found, failure, bound, tail, allowed, "")
 
 
 def _lower_bound(

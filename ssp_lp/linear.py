@@ -69,15 +69,18 @@ def _krylov(
         residual = reward + chain @ x - x
         scale = float(np.abs(x).max()) + float(np.abs(reward).max())
         size = float(np.abs(residual).max())
+        if not np.isfinite(size + scale):
+            return x, np.inf
         relative = size / scale if scale > 0 else 0.0
-        if relative <= target or attempt == _RESTARTS or not np.isfinite(relative):
+        if relative <= target or attempt == _RESTARTS:
             break
         unit = residual / size  # scipy's test for breakdown is absolute
-        step, _ = linalg.bicgstab(
-            system, unit, rtol=0.0, atol=0.3 * target * scale / size, maxiter=_KRYLOV_STEPS
-        )
+        with np.errstate(all="ignore"):  # a breakdown shows in the residual
+            step, _ = linalg.bicgstab(
+                system, unit, rtol=0.0, atol=0.3 * target * scale / size, maxiter=_KRYLOV_STEPS
+            )
         x = x + size * step
-    return x, relative if np.isfinite(relative) else np.inf
+    return x, relative
 
 
 def _factorised(chain: sp.csr_array, reward: FloatArray) -> FloatArray:

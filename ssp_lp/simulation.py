@@ -174,7 +174,7 @@ def _play(
             pair[mine] = member.sample(state[alive[mine]], memory[alive[mine]], rng)
         gave_up[alive[pair == GIVE_UP_CODE]] = True
         alive, pair = alive[pair != GIVE_UP_CODE], pair[pair != GIVE_UP_CODE]
-        moved, successor, paid = simulator.step(world[alive], pair, rng)
+        moved, successor, paid = _checked_step(model, simulator.step(world[alive], pair, rng))
         world[alive], state[alive] = moved, successor
         cost[alive] += paid
         steps[alive] += 1
@@ -188,6 +188,18 @@ def _play(
     history = np.stack(trace)
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
     return _Played(mark, cost, _charges(problem, model, state, gave_up), steps, paths)
+
+
+def _checked_step(
+    model: SSP, step: tuple[World, IntArray, FloatArray]
+) -> tuple[World, IntArray, FloatArray]:
+    """What a simulator handed back, if it can be: states of the model and finite costs >= 0."""
+    world, state, cost = step
+    if ((state < 0) | (state >= model.n_states)).any():
+        raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
+    if not (np.isfinite(cost) & (np.asarray(cost) >= 0)).all():
+        raise ModelError("the simulator returned a cost that is negative or not finite")
+    return world, state, cost
 
 
 def _charges(problem: Problem, model: SSP, state: IntArray, gave_up: np.ndarray) -> FloatArray:

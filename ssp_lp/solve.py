@@ -72,10 +72,11 @@ def solve(
     deadline = np.inf if time_limit is None else began + time_limit
     row = Row(max(problem.failure_budget, least.column.failure), instance.ratio)
     chosen = "columns" if engine == "auto" else engine
+    tight = row.budget <= least.column.failure  # then the first column is the answer
     program, hint, calls = "", None, 0
     gaps: list[float] = []
     while True:
-        if chosen == "lp":
+        if chosen == "lp" and not tight:
             answer = solve_program(instance, row, backend, deadline)
             hint, program = answer.price, answer.report
         found = search(
@@ -87,12 +88,14 @@ def solve(
             deadline=deadline,
             report=progress,
         )
-        if chosen == "lp":
+        if chosen == "lp" and not tight:
             check_agreement(answer, found.objective)
+        if tight:
+            found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
         calls += found.rounds
         gaps.append(relative_gap(found.objective, found.lower_bound))
         finer = None
-        if gaps[-1] > tolerance and found.finished and not _stagnant(gaps):
+        if gaps[-1] > tolerance and not _stagnant(gaps) and time.perf_counter() < deadline:
             finer = instance.refined(found.price)
         if finer is None:
             break

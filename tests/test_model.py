@@ -150,3 +150,43 @@ def test_outcomes_of_probability_zero_do_not_exist() -> None:
     )
     assert solve(MCMP(model, start="s", failure_budget=0.0)).objective == pytest.approx(4.0)
     assert not np.isnan(solve(S3P(model, start="s", failure_budget=0.3)).objective)
+
+
+@pytest.mark.parametrize(
+    ("changed", "complaint"),
+    [
+        ({"goal": "goal"}, "set of states"),
+        ({"state_labels": {"wall": "wall"}}, "not a string"),
+        ({"state_labels": {"gave_up": ["s"]}}, "taken"),
+    ],
+)
+def test_names_that_would_be_misread(changed: dict[str, Any], complaint: str) -> None:
+    parts: dict[str, Any] = {"transitions": {"s": {"go": [(1.0, "goal", 1.0)]}}, "goal": {"goal"}}
+    with pytest.raises(ModelError, match=complaint):
+        SSP.from_transitions(**(parts | changed))
+
+
+@pytest.mark.parametrize(
+    ("changed", "complaint"),
+    [
+        ({"goal_states": [False, True]}, "no mask"),
+        ({"goal_states": [5]}, "indices of states"),
+        ({"states": ["a", "a"]}, "several states"),
+        ({"actions": ["x", "x"]}, "twice"),
+        ({"successors": [0.5, 1.0]}, "integers"),
+        ({"successors": [0, 7]}, "no state"),
+        ({"pair_offsets": [0, 1, 1]}, "run from 0"),
+    ],
+)
+def test_arrays_that_do_not_fit(changed: dict[str, Any], complaint: str) -> None:
+    parts: dict[str, Any] = {
+        "pair_offsets": [0, 2, 2],
+        "outcome_offsets": [0, 1, 2],
+        "successors": [0, 1],
+        "probabilities": [1.0, 1.0],
+        "costs": 1.0,
+        "goal_states": [1],
+    }
+    assert SSP.from_arrays(**parts).n_pairs == 2
+    with pytest.raises(ModelError, match=complaint):
+        SSP.from_arrays(**(parts | changed))

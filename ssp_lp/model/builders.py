@@ -35,7 +35,7 @@ def flatten_transitions(
     Raises:
         ModelError: an outcome is no triple, or its successor is neither a key nor a goal.
     """
-    goals = list(dict.fromkeys(goal))
+    goals = list(dict.fromkeys(no_lone_string(goal, "goal")))
     states = list(transitions) + [g for g in goals if g not in transitions]
     goal_set = set(goals)
     table = {s: {} if s in goal_set else transitions[s] for s in states}
@@ -54,7 +54,7 @@ def flatten_successors(
     Raises:
         ModelError: more than ``state_limit`` states, or an outcome that is no triple.
     """
-    is_goal = goal if callable(goal) else set(goal).__contains__
+    is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
     several = isinstance(start, (list, set, frozenset))
     starts: list[Any] = list(cast(Iterable[Any], start)) if several else [start]
     found: dict[Hashable, None] = dict.fromkeys(starts)
@@ -77,6 +77,13 @@ def flatten_successors(
     if progress is not None:
         progress(len(found))
     return _flatten(queue, table, {s for s in queue if is_goal(s)})
+
+
+def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
+    """The states themselves; a lone string, whose letters they would be, is an error."""
+    if isinstance(states, str):
+        raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
+    return states
 
 
 def _listed(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -84,3 +84,24 @@ def successor_array(successors: npt.ArrayLike) -> IntArray:
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ModelError("successors must be integers (indices of states)")
     return read_only(array, np.int64 if array.dtype.itemsize > 4 else np.int32)
+
+
+def check_idle_states(
+    pair_offsets: IntArray, goals: BoolArray, states: Sequence[Hashable], accept: bool
+) -> None:
+    """Check that goals have no pairs and, unless accepted, that all other states have some.
+
+    Raises:
+        ModelError: naming the state and the remedy.
+    """
+    counts = np.diff(pair_offsets)
+    acting_goal = goals & (counts > 0)
+    if acting_goal.any():
+        state = states[int(np.argmax(acting_goal))]
+        raise ModelError(f"goal state {state!r} has actions: an episode ends there; drop them")
+    idle = (counts == 0) & ~goals
+    if idle.any() and not accept:
+        raise ModelError(
+            f"state {states[int(np.argmax(idle))]!r} has no actions and is no goal; "
+            "pass treat_actionless_as_dead_ends=True to accept such states as dead-ends"
+        )

@@ -13,9 +13,25 @@ import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.model.builders import FlatModel, Outcomes, flatten_successors, flatten_transitions
-from ssp_lp.model.checks import check_offsets, check_outcomes, successor_array, unit_sums
-from ssp_lp.model.labels import action_table, goal_mask_of
+from ssp_lp.model.builders import (
+    FlatModel,
+    Outcomes,
+    flatten_successors,
+    flatten_transitions,
+)
+from ssp_lp.model.checks import (
+    check_idle_states,
+    check_offsets,
+    check_outcomes,
+    successor_array,
+    unit_sums,
+)
+from ssp_lp.model.labels import (
+    action_table,
+    check_state_names,
+    goal_mask_of,
+    indexed_labels,
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -166,7 +182,9 @@ class SSP:
         stage_cost = draft._per_outcome(costs)
         check_outcomes(target, chance, stage_cost, draft.n_states, draft._describe_outcome)
         chance = unit_sums(chance, draft.outcome_offsets, draft.describe_pair)
-        draft._check_actionless(treat_actionless_as_dead_ends)
+        check_idle_states(
+            draft.pair_offsets, draft.goal_mask, draft.states, treat_actionless_as_dead_ends
+        )
         return cls(
             states=draft.states,
             action_names=draft.action_names,
@@ -177,7 +195,7 @@ class SSP:
             probabilities=read_only(chance),
             costs=stage_cost,
             goal_mask=draft.goal_mask,
-            state_labels=draft._indexed_labels(state_labels or {}),
+            state_labels=indexed_labels(state_labels or {}, draft.index_of),
             exact_costs=dict(exact_costs or {}),
         )
 
@@ -198,6 +216,7 @@ class SSP:
         names = range(n_states) if states is None else states
         if len(names) != n_states:
             raise ModelError(f"{len(names)} state labels given for {n_states} states")
+        check_state_names(names)
         action_names, pair_action = action_table(actions, pairs)
         nothing = read_only(np.zeros(0))
         return cls(
@@ -278,22 +297,3 @@ class SSP:
         if given.shape == (self.n_pairs,):
             return read_only(np.repeat(given, np.diff(self.outcome_offsets)))
         raise ModelError(f"costs must be a number, {self.n_pairs} or {n_outcomes} numbers")
-
-    def _check_actionless(self, accept: bool) -> None:
-        counts = np.diff(self.pair_offsets)
-        acting_goal = self.goal_mask & (counts > 0)
-        if acting_goal.any():
-            state = self.states[int(np.argmax(acting_goal))]
-            raise ModelError(f"goal state {state!r} has actions: an episode ends there; drop them")
-        idle = (counts == 0) & ~self.goal_mask
-        if idle.any() and not accept:
-            raise ModelError(
-                f"state {self.states[int(np.argmax(idle))]!r} has no actions and is no goal; "
-                "pass treat_actionless_as_dead_ends=True to accept such states as dead-ends"
-            )
-
-    def _indexed_labels(self, labels: Mapping[str, Iterable[Hashable]]) -> Mapping[str, IntArray]:
-        return {
-            name: read_only(np.array(sorted({self.index_of(s) for s in members}), dtype=np.int64))
-            for name, members in labels.items()
-        }

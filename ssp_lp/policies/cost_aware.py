@@ -69,11 +69,11 @@ class CostAwarePolicy(Policy, Playable):
         paid = costs / self.unit
         steps = np.rint(paid)
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
-        off = acting & (np.abs(paid - steps) > _OFF_LATTICE)
+        off = acting & ~((np.abs(paid - steps) <= _OFF_LATTICE) & (steps >= 0) & (steps < 1e15))
         if off.any():
             cost = costs[int(np.argmax(off))]
-            raise ModelError(f"observed cost {cost!r} is no multiple of the unit {self.unit!r}")
-        layer = np.where(acting, memory + steps.astype(np.int64), memory)
+            raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
+        layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
         return np.where(acting, self._memory_at(layer, successors), memory)
 
     def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:

@@ -29,7 +29,7 @@ class MixedPolicy(Playable):
         object.__setattr__(self, "weights", read_only(self.weights, np.float64))
         if not self.policies or len(self.policies) != len(self.weights):
             raise ModelError("a mixed policy needs one weight for each of its policies")
-        if (self.weights < 0).any() or abs(float(self.weights.sum()) - 1.0) > 1e-9:
+        if not ((self.weights >= 0).all() and abs(float(self.weights.sum()) - 1.0) <= 1e-9):
             raise ModelError(f"weights must form a distribution, not {self.weights.tolist()}")
         if any(p.model is not self.model for p in self.policies):
             raise ModelError("the members of a mixed policy must act on one model")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, read_only
+from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, read_only, segment_sums
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import find_pair
@@ -34,8 +34,8 @@ class StochasticPolicy(Policy, Playable):
     def __post_init__(self) -> None:
         for name in ("situation_key", "offsets", "pair", "probability"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
-        sums = np.add.reduceat(self.probability, self.offsets[:-1]) if len(self.pair) else 1.0
-        if (self.probability < 0).any() or np.any(np.abs(np.asarray(sums) - 1.0) > 1e-9):
+        sums = segment_sums(self.probability, self.offsets)
+        if not ((self.probability >= 0).all() and (np.abs(sums - 1.0) <= 1e-9).all()):
             raise ModelError("the decisions of each state need probabilities that sum to one")
 
     @classmethod
@@ -72,8 +72,13 @@ class StochasticPolicy(Policy, Playable):
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The decisions with their probabilities; UNDECIDED in situations that are not listed."""
         key = np.asarray(memory, dtype=np.int64) * self.model.n_states + states
-        at = np.minimum(np.searchsorted(self.situation_key, key), len(self.situation_key) - 1)
-        known = self.situation_key[at] == key
+        keys = np.append(self.situation_key, -1)  # a key that no situation has
+        at = np.searchsorted(self.situation_key, key)
+        known = keys[at] == key
+        at = np.where(known, at, 0)
+        if not known.any():
+            nothing = np.full(len(states), UNDECIDED)
+            return Branches(np.arange(len(states)), nothing, np.ones(len(states)))
         count = np.where(known, np.diff(self.offsets)[at], 1)
         index = concatenated_ranges(np.where(known, self.offsets[at], 0), count)
         listed = np.repeat(known, count)

@@ -100,7 +100,10 @@ def least_priced(data: Program, price: float) -> float:
 
 
 def _solve(data: Program, objective: np.ndarray, **row: object) -> float:
-    answer = linprog(objective, A_eq=data.flow, b_eq=data.start, method="highs", **row)
+    sharp = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    answer = linprog(
+        objective, A_eq=data.flow, b_eq=data.start, method="highs", options=sharp, **row
+    )
     if answer.status != 0:
         raise ArithmeticError(answer.message)
     return float(answer.fun)
