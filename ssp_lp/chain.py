@@ -17,7 +17,7 @@ from ssp_lp.arrays import (
     sorted_unique,
 )
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate
+from ssp_lp.linear import accumulate, without_self_loops
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
@@ -93,9 +93,9 @@ class Chain:
             here = inside[begin:end]
             if moves_inside and here.any():
                 nodes = np.flatnonzero(here)
-                own = sp.csr_array(block[nodes][:, begin + nodes] * survival)
-                own.eliminate_zeros()
-                result[begin + nodes] = accumulate(own, ahead[nodes])
+                own, departs = self._own(block, begin, nodes, survival)
+                scaled = (ahead[nodes].T / departs).T
+                result[begin + nodes] = accumulate(own, scaled)
             else:
                 result[begin:end][here] = ahead[here]
         return result
@@ -107,12 +107,25 @@ class Chain:
         for begin, end, moves_inside in reversed(self._blocks):
             block = _rows(matrix, begin, end)
             if moves_inside:
-                own = sp.csr_array(block[:, begin:end].T * survival)
-                visits[begin:end] = accumulate(own, visits[begin:end])
+                own, departs = self._own(block, begin, np.arange(end - begin), survival)
+                visits[begin:end] = accumulate(sp.csr_array(own.T), visits[begin:end]) / departs
             onward = survival * (block.T @ visits[begin:end])
             onward[begin:end] = 0.0
             visits += onward
         return visits
+
+    def _own(
+        self, block: sp.csr_array, begin: int, nodes: IntArray, survival: float
+    ) -> tuple[sp.csr_array, FloatArray]:
+        """Moves among nodes of a block seen on departing only, and the mass that departs."""
+        own = sp.csr_array(block[nodes][:, begin + nodes] * survival)
+        own.sum_duplicates()
+        own.eliminate_zeros()
+        outside = np.ones(self.n_nodes)
+        outside[begin + nodes] = 0.0
+        leak = survival * (block[nodes] @ outside) + (1.0 - survival)
+        leak += survival * self.give_up[begin + nodes]
+        return without_self_loops(own, np.arange(nodes.size), leak)
 
     @cached_property
     def _blocks(self) -> list[tuple[int, int, bool]]:

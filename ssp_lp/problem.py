@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+from numbers import Real
 from typing import Protocol
 
 from ssp_lp.arrays import LEAST_BUDGET
@@ -61,6 +62,9 @@ def check_setting(failure_budget: float | None, discount: float | None) -> None:
         ModelError: a budget outside [0, 1], a discount outside (0, 1), or least failure together
             with a discount.
     """
+    for name, value in (("failure_budget", failure_budget), ("discount", discount)):
+        if value is not None and not isinstance(value, Real):
+            raise ModelError(f"{name} must be a number or None, not {value!r}")
     if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
         raise ModelError(f"failure_budget must be a probability or None, not {failure_budget!r}")
     if discount is not None and not 0.0 < discount < 1.0:

@@ -119,6 +119,8 @@ def simulate(
     Raises:
         ModelError: wrong arguments, or a state in which the policy has no decision.
     """
+    if not 0.0 < confidence < 1.0:
+        raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
     if episodes < 1 or max_steps < 1:
         raise ModelError("episodes and max_steps must be at least 1")
     if policy.model is not problem.model:

@@ -11,7 +11,7 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, read_only
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure
-from ssp_lp.engines.lp import check_agreement, solve_program
+from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.goal_probability import max_goal_probability
@@ -62,6 +62,8 @@ def solve(
     began = time.perf_counter()
     if engine not in ENGINES:
         raise ModelError(f"engine must be one of {', '.join(ENGINES)}, not {engine!r}")
+    if backend is not None and (backend not in BACKENDS or engine != "lp"):
+        raise ModelError(f"backend {backend!r}: engine='lp' takes one of {', '.join(BACKENDS)}")
     if not 0.0 < tolerance < 1.0:
         raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
     instance = problem.instance()

@@ -13,7 +13,7 @@ from strategies import discounts, problems
 
 BACKENDS = ["highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy"]
 shares = st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.75])
-drawn_settings = settings(max_examples=25, deadline=None, derandomize=True)
+drawn_settings = settings(max_examples=15, deadline=None, derandomize=True)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

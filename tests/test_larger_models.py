@@ -43,10 +43,10 @@ def drawn_model(seed, n_states):
 @pytest.mark.parametrize("discount", [None, 0.95])
 @pytest.mark.parametrize("charge", [True, False])
 @pytest.mark.parametrize("give_up", ["anywhere", "attention", "dead_ends"])
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(3))
 def test_mcmp_against_the_explicit_program(seed, give_up, charge, discount):
     """Optimum, least failure and price, from a start spread over all states."""
-    model, reference = drawn_model(seed, 12 + 8 * seed)
+    model, reference = drawn_model(seed, 15 + 15 * seed)
     start = {state: 1 / len(reference.choices) for state in reference.choices}
     meaning = {"give_up": give_up, "charge_failing_step": charge, "discount": discount}
     data = mcmp_program.program(reference, start, **meaning)
@@ -67,7 +67,7 @@ def test_mcmp_against_the_explicit_program(seed, give_up, charge, discount):
 
 
 @pytest.mark.parametrize("discount", [None, 0.95])
-@pytest.mark.parametrize("seed", range(7))
+@pytest.mark.parametrize("seed", [3, 4, 6])
 def test_s3p_engines_agree(seed, discount):
     """The program over cost layers and column generation, exact and discounted."""
     model, reference = drawn_model(100 + seed, 6 + 3 * seed)
@@ -75,7 +75,7 @@ def test_s3p_engines_agree(seed, discount):
     meaning = {"give_up": "dead_ends", "charge_failing_step": False, "discount": discount}
     smallest = mcmp_program.least_failure(mcmp_program.program(reference, start, **meaning))
     values = []
-    for share in (0.02, 0.1, 0.4):
+    for share in (0.05, 0.4):
         budget = smallest + share * (1 - smallest)
         problem = S3P(model, start=start, failure_budget=budget, discount=discount)
         found = [solve(problem, engine=engine) for engine in ("lp", "columns")]

@@ -145,21 +145,21 @@ def check_s3p_price(reference, start, budget, solution, discount):
         assert low >= -room
 
 
-@often(150)
+@often(120)
 @given(problems(most_live=3, attention=True), discounts, budgets)
 def test_s3p_where_every_state_can_wait(drawn, discount, place):
     """Every live state is an attention state: layers up to kappa are exact."""
     check_s3p(drawn, discount, place)
 
 
-@often(100)
+@often(80)
 @given(acyclic_problems(), discounts, budgets)
 def test_s3p_where_every_run_ends(drawn, discount, place):
     """Acyclic models: the layers are finitely many."""
     check_s3p(drawn, discount, place)
 
 
-@often(150)
+@often(120)
 @given(problems(most_live=3), discounts, budgets)
 def test_s3p_with_cycles_that_cannot_be_left(drawn, discount, place):
     """Cycles outside the attention states: the library's tail against growing horizons."""

@@ -13,7 +13,7 @@ from ssp_lp import SSP, InfeasibleError, solve
 from strategies import Draw, budgets, discounts, problems
 
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-drawn_settings = settings(max_examples=80, deadline=None, derandomize=True)
+drawn_settings = settings(max_examples=50, deadline=None, derandomize=True)
 
 
 def answers(drawn, budget, discount, give_up):

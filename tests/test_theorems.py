@@ -15,7 +15,7 @@ from ssp_lp.policies import DeterministicPolicy
 from strategies import discounts, problems
 
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-drawn_settings = settings(max_examples=150, deadline=None, derandomize=True)
+drawn_settings = settings(max_examples=100, deadline=None, derandomize=True)
 
 
 def library_policy(model, decisions):

@@ -61,7 +61,7 @@ def flatten_successors(
     queue = list(found)
     table: dict[Hashable, Mapping[Hashable, Outcomes]] = {}
     for state in queue:  # the list grows while it is walked: breadth-first order
-        table[state] = {} if is_goal(state) else _listed(successors(state), state)
+        table[state] = {} if is_goal(state) else _listed(_actions(successors(state), state), state)
         for outcomes in table[state].values():
             for _, successor, _ in outcomes:
                 if successor not in found:
@@ -96,6 +96,15 @@ def _listed(
     }
 
 
+def _actions(actions: Any, state: Hashable) -> Mapping[Hashable, Outcomes]:
+    if not isinstance(actions, Mapping):
+        raise ModelError(
+            f"state {state!r} needs a dict {{action: [(probability, successor, cost), ...]}}, "
+            f"not {actions!r}"
+        )
+    return actions
+
+
 def _triple(outcome: Any, state: Hashable, action: Hashable) -> tuple[float, Hashable, float]:
     if not isinstance(outcome, (tuple, list)) or len(outcome) != 3:
         raise ModelError(
@@ -125,7 +134,7 @@ def _flatten(
     successors, probabilities, costs = [], [], []
     exact: dict[float, Fraction] = {}
     for state in states:
-        for action, outcomes in table[state].items():
+        for action, outcomes in _actions(table[state], state).items():
             for outcome in outcomes:
                 probability, successor, cost = _triple(outcome, state, action)
                 if successor not in index:

@@ -153,7 +153,7 @@ class SSP:
         exact_costs: Mapping[float, Fraction] | None = None,
         treat_actionless_as_dead_ends: bool = False,
     ) -> SSP:
-        """Build a model from CSR arrays, without a Python loop over pairs.
+        """Build a model from CSR arrays; those of the right type are kept, not copied.
 
         Args:
             pair_offsets: [states + 1]; the pairs of state s are ``pair_offsets[s] :

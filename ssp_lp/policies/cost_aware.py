@@ -66,12 +66,12 @@ class CostAwarePolicy(Policy, Playable):
         Raises:
             ModelError: a cost is no whole number of layers.
         """
-        paid = costs / self.unit
+        paid = np.where(np.isfinite(costs), costs / self.unit, -1.0)
         steps = np.rint(paid)
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
         off = acting & ~((np.abs(paid - steps) <= _OFF_LATTICE) & (steps >= 0) & (steps < 1e15))
         if off.any():
-            cost = costs[int(np.argmax(off))]
+            cost = float(costs[int(np.argmax(off))])
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
         layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
         return np.where(acting, self._memory_at(layer, successors), memory)

@@ -85,13 +85,16 @@ def _fill(
     charged = skeleton.expectation(entering[model.successors])
     to_goal = skeleton.expectation(model.goal_mask[model.successors].astype(np.float64))
     acting = skeleton.pair_at >= 0
+    transitions, departs = sp.csr_array(skeleton.outcomes * survival), np.ones(len(acting))
+    if survival == 1.0:
+        transitions, departs = skeleton.departures
     return ExplicitProcess(
         pair_offsets=skeleton.pair_offsets,
-        transitions=sp.csr_array(skeleton.outcomes * survival),
+        transitions=transitions,
         start=np.zeros(skeleton.n_nodes),
-        cost=stage + survival * charged,
-        failure=np.where(acting, (1.0 - survival) + survival * to_dead, 1.0),
-        goal=survival * to_goal,
+        cost=(stage + survival * charged) / departs,
+        failure=np.where(acting, (1.0 - survival) + survival * to_dead, 1.0) / departs,
+        goal=survival * to_goal / departs,
     )
 
 

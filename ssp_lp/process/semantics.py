@@ -93,6 +93,8 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
     Raises:
         ModelError: unknown state, negative probability, or a sum that is not one.
     """
+    if isinstance(start, (list, set)):
+        raise ModelError(f"start must be a state or {{state: probability}}, not {start!r}")
     weights = start if isinstance(start, Mapping) else {start: 1.0}
     distribution = np.zeros(model.n_states)
     for state, probability in weights.items():

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
+from ssp_lp.linear import without_self_loops
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_components
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
@@ -36,6 +37,15 @@ class Skeleton:
     def outcomes(self) -> sp.csr_array:
         """Probability of going from each pair to each node, [pairs, nodes]."""
         return self.matrix(self.model.probabilities, np.zeros(self.model.n_outcomes, np.int64), 1)
+
+    @cached_property
+    def departures(self) -> tuple[sp.csr_array, FloatArray]:
+        """Outcomes seen on departing from a node only, [pairs, nodes], and the mass that departs.
+
+        For exact processes: waiting in place changes no total (see ``without_self_loops``).
+        """
+        ended = np.where(self.node_of[self.model.successors] < 0, 1.0, 0.0)
+        return without_self_loops(self.outcomes, self.pair_node, self.expectation(ended, 1.0))
 
     def matrix(self, weights: FloatArray, layer: IntArray, width: int) -> sp.csr_array:
         """Sum outcome weights by pair and (layer, node), [pairs, width * nodes].
@@ -188,8 +198,8 @@ def _with_pairs(
     n_nodes = int(node_of.max(initial=-1)) + 1
     pairs = np.flatnonzero(kept)
     exit_nodes = np.unique(node_of[leaving])
-    pair_at = np.concatenate([pairs, np.full(exit_nodes.size, GIVE_UP_CODE)])
-    pair_node = np.concatenate([node_of[model.pair_state[pairs]], exit_nodes])
+    pair_at = np.concatenate([np.full(exit_nodes.size, GIVE_UP_CODE), pairs])  # ties: give up
+    pair_node = np.concatenate([exit_nodes, node_of[model.pair_state[pairs]]])
     order = np.argsort(pair_node, kind="stable")
     counts = np.bincount(pair_node, minlength=n_nodes)
     return Skeleton(

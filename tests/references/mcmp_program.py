@@ -9,10 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 from scipy.sparse import csr_array, lil_array
 
 from references.chain import Outcome, PlainModel, State, start_distribution
+from references.linear_program import least
 from references.mcmp import charge
 
 
@@ -84,26 +84,21 @@ def free_wandering(model: PlainModel) -> set[State]:
 
 def least_failure(data: Program) -> float:
     """The least failure of any policy."""
-    return _solve(data, data.failure) + data.start_failure
+    return least(data.failure, **_rows(data)) + data.start_failure
 
 
 def least_cost(data: Program, budget: float) -> float:
     """The least cost within the budget (which must leave some slack)."""
     row = {"A_ub": data.failure[None, :], "b_ub": [budget - data.start_failure]}
-    return _solve(data, data.cost, **row) + data.start_cost
+    return least(data.cost, **_rows(data), **row) + data.start_cost
 
 
 def least_priced(data: Program, price: float) -> float:
     """The least cost + price * failure of any policy."""
     at_start = data.start_cost + price * data.start_failure
-    return _solve(data, data.cost + price * data.failure) + at_start
+    return least(data.cost + price * data.failure, **_rows(data)) + at_start
 
 
-def _solve(data: Program, objective: np.ndarray, **row: object) -> float:
-    sharp = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-    answer = linprog(
-        objective, A_eq=data.flow, b_eq=data.start, method="highs", options=sharp, **row
-    )
-    if answer.status != 0:
-        raise ArithmeticError(answer.message)
-    return float(answer.fun)
+def _rows(data: Program) -> dict[str, object]:
+    """The flow balance, as `linprog` wants it."""
+    return {"A_eq": data.flow, "b_eq": data.start}

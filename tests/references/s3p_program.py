@@ -10,16 +10,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 from scipy.sparse import coo_array, hstack, vstack
 
 from references.chain import PlainModel, State, policies, start_distribution
+from references.linear_program import least
 from references.s3p import Start, values
 
 Node = tuple[State, int]
-
-SHARP = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-"""HiGHS's own 1e-7 moves a ratio by as much; these programs are small and well scaled."""
 
 
 @dataclass(frozen=True)
@@ -136,32 +133,20 @@ def least_ratio(data: Program, budget: float) -> float:
     flow = hstack([data.flow, scale])
     normal = coo_array(np.append(data.success, data.start_at_goal)[None, :])
     limit = np.append(-data.success, 1.0 - budget - data.start_at_goal)
-    answer = linprog(
+    return least(
         np.append(data.cost, 0.0),
         A_ub=limit[None, :],
         b_ub=[0.0],
         A_eq=vstack([flow, normal]).tocsr(),
         b_eq=np.append(np.zeros(flow.shape[0]), 1.0),
-        method="highs",
-        options=SHARP,
     )
-    if answer.status != 0:
-        raise ArithmeticError(answer.message)
-    return float(answer.fun)
 
 
 def least_difference(data: Program, worth: float) -> float:
     """Least (cost on success) - worth * success over all policies, without any budget."""
-    answer = linprog(
-        data.cost - worth * data.success,
-        A_eq=data.flow.tocsr(),
-        b_eq=data.start,
-        method="highs",
-        options=SHARP,
-    )
-    if answer.status != 0:
-        raise ArithmeticError(answer.message)
-    return float(answer.fun) - worth * data.start_at_goal
+    reduced = data.cost - worth * data.success
+    value = least(reduced, A_eq=data.flow.tocsr(), b_eq=data.start)
+    return value - worth * data.start_at_goal
 
 
 def ratio_bounds(

@@ -50,8 +50,8 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     """
     everything = np.ones(model.n_pairs, dtype=np.bool_) if survival == 1.0 else None
     skeleton = build_skeleton(model, free=everything)  # moving about in a component risks nothing
-    transitions = sp.csr_array(skeleton.outcomes * survival)
-    hit = _goal_mass(skeleton) * survival
+    transitions, departs = _transitions(skeleton, survival)
+    hit = survival * _goal_mass(skeleton) / departs
     first = approach(skeleton.pair_offsets, transitions, hit > 0)
     choice, loss = improve(skeleton.pair_offsets, transitions, -hit, first)
     reach = -loss
@@ -59,17 +59,16 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     ahead = hit + transitions @ reach
     best = ahead >= reach[skeleton.pair_node] * (1.0 - MAXIMISER)
     best[choice] = True
-    missing = np.maximum(1.0 - survival * (1.0 - _dead_mass(skeleton)), 0.0)
-    least_miss = sub_solution(skeleton.pair_offsets, transitions, missing, 1.0 - reach)
-    return _on_states(skeleton, reach, 1.0 - least_miss, best, choice)
+    bound = -sub_solution(skeleton.pair_offsets, transitions, -hit, -reach, floor=-1.0 - 1e-9)
+    return _on_states(skeleton, reach, bound, best, choice)
 
 
 def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     """MINPROB: the least E[survival^T; goal] from every state; 0 at attention states."""
     attention = attention_states(model)
     skeleton = build_skeleton(model, exits=attention)
-    transitions = sp.csr_array(skeleton.outcomes * survival)
-    hit = _goal_mass(skeleton) * survival
+    transitions, departs = _transitions(skeleton, survival)
+    hit = survival * _goal_mass(skeleton) / departs
     exits = np.flatnonzero(skeleton.pair_at == GIVE_UP_CODE)
     first = approach(skeleton.pair_offsets, transitions, hit > 0)
     first[skeleton.pair_node[exits]] = exits
@@ -100,13 +99,13 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     free = None if free is None else free & ~exits[model.pair_state]
     usable = reach.usable & ~exits[model.pair_state]
     skeleton = build_skeleton(model, usable=usable, free=free, exits=exits)
-    transitions = sp.csr_array(skeleton.outcomes * survival)
+    transitions, departs = _transitions(skeleton, survival)
     leaving = (skeleton.pair_at == GIVE_UP_CODE) | (_goal_mass(skeleton) > 0)
     first = approach(skeleton.pair_offsets, transitions, leaving)
-    pair_cost = skeleton.expectation(weight)
+    pair_cost = skeleton.expectation(weight) / departs
     choice, _ = improve(skeleton.pair_offsets, transitions, pair_cost, first)
     chain = transitions[choice]
-    gain = _goal_mass(skeleton)[choice]
+    gain = (_goal_mass(skeleton) / departs)[choice]
     solved = accumulate(chain, np.stack([pair_cost[choice], gain], axis=1))
     bound = sub_solution(skeleton.pair_offsets, transitions, pair_cost, solved[:, 0])
     early_goal = skeleton.lift(solved[:, 1])
@@ -124,8 +123,11 @@ def _goal_mass(skeleton: Skeleton) -> FloatArray:
     return skeleton.expectation(model.goal_mask[model.successors].astype(np.float64))
 
 
-def _dead_mass(skeleton: Skeleton) -> FloatArray:
-    return skeleton.expectation(skeleton.dead[skeleton.model.successors].astype(np.float64), 1.0)
+def _transitions(skeleton: Skeleton, survival: float) -> tuple[sp.csr_array, FloatArray]:
+    """Discounted transitions; exact ones are seen on departing only, with the mass departing."""
+    if survival == 1.0:
+        return skeleton.departures
+    return sp.csr_array(skeleton.outcomes * survival), np.ones(len(skeleton.pair_at))
 
 
 def _on_states(

@@ -17,6 +17,7 @@ from ssp_lp.arrays import (
 from ssp_lp.engines.oracles.oracle import Column, Proof, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import backup_rounding, sub_solution
+from ssp_lp.engines.oracles.window import Window
 from ssp_lp.errors import ModelError
 from ssp_lp.linear import accumulate
 from ssp_lp.policies.policy import Policy
@@ -38,18 +39,18 @@ class LayeredOracle:
         choice = np.empty((self.process.cap, base.n_nodes), dtype=np.int32)
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
-        window = self._tail_values(failure_price, failing)  # layers ahead, nearest first
+        window = Window(self._tail_values(failure_price, failing))
         inner = self._first_choice
         for layer in reversed(range(self.process.cap)):
             paid = base.gain * (layer * base.unit) + base.gain_cost
-            ahead = paid + owed + base.later @ window.reshape(-1)
+            ahead = paid + owed + base.later @ window.ahead.reshape(-1)
             if self._acyclic:
                 values = segment_minima(ahead, offsets)
                 inner = first_minimisers(ahead, values, offsets)
             else:
                 inner, values = improve(offsets, base.instant, ahead, inner)
             choice[layer] = inner
-            window = np.vstack([values[None, :], window])[: base.width - 1]
+            window.push(values)
         return self.measure(choice, failure_price)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
@@ -61,17 +62,17 @@ class LayeredOracle:
         """
         base = self.process.base
         beyond_cost, beyond_goal = self.process.beyond(tail_price)
-        window = np.stack([beyond_cost, 1.0 - beyond_goal, beyond_goal], axis=-1)
+        window = Window(np.stack([beyond_cost, 1.0 - beyond_goal, beyond_goal], axis=-1))
         values = np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
             chosen = choice[layer]
             cost = base.gain[chosen] * (layer * base.unit) + base.gain_cost[chosen]
             hit = base.survival * base.gain[chosen]
             values = np.stack([cost, base.failure[chosen], hit], axis=1)
-            values = values + base.later[chosen] @ window.reshape(-1, 3)
+            values = values + base.later[chosen] @ window.ahead.reshape(-1, 3)
             if not self._acyclic:
                 values = accumulate(base.instant[chosen], values)
-            window = np.concatenate([values[None], window])[: base.width - 1]
+            window.push(values)
         cost, failure, goal = (base.start @ values).tolist()
         return Column(
             cost, failure + base.start_failure, goal + base.start_goal, choice, tail_price
@@ -118,14 +119,14 @@ class LayeredOracle:
             raise ModelError(
                 f"a value function of shape {self.process.cap, base.n_nodes} is needed"
             )
-        checked, window = np.empty_like(values), beyond
+        checked, window = np.empty_like(values), Window(beyond)
         rounding, inner = backup_rounding(base.steps), self._first_choice
         owed, saved = failing * base.failure, success * base.survival * base.gain
         floor = -success * (1.0 + _BELOW_EVERY_VALUE)
         for layer in reversed(range(self.process.cap)):
             paid = base.gain * (layer * base.unit) + base.gain_cost + owed
-            size = paid + saved + base.later @ np.abs(window).reshape(-1)
-            ahead = paid - saved + base.later @ window.reshape(-1)
+            size = paid + saved + base.later @ np.abs(window.ahead).reshape(-1)
+            ahead = paid - saved + base.later @ window.ahead.reshape(-1)
             ahead = np.where(size == owed, ahead, ahead - rounding * size)
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
@@ -134,7 +135,7 @@ class LayeredOracle:
                 inner, best = improve(offsets, base.instant, ahead, inner)
                 given = np.minimum(best, given)
                 checked[layer] = sub_solution(offsets, base.instant, ahead, given, floor)
-            window = np.vstack([checked[layer][None, :], window])[: base.width - 1]
+            window.push(checked[layer])
         parts = np.append(base.start * checked[0], [failing * base.start_failure,
                                                     -success * base.start_goal])  # fmt: skip
         loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
