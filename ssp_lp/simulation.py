@@ -17,6 +17,7 @@ from ssp_lp.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.failing import state_give_up_charges
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
+from ssp_lp.players import Players
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.problem import Problem
@@ -154,15 +155,10 @@ def _play(
     record: int,
 ) -> _Played:
     model, marks = problem.model, end_marks(problem.model)
-    members = policy.policies if isinstance(policy, MixedPolicy) else (policy,)
-    weights = policy.weights if isinstance(policy, MixedPolicy) else np.ones(1)
-    drawn = rng.choice(len(members), size=episodes, p=weights)
+    players = Players(policy, episodes, rng)
     world, state = simulator.reset(episodes, rng)
     world, state = world.copy(), np.array(state, dtype=np.int64)
-    memory = np.zeros(episodes, dtype=np.int64)
-    for k, member in enumerate(members):
-        mine = np.flatnonzero((drawn == k) & (marks[state] < 0))
-        memory[mine] = member.start_memory(state[mine])
+    players.begin(state, marks[state] < 0)
     cost, steps = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
     gave_up = np.zeros(episodes, dtype=np.bool_)
     trace = [world[:record].copy()]
@@ -170,20 +166,15 @@ def _play(
         alive = np.flatnonzero((marks[state] < 0) & ~gave_up)
         if alive.size == 0:
             break
-        pair = np.empty(alive.size, dtype=np.int64)
-        for k, member in enumerate(members):
-            mine = np.flatnonzero(drawn[alive] == k)
-            pair[mine] = member.sample(state[alive[mine]], memory[alive[mine]], rng)
+        pair = players.decide(alive, state[alive])
         gave_up[alive[pair == GIVE_UP_CODE]] = True
         alive, pair = alive[pair != GIVE_UP_CODE], pair[pair != GIVE_UP_CODE]
         moved, successor, paid = _checked_step(model, simulator.step(world[alive], pair, rng))
         world[alive], state[alive] = moved, successor
         cost[alive] += paid
         steps[alive] += 1
-        for k, member in enumerate(members):
-            mine = np.flatnonzero((drawn[alive] == k) & (marks[successor] < 0))
-            here = alive[mine]
-            memory[here] = member.remember(memory[here], successor[mine], paid[mine])
+        going = marks[successor] < 0
+        players.remember(alive[going], successor[going], paid[going])
         if record:
             trace.append(world[:record].copy())
     mark = np.where(gave_up, _GAVE_UP, np.where(marks[state] < 0, _UNFINISHED, marks[state]))

@@ -9,16 +9,17 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, read_only
-from ssp_lp.engines.column_generation import HullSearch, search
-from ssp_lp.engines.instance import Instance, LeastFailure
-from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
+from ssp_lp.engines.column_generation import HullSearch
+from ssp_lp.engines.instance import LeastFailure
+from ssp_lp.engines.lp import BACKENDS
+from ssp_lp.engines.refinement import Effort, Outcome, optimise
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.goal_probability import max_goal_probability
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.process.semantics import start_distribution
-from ssp_lp.solution import NOT_YET_RUN, Run, Solution, relative_gap
+from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
 ENGINES = ("auto", "columns", "lp")
 
@@ -71,46 +72,20 @@ def solve(
     _require_feasible(problem, least)
     if problem.failure_budget is None:
         return _at_least_failure(problem, least, began)
-    deadline = np.inf if time_limit is None else began + time_limit
+    effort = Effort(
+        engine="columns" if engine == "auto" else engine,
+        backend=backend,
+        tolerance=tolerance,
+        deadline=np.inf if time_limit is None else began + time_limit,
+        progress=progress,
+    )
     row = Row(max(problem.failure_budget, least.column.failure), instance.ratio)
-    chosen = "columns" if engine == "auto" else engine
-    tight = row.budget <= least.column.failure  # then the first column is the answer
-    program, hint, calls = "", None, 0
-    gaps: list[float] = []
-    while True:
-        if chosen == "lp" and not tight:
-            answer = solve_program(instance, row, backend, deadline)
-            hint, program = answer.price, answer.report
-        found = search(
-            instance.oracle(),
-            least.column,
-            row,
-            tolerance=tolerance,
-            hint=hint,
-            deadline=deadline,
-            report=progress,
-        )
-        if chosen == "lp" and not tight:
-            check_agreement(answer, found.objective)
-        if tight:
-            found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
-        calls += found.rounds
-        gaps.append(relative_gap(found.objective, found.lower_bound))
-        finer = None
-        if gaps[-1] > tolerance and not _stagnant(gaps) and time.perf_counter() < deadline:
-            finer = instance.refined(found.price)
-        if finer is None:
-            break
-        instance, hint = finer, found.price
-    reason = _REASONS[engine] + f", {calls} oracle calls"
-    solution = _conclude(problem, instance, least, found, row)
-    run = Run(chosen, reason, calls, time.perf_counter() - began, program)
+    outcome = optimise(instance, least, row, effort)
+    solution = _conclude(problem, least, outcome, row)
+    reason = f"{_REASONS[engine]}, {outcome.calls} oracle calls"
+    seconds = time.perf_counter() - began
+    run = Run(effort.engine, reason, outcome.calls, seconds, outcome.program)
     return replace(solution, run=run)
-
-
-def _stagnant(gaps: list[float]) -> bool:
-    """Whether the last three refinements did not even halve the gap: rounding, not truncation."""
-    return len(gaps) > 3 and gaps[-1] > 0.5 * gaps[-4]
 
 
 def _require_feasible(problem: Problem, least: LeastFailure) -> None:
@@ -161,14 +136,8 @@ def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> So
     )
 
 
-def _conclude(
-    problem: Problem,
-    instance: Instance,
-    least: LeastFailure,
-    found: HullSearch,
-    row: Row,
-) -> Solution:
-    oracle = instance.oracle()
+def _conclude(problem: Problem, least: LeastFailure, outcome: Outcome, row: Row) -> Solution:
+    found, oracle = outcome.found, outcome.instance.oracle()
     policies = tuple(oracle.policy(c) for c in found.columns)
     policy = MixedPolicy(policies, found.weights)
     price = max(found.price - found.objective, 0.0) if row.ratio else found.price

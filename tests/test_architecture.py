@@ -17,7 +17,7 @@ ORDER = [
     ("program",),
     ("engines", "goal_probability"),
     ("problem",),
-    ("chain", "ends", "failing", "estimate"),
+    ("chain", "ends", "failing", "estimate", "players"),
     ("evaluation", "occupation", "simulation"),
     ("solution",),
     ("certificate",),

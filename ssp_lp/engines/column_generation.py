@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -39,6 +39,65 @@ class HullSearch:
     finished: bool  # false: stopped by the time limit
 
 
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """The two columns between which the lottery lies; ``outside`` is missing while none is."""
+
+    row: Row
+    inside: Column  # keeps to the budget
+    outside: Column | None = None  # cheaper, and breaks it
+
+    @property
+    def slope(self) -> float:
+        """Price of failure at which both columns are worth the same; in case S the ratio so far."""
+        if self.outside is not None:
+            saved = self.inside.cost - self.outside.cost
+            return max(saved / excess_failure(self.outside, self.inside), 0.0)
+        return self.row.objective(self.inside.cost, self.inside.goal) if self.row.ratio else 0.0
+
+    @property
+    def weight(self) -> float:
+        """Weight of the column beyond the budget at which the lottery meets the budget."""
+        if self.outside is None:
+            return 0.0
+        room = self.row.budget - self.inside.failure
+        return float(min(max(room / excess_failure(self.outside, self.inside), 0.0), 1.0))
+
+    @property
+    def objective(self) -> float:
+        """Objective of the lottery."""
+        w = self.weight
+        if self.outside is None or w == 0.0:
+            return self.row.objective(self.inside.cost, self.inside.goal)
+        return self.row.objective(
+            (1.0 - w) * self.inside.cost + w * self.outside.cost,
+            (1.0 - w) * self.inside.goal + w * self.outside.goal,
+        )
+
+    def improved_by(self, found: Column, price: float, tolerance: float) -> bool:
+        """Whether a column lies below the line through ``inside`` at this price."""
+        below = self.inside.cost - found.cost - price * excess_failure(found, self.inside)
+        scale = self.objective * (self.inside.goal if self.row.ratio else 1.0)
+        return below > 0.1 * tolerance * max(scale, 1e-300)
+
+    def updated(self, found: Column) -> Edge:
+        """The edge with an improving column in its place.
+
+        A column that never succeeds has no ratio: the price was too low, nothing is learnt.
+        """
+        if found.failure > self.row.budget + MACHINE_EPSILON:
+            return replace(self, outside=found)
+        if self.row.objective(found.cost, found.goal) == np.inf:
+            return self
+        return replace(self, inside=found)
+
+    def has(self, found: Column) -> bool:
+        """Whether a column is the one beyond the budget again, up to rounding."""
+        if self.outside is None or abs(found.failure - self.outside.failure) > _SAME_FAILURE:
+            return False
+        return found.cost >= self.outside.cost * (1.0 - _SAME_FAILURE)
+
+
 def search(
     oracle: Oracle,
     first: Column,
@@ -60,104 +119,58 @@ def search(
         deadline: on the clock of ``time.perf_counter``.
         report: called after each oracle call with (calls, price, objective).
     """
-    inside, outside = first, None  # columns within and beyond the budget
-    price, calls, finished = _next_price(row, inside, outside), 0, True
-    price = price if hint is None else hint
-    warm: Column | None = None
+    edge, found, calls = Edge(row, first), first, 0
+    price = edge.slope if hint is None else hint
     while calls < _ROUNDS:
-        found = oracle.minimise(price, warm)
-        calls, warm = calls + 1, found
-        below = inside.cost - found.cost - price * excess_failure(found, inside)
-        scale = _best(row, inside, outside) * (inside.goal if row.ratio else 1.0)
+        found, calls = oracle.minimise(price, found), calls + 1
         if report is not None:
-            report(calls, price, _best(row, inside, outside))
-        if below <= 0.1 * tolerance * max(scale, 1e-300):
-            if price == _next_price(row, inside, outside):
-                if outside is None or not row.ratio or price >= _best(row, inside, outside):
-                    break
-                outside = None  # the budget is slack: go on with Dinkelbach's iteration
-        elif found.failure <= row.budget + MACHINE_EPSILON:
-            if row.objective(found.cost, found.goal) < np.inf:  # else the price was too low
-                inside = found
-        elif _is_stalled(row, inside, outside, found, price):
+            report(calls, price, edge.objective)
+        if not edge.improved_by(found, price, tolerance):
+            slack = row.ratio and edge.outside is not None and price < edge.objective
+            if price == edge.slope and not slack:
+                break
+            if slack and price == edge.slope:
+                edge = Edge(row, edge.inside)  # go on with Dinkelbach's iteration
+        elif price == edge.slope and edge.has(found):
             break
         else:
-            outside = found
-        price = _next_price(row, inside, outside)
-        if hint and calls == 1 and price > 0.0:
-            price = hint * (1.0 - _STRADDLE if found is inside else 1.0 + _STRADDLE)
+            edge = edge.updated(found)
+        if hint and calls == 1 and edge.slope > 0.0:
+            price = hint * (1.0 - _STRADDLE if found is edge.inside else 1.0 + _STRADDLE)
+        else:
+            price = edge.slope
         if time.perf_counter() > deadline:
-            finished = False
-            break
-    return _conclude(oracle, row, inside, outside, price, warm, calls, finished, tolerance)
+            return _conclude(oracle, edge, price, found, calls, False, tolerance)
+    return _conclude(oracle, edge, price, found, calls, True, tolerance)
 
 
-def _is_stalled(
-    row: Row, inside: Column, outside: Column | None, found: Column, price: float
-) -> bool:
-    """Whether pricing at the slope only found the column beyond the budget again (rounding)."""
-    if outside is None or price != _next_price(row, inside, outside):
-        return False
-    same = abs(found.failure - outside.failure) <= _SAME_FAILURE
-    return same and found.cost >= outside.cost * (1.0 - _SAME_FAILURE)
-
-
-def _next_price(row: Row, inside: Column, outside: Column | None) -> float:
-    if outside is not None:
-        return max((inside.cost - outside.cost) / excess_failure(outside, inside), 0.0)
-    return row.objective(inside.cost, inside.goal) if row.ratio else 0.0
-
-
-def _weight(row: Row, inside: Column, outside: Column | None) -> float:
-    """Weight of the column beyond the budget at which the lottery meets the budget."""
-    if outside is None:
-        return 0.0
-    share = (row.budget - inside.failure) / excess_failure(outside, inside)
-    return float(min(max(share, 0.0), 1.0))
-
-
-def _best(row: Row, inside: Column, outside: Column | None) -> float:
-    """Objective of the lottery over the two columns."""
-    w = _weight(row, inside, outside)
-    if outside is None or w == 0.0:
-        return row.objective(inside.cost, inside.goal)
-    cost = (1.0 - w) * inside.cost + w * outside.cost
-    return row.objective(cost, (1.0 - w) * inside.goal + w * outside.goal)
-
-
-def _aligned(
-    oracle: Oracle, row: Row, inside: Column, outside: Column, price: float
-) -> tuple[Column, Column]:
+def _aligned(oracle: Oracle, edge: Edge, price: float) -> Edge:
     """Both columns with what they fix by a price fixed at the same one, if they still bracket."""
-    pair = oracle.aligned(inside, price), oracle.aligned(outside, price)
-    bracket = pair[0].failure <= row.budget < pair[1].failure
-    return pair if bracket else (inside, outside)
+    if edge.outside is None:
+        return edge
+    inside, outside = oracle.aligned(edge.inside, price), oracle.aligned(edge.outside, price)
+    bracket = inside.failure <= edge.row.budget < outside.failure
+    return Edge(edge.row, inside, outside) if bracket else edge
 
 
 def _conclude(
     oracle: Oracle,
-    row: Row,
-    inside: Column,
-    outside: Column | None,
+    edge: Edge,
     price: float,
-    warm: Column | None,
+    last: Column,
     calls: int,
     finished: bool,
     tolerance: float,
 ) -> HullSearch:
-    if outside is not None:
-        inside, outside = _aligned(oracle, row, inside, outside, price)
-    weight = _weight(row, inside, outside)
-    best = _best(row, inside, outside)
-    columns: tuple[Column, ...] = (inside,)
+    edge = _aligned(oracle, edge, price)
+    row, weight, best = edge.row, edge.weight, edge.objective
+    columns: tuple[Column, ...] = (edge.inside,)
     weights = np.ones(1)
-    if outside is not None and weight > 0.0:
-        columns, weights = (inside, outside), np.array([1.0 - weight, weight])
+    if edge.outside is not None and weight > 0.0:
+        columns, weights = (edge.inside, edge.outside), np.array([1.0 - weight, weight])
     price = max(price, best) if row.ratio else price
-    slack = row.ratio and price <= best  # then bound just below the ratio: see Row.lower_bound
-    bound_price = price * (1.0 - 0.25 * tolerance) if slack else price
-    start = warm if warm is not None else inside
-    proof = oracle.prove(bound_price, start, slack=slack)
+    slack = row.ratio and price <= best  # then prove it just below the ratio: Row.lower_bound
+    proof = oracle.prove(price * (1.0 - 0.25 * tolerance) if slack else price, last, slack=slack)
     return HullSearch(
         columns=columns,
         weights=weights,

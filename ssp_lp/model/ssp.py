@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
@@ -185,16 +185,11 @@ class SSP:
         check_idle_states(
             draft.pair_offsets, draft.goal_mask, draft.states, treat_actionless_as_dead_ends
         )
-        return cls(
-            states=draft.states,
-            action_names=draft.action_names,
-            pair_action=draft.pair_action,
-            pair_offsets=draft.pair_offsets,
-            outcome_offsets=draft.outcome_offsets,
+        return replace(
+            draft,
             successors=read_only(target, np.int32),
             probabilities=read_only(chance),
             costs=stage_cost,
-            goal_mask=draft.goal_mask,
             state_labels=indexed_labels(state_labels or {}, draft.index_of),
             exact_costs=dict(exact_costs or {}),
         )
