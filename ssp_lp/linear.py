@@ -9,21 +9,27 @@ from scipy.sparse import linalg
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import SolverError
 
-_DIRECT_STATES = 1_000
-"""Below, a sparse factorisation costs less than a Krylov run's overhead."""
+_DENSE_STATES = 40
+"""Up to here a dense solve costs less than setting up a sparse one."""
+
+DIRECT_STATES = 1_000
+"""Up to here, a sparse factorisation costs less than a Krylov run's overhead."""
 
 _FACTORABLE_STATES = 50_000
 """Above, fill-in may exceed memory: a Krylov answer that is less than exact is kept."""
 
 _KRYLOV_STEPS = 1_000
 _RESTARTS = 4
-_ROUGH_RESIDUAL = 1e-13  # relative; enough to improve a policy by
-_EXACT_RESIDUAL = 4e-15  # relative; a few units in the last place of the totals
+EXACT = 4e-15  # relative residual: a few units in the last place of the totals
 _LEAST_RESIDUAL = 1e-11  # relative; worse ones are refused
 
 
 def accumulate(
-    chain: sp.csr_array, reward: FloatArray, guess: FloatArray | None = None, *, exact: bool = True
+    chain: sp.csr_array,
+    reward: FloatArray,
+    guess: FloatArray | None = None,
+    *,
+    accuracy: float = EXACT,
 ) -> FloatArray:
     """Expected total reward of a transient chain: the solution of ``x = reward + chain @ x``.
 
@@ -34,7 +40,7 @@ def accumulate(
         chain: substochastic matrix, [states, states], from every state of which mass leaks out.
         reward: [states] or [states, rewards].
         guess: warm start of the iterative solver, like ``reward``.
-        exact: to the last digits; otherwise to a relative residual of 1e-13.
+        accuracy: relative residual to reach, at best ``EXACT``; small chains are always exact.
 
     Returns:
         Totals, of the shape of ``reward``.
@@ -45,15 +51,16 @@ def accumulate(
     size = chain.shape[0]
     if size == 0 or chain.nnz == 0:
         return reward.copy()
-    if size <= _DIRECT_STATES:
+    if size <= _DENSE_STATES:
+        return _dense(chain, reward)
+    if size <= DIRECT_STATES:
         return _factorised(chain, reward)
     columns = reward.reshape(size, -1).T
     guesses = np.zeros_like(columns) if guess is None else guess.reshape(size, -1).T
-    target = _EXACT_RESIDUAL if exact else _ROUGH_RESIDUAL
     found = []
     for column, first in zip(columns, guesses, strict=True):
-        x, residual = _krylov(chain, column, first, target)
-        if residual > (target if size <= _FACTORABLE_STATES else _LEAST_RESIDUAL):
+        x, residual = _krylov(chain, column, first, accuracy)
+        if residual > (accuracy if size <= _FACTORABLE_STATES else max(accuracy, _LEAST_RESIDUAL)):
             return _factorised(chain, reward)
         found.append(x)
     return np.stack(found, axis=1).reshape(reward.shape)
@@ -110,6 +117,17 @@ def _krylov(
             )
         x = x + size * step
     return x, relative
+
+
+def _dense(chain: sp.csr_array, reward: FloatArray) -> FloatArray:
+    """Dense LU with one step of iterative refinement."""
+    system = np.eye(chain.shape[0]) - chain.toarray()
+    try:
+        x = np.linalg.solve(system, reward)
+        x = x + np.linalg.solve(system, reward + chain @ x - x)
+    except np.linalg.LinAlgError as error:
+        raise SolverError("a policy's chain is singular: it holds mass for ever") from error
+    return x
 
 
 def _factorised(chain: sp.csr_array, reward: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure
 from ssp_lp.engines.lp import check_agreement, solve_program
@@ -68,11 +69,11 @@ def _attempt(
 ) -> Outcome:
     """One search, started from the dual of the linear program where that is the engine.
 
-    A budget equal to the least failure needs no program: the first column is the answer, and its
-    own bound holds.
+    A budget equal to the least failure needs no program, whose feasibility would hang on rounding:
+    the first column is the answer, and its own bound holds.
     """
     tight, optimum = row.budget <= least.column.failure, None
-    if effort.engine == "lp" and not tight:
+    if effort.engine == "lp" and row.budget > least.column.failure + LEAST_BUDGET:
         optimum = solve_program(instance, row, effort.backend, effort.deadline)
         hint = optimum.price
     found = search(

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
@@ -22,6 +23,8 @@ from ssp_lp.errors import ModelError
 from ssp_lp.linear import accumulate
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.layered import LayeredProcess
+
+_FEW_ENTRIES = 20_000
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
@@ -69,7 +72,7 @@ class LayeredOracle:
             cost = base.gain[chosen] * (layer * base.unit) + base.gain_cost[chosen]
             hit = base.survival * base.gain[chosen]
             values = np.stack([cost, base.failure[chosen], hit], axis=1)
-            values = values + base.later[chosen] @ window.ahead.reshape(-1, 3)
+            values = values + _chosen_rows(base.later, chosen, window.ahead.reshape(-1, 3))
             if not self._acyclic:
                 values = accumulate(base.instant[chosen], values)
             window.push(values)
@@ -173,3 +176,10 @@ class LayeredOracle:
         """Values of the tails beyond the cap, [width - 1, nodes]."""
         cost, goal = self.process.beyond(price)
         return cost + failing * (1.0 - goal) - (price - failing) * goal
+
+
+def _chosen_rows(matrix: sp.csr_array, rows: IntArray, dense: FloatArray) -> FloatArray:
+    """``matrix[rows] @ dense``; picking rows costs more than multiplying where all are few."""
+    if matrix.nnz <= _FEW_ENTRIES:
+        return np.asarray((matrix @ dense)[rows])
+    return np.asarray(matrix[rows] @ dense)

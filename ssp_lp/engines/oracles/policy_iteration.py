@@ -15,9 +15,11 @@ from ssp_lp.arrays import (
     segment_minima,
 )
 from ssp_lp.errors import SolverError
-from ssp_lp.linear import accumulate
+from ssp_lp.linear import DIRECT_STATES, accumulate
 
 _ITERATIONS = 1_000
+_ROUGH, _FINE = 1e-6, 1e-13  # relative residuals of evaluations
+_NOISE = 100.0  # a rough residual grows by the length of a run
 
 
 def improve(
@@ -46,18 +48,46 @@ def improve(
     Raises:
         SolverError: no convergence, or a policy that never leaves the process.
     """
-    values = guess
+    if len(choice) > DIRECT_STATES:  # come near with rough evaluations first
+        near = _settle(pair_offsets, transitions, pair_cost, choice, guess, _ROUGH)
+        if near is not None:
+            choice, guess = near
+    settled = _settle(pair_offsets, transitions, pair_cost, choice, guess, _FINE)
+    if settled is None:
+        raise SolverError(f"policy iteration did not settle in {_ITERATIONS} rounds")
+    return settled
+
+
+def _settle(
+    pair_offsets: IntArray,
+    transitions: sp.csr_array,
+    pair_cost: FloatArray,
+    choice: IntArray,
+    values: FloatArray | None,
+    accuracy: float,
+) -> tuple[IntArray, FloatArray] | None:
+    """Policy iteration with evaluations of this accuracy, until no gain stands out from it.
+
+    None where that does not happen; a rough evaluation may lead to a policy that never leaves.
+    """
     for _ in range(_ITERATIONS):
-        values = accumulate(transitions[choice], pair_cost[choice], values, exact=False)
+        try:
+            values = accumulate(transitions[choice], pair_cost[choice], values, accuracy=accuracy)
+        except SolverError:
+            if accuracy > _FINE:
+                return None
+            raise
         ahead = pair_cost + transitions @ values
         best = segment_minima(ahead, pair_offsets)
-        better = best < ahead[choice] - IMPROVEMENT * np.abs(ahead[choice])
+        here = ahead[choice]
+        noise = IMPROVEMENT * np.abs(here)
+        if accuracy > _FINE:
+            noise = noise + _NOISE * accuracy * float(np.abs(values).max())
+        better = best < here - noise
         if not better.any():
             return choice, values
-        changed = choice.copy()
-        changed[better] = first_minimisers(ahead, best, pair_offsets)[better]
-        choice = changed
-    raise SolverError(f"policy iteration did not settle in {_ITERATIONS} rounds")
+        choice = np.where(better, first_minimisers(ahead, best, pair_offsets), choice)
+    return None
 
 
 def approach(pair_offsets: IntArray, transitions: sp.csr_array, leaving: BoolArray) -> IntArray:

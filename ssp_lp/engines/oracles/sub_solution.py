@@ -21,6 +21,7 @@ from ssp_lp.errors import SolverError
 from ssp_lp.linear import accumulate
 
 _ROUNDS = 12
+_RUN_ACCURACY = 1e-3  # runs are used times 1.5 and checked
 _SHRINKAGES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
@@ -93,7 +94,7 @@ def _longest_run(
     for _ in range(_ROUNDS):
         reward = np.where(met, worst_lack, 0.0)
         try:
-            run = accumulate(transitions[choice], reward, run, exact=False)
+            run = accumulate(transitions[choice], reward, run, accuracy=_RUN_ACCURACY)
         except SolverError:
             return None
         if (run < 0).any():
