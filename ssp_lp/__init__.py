@@ -9,6 +9,7 @@ from ssp_lp.errors import (
     SSPError,
 )
 from ssp_lp.evaluation import Evaluation, evaluate
+from ssp_lp.frontier import Frontier, trace_frontier
 from ssp_lp.model import SSP
 from ssp_lp.policies import (
     GIVE_UP,
@@ -31,6 +32,7 @@ __all__ = [
     "CostAwarePolicy",
     "DeterministicPolicy",
     "Evaluation",
+    "Frontier",
     "GiveUp",
     "InfeasibleError",
     "MissingDependencyError",
@@ -44,4 +46,5 @@ __all__ = [
     "evaluate",
     "simulate",
     "solve",
+    "trace_frontier",
 ]

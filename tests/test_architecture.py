@@ -19,7 +19,7 @@ ORDER = [
     ("problem",),
     ("chain", "ends", "failing", "estimate", "players"),
     ("evaluation", "occupation", "simulation"),
-    ("solution",),
+    ("solution", "frontier"),
     ("certificate",),
     ("crosscheck",),
     ("solve",),
