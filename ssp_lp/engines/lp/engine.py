@@ -9,7 +9,6 @@ from ssp_lp.arrays import RESIDUAL
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.lp.answer import LPAnswer, residuals
 from ssp_lp.engines.lp.clarabel import solve_with_clarabel
-from ssp_lp.engines.lp.cvxpy import solve_with_cvxpy
 from ssp_lp.engines.lp.highs import solve_with_highs
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError, SolverError
@@ -78,6 +77,8 @@ def _run(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
     if backend == "clarabel":
         return solve_with_clarabel(program, time_limit)
     if backend == "cvxpy":
+        from ssp_lp.engines.lp.cvxpy import solve_with_cvxpy  # half a second: only when asked
+
         return solve_with_cvxpy(program, time_limit)
     return solve_with_highs(program, backend, time_limit)
 

@@ -76,7 +76,7 @@ class ExplicitOracle:
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
         priced = process.cost + price * process.failure
         checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
-        summands = np.count_nonzero(process.start)  # a sum of one term is exact
+        summands = int(np.count_nonzero(process.start))  # a sum of one term is exact
         bound = float(process.start @ checked) * (1.0 - (summands - 1.0) * MACHINE_EPSILON)
         return Proof(price, price, bound, checked)
 

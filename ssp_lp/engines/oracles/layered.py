@@ -142,7 +142,7 @@ class LayeredOracle:
         parts = np.append(base.start * checked[0], [failing * base.start_failure,
                                                     -success * base.start_goal])  # fmt: skip
         loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
-        return Proof(price, failing, float(parts.sum()) - max(loss, 0.0), checked)
+        return Proof(price, failing, float(parts.sum()) - max(float(loss), 0.0), checked)
 
     @cached_property
     def _anything(self) -> FloatArray:
