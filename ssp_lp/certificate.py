@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.engines.instance import Instance
-from ssp_lp.engines.row import Row
+from ssp_lp.engines.row import Row, relative_gap
 from ssp_lp.errors import ModelError
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.problem import Problem
-from ssp_lp.solution import Solution, relative_gap
+from ssp_lp.solution import Solution
 
 _BUDGET_ROUNDING = 1e-12
 

@@ -15,7 +15,7 @@ from ssp_lp.failing import give_up_costs, lost_costs
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
-from ssp_lp.process.semantics import Semantics, start_distribution
+from ssp_lp.process.semantics import Semantics, start_distribution, survival_of
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _complement(probability: float) -> float:
 
 def _measure(policy: Policy, problem: Problem, start: FloatArray) -> Measures:
     chain = policy_chain(problem.model, policy, start)
-    gamma = 1.0 if problem.discount is None else problem.discount
+    gamma = survival_of(problem.discount)
     hopeful = reaching(chain, chain.goal > 0)
     alive = hopeful & (chain.goal == 0)
     goal, success = _success(chain, alive, 1.0)

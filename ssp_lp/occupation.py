@@ -10,7 +10,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy, Policy, StochasticPolicy
 from ssp_lp.policies.policy import Branches
 from ssp_lp.problem import Problem
-from ssp_lp.process.semantics import start_distribution
+from ssp_lp.process.semantics import start_distribution, survival_of
 
 
 def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
@@ -38,7 +38,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
         ModelError: a member may wander for ever, or members follow different tails.
     """
     model, start = problem.model, start_distribution(problem.model, problem.start)
-    survival = 1.0 if problem.discount is None else problem.discount
+    survival = survival_of(problem.discount)
     aware = [p for p in policy.policies if isinstance(p, CostAwarePolicy)]
     carrier = aware[0] if aware else None
     if any(not np.array_equal(p.tail_threshold, aware[0].tail_threshold) for p in aware):

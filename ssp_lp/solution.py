@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from ssp_lp.arrays import FloatArray
+from ssp_lp.engines.row import relative_gap
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.occupation import equivalent_randomised_policy
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
@@ -150,9 +151,3 @@ class Solution:
             rows.append(("note", self.note))
         body = "\n".join(f"  {label:<20} {value}" for label, value in rows)
         return f"{name}, {asked}, {setting}\n{body}"
-
-
-def relative_gap(objective: float, lower_bound: float) -> float:
-    """(objective - lower_bound) / |objective|; 0 where both are 0."""
-    difference = max(objective - lower_bound, 0.0)
-    return 0.0 if difference == 0.0 else difference / max(abs(objective), 1e-300)

@@ -69,3 +69,14 @@ def expected() -> dict[str, Any]:
     """The table of expected values; empty where the cases are absent."""
     path = FOLDER / "expected.json"
     return json.loads(path.read_text()) if path.is_file() else {"cases": [], "hand_cases": []}
+
+
+ROBOT_VALUES = [
+    ("anywhere", False, Fraction(19, 12)),
+    ("attention", False, Fraction(19, 12)),
+    ("dead_ends", False, Fraction(151, 84)),
+    ("anywhere", True, Fraction(7, 3)),
+    ("attention", True, Fraction(7, 3)),
+    ("dead_ends", True, Fraction(107, 42)),
+]
+"""prism_robot_goal1 at P(goal) >= 1/4: give_up, charge_failing_step, least cost."""

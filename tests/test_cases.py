@@ -4,12 +4,10 @@ All rows of the table are give_up="anywhere", charge_failing_step=False, no disc
 fSSPUDE and C-SSP belong to other criteria and are not read here.
 """
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
-from cases import FOLDER, expected, load_case, needs_cases
+from cases import FOLDER, ROBOT_VALUES, expected, load_case, needs_cases
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, goal_probability, solve
 
@@ -118,17 +116,7 @@ def test_hand_cases_of_the_two_move_domain(engine):
 
 
 @each_engine
-@pytest.mark.parametrize(
-    ("give_up", "charge", "value"),
-    [
-        ("anywhere", False, Fraction(19, 12)),
-        ("attention", False, Fraction(19, 12)),
-        ("dead_ends", False, Fraction(151, 84)),
-        ("anywhere", True, Fraction(7, 3)),
-        ("attention", True, Fraction(7, 3)),
-        ("dead_ends", True, Fraction(107, 42)),
-    ],
-)
+@pytest.mark.parametrize(("give_up", "charge", "value"), ROBOT_VALUES)
 def test_meanings_of_giving_up_on_the_robot(give_up, charge, value, engine):
     """H3, H4 and the four numbers that the meanings of giving up give at P(goal1) >= 1/4."""
     model, start = load("prism_robot_goal1", "time")

@@ -1,11 +1,9 @@
 """The references against closed forms: a yardstick that is itself measured."""
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 
-from cases import expected, load_case, needs_cases
+from cases import ROBOT_VALUES, expected, load_case, needs_cases
 from references import mcmp, s3p, s3p_program
 from references.chain import plain_model
 from references.frontier import (
@@ -73,17 +71,7 @@ def test_charges_of_the_failing_step():
 
 
 @needs_cases
-@pytest.mark.parametrize(
-    ("give_up", "charge", "value"),
-    [
-        ("anywhere", False, Fraction(19, 12)),
-        ("attention", False, Fraction(19, 12)),
-        ("dead_ends", False, Fraction(151, 84)),
-        ("anywhere", True, Fraction(7, 3)),
-        ("attention", True, Fraction(7, 3)),
-        ("dead_ends", True, Fraction(107, 42)),
-    ],
-)
+@pytest.mark.parametrize(("give_up", "charge", "value"), ROBOT_VALUES)
 def test_four_numbers_of_the_robot(give_up, charge, value):
     """The robot of PRISM at P(goal) >= 1/4, under every meaning of giving up."""
     model, start = case_model("prism_robot_goal1", "time")

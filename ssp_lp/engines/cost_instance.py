@@ -25,6 +25,7 @@ from ssp_lp.process.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess, Tails
 from ssp_lp.process.materialise import materialise
+from ssp_lp.process.semantics import survival_of
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers: 0.8 GB a policy."""
@@ -61,7 +62,7 @@ class CostInstance:
     @property
     def survival(self) -> float:
         """The discount, 1 in the exact setting."""
-        return 1.0 if self.discount is None else self.discount
+        return survival_of(self.discount)
 
     @cached_property
     def base(self) -> AccumulatedCost:

@@ -12,7 +12,7 @@ from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.model import SSP
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import label_failure
-from ssp_lp.process.semantics import Semantics
+from ssp_lp.process.semantics import Semantics, survival_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class LabelInstance:
 
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least cost among its actions."""
-        survival = 1.0 if self.discount is None else self.discount
+        survival = survival_of(self.discount)
         usable = greatest_goal_reach(self.model, survival).usable
         second = ExplicitOracle(
             label_failure(self.model, self.start, self.semantics, self.discount, usable)

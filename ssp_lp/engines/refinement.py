@@ -10,7 +10,7 @@ from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure
 from ssp_lp.engines.lp import check_agreement, solve_program
-from ssp_lp.engines.row import Row
+from ssp_lp.engines.row import Row, relative_gap
 
 _PATIENCE = 3
 
@@ -51,7 +51,7 @@ def optimise(instance: Instance, least: LeastFailure, row: Row, effort: Effort) 
     gaps: list[float] = []
     outcome = _attempt(instance, least, row, effort, None)
     while True:
-        gaps.append(_gap(outcome.found))
+        gaps.append(relative_gap(outcome.found.objective, outcome.found.lower_bound))
         if gaps[-1] <= effort.tolerance or time.perf_counter() > effort.deadline:
             return outcome
         price = outcome.found.price
@@ -90,11 +90,6 @@ def _attempt(
     if tight:
         found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
     return Outcome(found, instance, found.rounds, "" if optimum is None else optimum.report)
-
-
-def _gap(found: HullSearch) -> float:
-    difference = max(found.objective - found.lower_bound, 0.0)
-    return 0.0 if difference == 0.0 else difference / max(abs(found.objective), 1e-300)
 
 
 def _is_stagnant(gaps: list[float]) -> bool:

@@ -40,3 +40,9 @@ class Row:
         if bound >= price:
             return bound
         return max((bound - price * self.budget) / share, 0.0) if share > 0.0 else 0.0
+
+
+def relative_gap(objective: float, lower_bound: float) -> float:
+    """(objective - lower_bound) / |objective|; 0 where both are 0."""
+    difference = max(objective - lower_bound, 0.0)
+    return 0.0 if difference == 0.0 else difference / max(abs(objective), 1e-300)

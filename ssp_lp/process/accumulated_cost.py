@@ -17,6 +17,7 @@ from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states
 from ssp_lp.process.lattice import common_unit, layers_of
+from ssp_lp.process.semantics import survival_of
 from ssp_lp.process.skeleton import Skeleton, build_skeleton, costless_pairs
 
 
@@ -70,7 +71,7 @@ def accumulate_cost(model: SSP, start: FloatArray, discount: float | None) -> Ac
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
-    survival = 1.0 if discount is None else discount
+    survival = survival_of(discount)
     free = costless_pairs(model) if discount is None else None
     skeleton = build_skeleton(model, free=free, exits=attention_states(model))
     moving = (skeleton.node_of[model.successors] >= 0) & (model.probabilities > 0)

@@ -22,6 +22,7 @@ from ssp_lp.process.semantics import (
     dead_end_charges,
     expected_costs,
     give_up_charges,
+    survival_of,
 )
 from ssp_lp.process.skeleton import Skeleton, build_skeleton, costless_pairs
 
@@ -71,7 +72,7 @@ def label_failure(
     )
     charges = give_up_charges(model, attention, skeleton.merged, semantics)
     entering = dead_end_charges(model, skeleton.dead, semantics)
-    process = _fill(model, skeleton, charges, entering, 1.0 if discount is None else discount)
+    process = _fill(model, skeleton, charges, entering, survival_of(discount))
     return FailureLabelled(_with_start(process, skeleton, start, entering), skeleton)
 
 

@@ -35,6 +35,11 @@ class Semantics:
     charge_failing_step: bool
 
 
+def survival_of(discount: float | None) -> float:
+    """Factor of every transition: the discount, 1 in the exact setting."""
+    return 1.0 if discount is None else discount
+
+
 def parse_give_up(value: str | GiveUp) -> GiveUp:
     """Turn a word into a :class:`GiveUp`; raises :class:`ModelError` naming the choices."""
     try:

@@ -32,7 +32,7 @@ _BELOW_EVERY_VALUE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class LayeredOracle:
-    """Column generation's oracle for case S; nothing larger than a policy is stored."""
+    """Column generation's oracle for case S; the process is never written out."""
 
     process: LayeredProcess
 
@@ -122,7 +122,7 @@ class LayeredOracle:
             raise ModelError(
                 f"a value function of shape {self.process.cap, base.n_nodes} is needed"
             )
-        checked, window = np.empty_like(values), Window(beyond)
+        checked, window = np.empty(values.shape), Window(beyond)
         rounding, inner = backup_rounding(base.steps), self._first_choice
         owed, saved = failing * base.failure, success * base.survival * base.gain
         floor = -success * (1.0 + _BELOW_EVERY_VALUE)
@@ -147,7 +147,7 @@ class LayeredOracle:
     @cached_property
     def _anything(self) -> FloatArray:
         """Values that ask for the best that can be proved, [cap, nodes]."""
-        return np.full((self.process.cap, self.process.base.n_nodes), np.inf)
+        return np.broadcast_to(np.inf, (self.process.cap, self.process.base.n_nodes))
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""
