@@ -10,7 +10,9 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 ORDER = [
-    ("errors", "arrays", "linear"),
+    ("errors", "arrays", "accelerator"),
+    ("compiled",),
+    ("linear",),
     ("model",),
     ("policies",),
     ("process",),
