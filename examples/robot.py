@@ -9,6 +9,7 @@ The geometry is in `robot_arena`, the cells in `robot_grid`, the quadrature in `
 
 import numpy as np
 
+from progress_bar import Progress
 from robot_arena import Arena, Box, Place
 from robot_grid import START_POINT, RobotGrid
 from robot_transitions import GridArrays, grid_arrays
@@ -28,15 +29,18 @@ __all__ = [
 ]
 
 
-def grid_model(grid: RobotGrid, arrays: GridArrays | None = None) -> SSP:
+def grid_model(
+    grid: RobotGrid, arrays: GridArrays | None = None, progress: Progress | None = None
+) -> SSP:
     """Return the robot's grid model as an SSP whose states are 0 .. n_cells + 2.
 
     The cells come first, then the goal, the obstacles and the wall (`RobotGrid.end_state`). Every
     step costs 1; the dead-end "wall" costs `wall_cost` per stage.
 
     arrays: the transitions, if they are at hand (models that differ in wall_cost share them).
+    progress: told how far the transitions are, unless they are at hand (see `grid_arrays`).
     """
-    arrays = grid_arrays(grid) if arrays is None else arrays
+    arrays = grid_arrays(grid, progress) if arrays is None else arrays
     costs: float | np.ndarray = 1.0
     if grid.wall_cost != 1.0:
         costs = np.ones(arrays.n_pairs)

@@ -12,12 +12,13 @@ quarter of all samples at the default), and giving them to one side would make t
 rule moves the cost at least failure, 25.3 steps, by up to 0.2.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from progress_bar import Progress
 from robot_arena import TOLERANCE, BoolArray, FloatArray, Place, PlaceArray
 from robot_grid import N_ACTIONS, STEP_LENGTH, IntArray, RobotGrid
 
@@ -49,29 +50,40 @@ class _Turn:
     weights: CountArray  # [sum of lengths]: doubled counts of points
 
 
-def grid_arrays(grid: RobotGrid) -> GridArrays:
+def grid_arrays(grid: RobotGrid, progress: Progress | None = None) -> GridArrays:
     """Return the transitions of the grid model.
 
     Pairs 5 s .. 5 s + 4 belong to cell s; the goal has none; obstacle and wall stay where they are
     by one pair each. Within a pair the successors are distinct and ascend, and the probabilities
     are exact counts of points over quadrature^4 (half counts where a heading is split).
+
+    progress: called with the number of turns gone through and their total. Each is gone through
+        twice: to count its successors, and to write them where they belong.
     """
     n_cell_pairs = N_ACTIONS * grid.n_cells
-    lengths = np.empty((grid.segments**2, grid.headings, N_ACTIONS), dtype=np.int64)
-    for turn, users in _turns(grid):
-        for heading, action in users:
-            lengths[:, heading, action] = turn.lengths
-    outcome_offsets = np.concatenate([[0], np.cumsum(np.append(lengths.ravel(), [1, 1]))])
+    outcome_offsets = _outcome_offsets(grid, _turns(grid, 0, progress))
+    begins = outcome_offsets[:n_cell_pairs].reshape(-1, grid.headings, N_ACTIONS)
     successors = np.empty(outcome_offsets[-1], dtype=np.int32)
     probabilities = np.empty(outcome_offsets[-1])
-    begins = outcome_offsets[:n_cell_pairs].reshape(lengths.shape)
-    for turn, users in _turns(grid):
+    for turn, users in _turns(grid, 1, progress):
         _write(turn, [begins[:, h, a] for h, a in users], successors, probabilities)
     probabilities /= 2 * grid.quadrature**4
     successors[-2:] = grid.end_state(Place.OBSTACLE), grid.end_state(Place.WALL)
     probabilities[-2:] = 1.0
     pair_offsets = np.append(np.arange(0, n_cell_pairs + 1, N_ACTIONS), n_cell_pairs + np.arange(3))
     return GridArrays(pair_offsets, outcome_offsets, successors, probabilities)
+
+
+def _outcome_offsets(grid: RobotGrid, turns: Iterable[tuple[_Turn, _Users]]) -> IntArray:
+    """Where the outcomes of each pair begin, and end: [pairs + 1]."""
+    n_cell_pairs = N_ACTIONS * grid.n_cells
+    offsets = np.zeros(n_cell_pairs + 3, dtype=np.int64)
+    lengths = offsets[1 : n_cell_pairs + 1].reshape(-1, grid.headings, N_ACTIONS)
+    for turn, users in turns:
+        for heading, action in users:
+            lengths[:, heading, action] = turn.lengths
+    offsets[-2:] = 1  # obstacle and wall
+    return np.cumsum(offsets, out=offsets)
 
 
 def _write(
@@ -86,16 +98,29 @@ def _write(
         weights[places] = turn.weights
 
 
-def _turns(grid: RobotGrid) -> Iterator[tuple[_Turn, _Users]]:
-    """Yield each distinct total turn with the (heading, action) pairs that make it."""
+def _turns(
+    grid: RobotGrid, rounds: int, progress: Progress | None
+) -> Iterator[tuple[_Turn, _Users]]:
+    """Yield each distinct turn, and tell after each how many are done in two rounds of them.
+
+    rounds: how many rounds were made before.
+    """
+    users = _users(grid)
+    for done, (centre, pairs) in enumerate(users.items(), rounds * len(users) + 1):
+        yield _turn(grid, centre), pairs
+        if progress is not None:
+            progress(done, 2 * len(users))
+
+
+def _users(grid: RobotGrid) -> dict[int, _Users]:
+    """Return each distinct total turn with the (heading, action) pairs that make it."""
     full_circle = 24 * grid.quadrature * grid.headings
     users: dict[int, _Users] = {}
     for heading in range(grid.headings):
         for action in range(N_ACTIONS):
             turned = 2 * grid.quadrature * (12 * heading + grid.headings * (action - 2))
             users.setdefault(turned % full_circle, []).append((heading, action))
-    for centre, pairs in users.items():
-        yield _turn(grid, centre), pairs
+    return users
 
 
 def _turn(grid: RobotGrid, centre: int) -> _Turn:

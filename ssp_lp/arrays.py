@@ -47,6 +47,11 @@ def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike | None = None) -> npt.N
     return view
 
 
+def least_integer_type(most: int) -> npt.DTypeLike:
+    """The smallest signed integers that hold -2 .. most."""
+    return np.min_scalar_type(-max(most, 2) - 1)
+
+
 def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.int64]:
     """Concatenate ``arange(start, start + length)`` over all given ranges, without a loop."""
     lengths = np.asarray(lengths, dtype=np.int64)
@@ -59,6 +64,11 @@ def sorted_unique(values: IntArray) -> IntArray:
     """The distinct non-negative values in increasing order, by sorting."""
     ordered = np.sort(values)
     return ordered[np.flatnonzero(np.diff(ordered, prepend=-1))]
+
+
+def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
+    """The segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
+    return np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
 
 
 def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
@@ -81,6 +91,6 @@ def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
 
 def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) -> IntArray:
     """Position, within each non-empty segment in turn, of the first value equal to its minimum."""
-    segment = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    segment = segment_ids(offsets)
     attained = np.flatnonzero(values == minima[segment])
     return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]

@@ -10,13 +10,13 @@ from ssp_lp.chain import Chain, reaching
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_components
+from ssp_lp.process.expectations import costless_pairs
 from ssp_lp.process.semantics import (
     GiveUp,
     Semantics,
     dead_end_charges,
     give_up_charges,
 )
-from ssp_lp.process.skeleton import costless_pairs
 
 
 def give_up_costs(chain: Chain, semantics: Semantics) -> FloatArray:

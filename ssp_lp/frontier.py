@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, FloatArray
 from ssp_lp.engines.column_generation import Edge, search
-from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.instance import Instance, checked_least_failure
 from ssp_lp.engines.oracles.oracle import Column, Oracle
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
@@ -111,13 +111,7 @@ def trace_frontier(
     if not 0.0 < gap < 1.0:
         raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
     instance = problem.instance()
-    least = instance.least_failure().column
-    if instance.ratio and least.goal <= 0.0:
-        raise InfeasibleError(
-            "the goal cannot be reached from the start: no cost given success exists",
-            failure_budget=None,
-            least_failure=1.0,
-        )
+    least = checked_least_failure(instance, None).column
     calls = 0
     for _ in range(_REFINEMENTS):
         traced = _trace(instance, least, gap, point_limit, progress)
@@ -145,7 +139,7 @@ def _trace(
     progress: Callable[[int, int], None] | None,
 ) -> Frontier:
     oracle, row = instance.oracle(), Row(1.0, instance.ratio)
-    free = search(oracle, least, row, tolerance=gap)
+    free = search(oracle, Edge(row, least), tolerance=gap)
     last, calls = free.columns[-1], free.rounds
     columns = [least] if last.failure <= least.failure else [least, last]
     waiting = [(least, last)] if len(columns) == 2 else []

@@ -7,6 +7,7 @@ import scipy.sparse as sp
 from scipy.sparse import linalg
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.bellman import ChosenRows, all_rows
 from ssp_lp.errors import SolverError
 
 _DENSE_STATES = 40
@@ -18,6 +19,10 @@ DIRECT_STATES = 1_000
 _FACTORABLE_STATES = 50_000
 """Above, fill-in may exceed memory: a Krylov answer that is less than exact is kept."""
 
+_TRIAL = 4  # sweeps over which the contraction is judged
+_CONTRACTION = 0.85  # per sweep; slower chains are left to BiCGStab, which takes 2 products a step
+_SWEEPS = 200
+
 _KRYLOV_STEPS = 1_000
 _RESTARTS = 4
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
@@ -25,7 +30,7 @@ _LEAST_RESIDUAL = 1e-11  # relative; worse ones are refused
 
 
 def accumulate(
-    chain: sp.csr_array,
+    chain: sp.csr_array | ChosenRows,
     reward: FloatArray,
     guess: FloatArray | None = None,
     *,
@@ -33,13 +38,14 @@ def accumulate(
 ) -> FloatArray:
     """Expected total reward of a transient chain: the solution of ``x = reward + chain @ x``.
 
-    Small chains are factorised; larger ones are solved by BiCGStab, restarted on the residual
-    until that is rounding, and factorised only where this fails.
+    Small chains are factorised. Larger ones are swept, ``x <- reward + chain @ x``, while that
+    contracts well, then solved by BiCGStab, restarted on the residual until that is rounding; they
+    are factorised only where this fails.
 
     Args:
         chain: substochastic matrix, [states, states], from every state of which mass leaks out.
         reward: [states] or [states, rewards].
-        guess: warm start of the iterative solver, like ``reward``.
+        guess: warm start of the iterative solvers, like ``reward``.
         accuracy: relative residual to reach, at best ``EXACT``; small chains are always exact.
 
     Returns:
@@ -49,21 +55,46 @@ def accumulate(
         SolverError: the chain holds mass for ever (a recurrent class inside).
     """
     size = chain.shape[0]
-    if size == 0 or chain.nnz == 0:
+    if size == 0:
         return reward.copy()
-    if size <= _DENSE_STATES:
-        return _dense(chain, reward)
+    rows = chain if isinstance(chain, ChosenRows) else all_rows(chain)
     if size <= DIRECT_STATES:
-        return _factorised(chain, reward)
-    columns = reward.reshape(size, -1).T
-    guesses = np.zeros_like(columns) if guess is None else guess.reshape(size, -1).T
-    found = []
-    for column, first in zip(columns, guesses, strict=True):
-        x, residual = _krylov(chain, column, first, accuracy)
-        if residual > (accuracy if size <= _FACTORABLE_STATES else max(accuracy, _LEAST_RESIDUAL)):
-            return _factorised(chain, reward)
-        found.append(x)
-    return np.stack(found, axis=1).reshape(reward.shape)
+        if rows.matrix.nnz == 0:
+            return reward.copy()
+        return (_dense if size <= _DENSE_STATES else _factorised)(rows.matrix, reward)
+    columns = reward.reshape(size, -1)
+    first = columns if guess is None else guess.reshape(size, -1)
+    own = rows.gathered()
+    x, reached = _swept(own, columns, first, accuracy)
+    if not reached:
+        least = accuracy if size <= _FACTORABLE_STATES else max(accuracy, _LEAST_RESIDUAL)
+        for j in range(columns.shape[1]):
+            solved, residual = _krylov(own, columns[:, j], x[:, j], accuracy)
+            if not residual <= least:
+                return _factorised(own.matrix, reward)
+            x[:, j] = solved
+    rows.products += own.products
+    return x.reshape(reward.shape)
+
+
+def _swept(
+    rows: ChosenRows, reward: FloatArray, x: FloatArray, target: float
+) -> tuple[FloatArray, bool]:
+    """Repeat ``x <- reward + rows @ x`` while it contracts; x, and whether it is near enough."""
+    changes: list[float] = []
+    most = float(np.abs(reward).max())
+    while True:
+        ahead, change, size = rows.sweep(reward, x)
+        relative = change / (size + most) if size + most > 0 else 0.0
+        if relative <= target:
+            return ahead, True
+        if not np.isfinite(relative):
+            return reward.copy(), False
+        slow = len(changes) >= _TRIAL and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]
+        if slow or len(changes) > _SWEEPS:
+            return ahead, False
+        changes.append(relative)
+        x = ahead
 
 
 def without_self_loops(
@@ -96,13 +127,12 @@ def without_self_loops(
 
 
 def _krylov(
-    chain: sp.csr_array, reward: FloatArray, guess: FloatArray, target: float
+    rows: ChosenRows, reward: FloatArray, guess: FloatArray, target: float
 ) -> tuple[FloatArray, float]:
     """BiCGStab, restarted on the residual; the solution and its relative residual."""
-    system = linalg.LinearOperator(chain.shape, matvec=lambda x: x - chain @ x, dtype=np.float64)
     x, relative = guess, np.inf
     for attempt in range(_RESTARTS + 1):
-        residual = reward + chain @ x - x
+        residual = reward + rows @ x - x
         scale = float(np.abs(x).max()) + float(np.abs(reward).max())
         size = float(np.abs(residual).max())
         if not np.isfinite(size + scale):
@@ -111,11 +141,7 @@ def _krylov(
         if relative <= target or attempt == _RESTARTS:
             break
         unit = residual / size  # scipy's test for breakdown is absolute
-        with np.errstate(all="ignore"):  # a breakdown shows in the residual
-            step, _ = linalg.bicgstab(
-                system, unit, rtol=0.0, atol=0.3 * target * scale / size, maxiter=_KRYLOV_STEPS
-            )
-        x = x + size * step
+        x = x + size * rows.solve(unit, 0.3 * target * scale / size, _KRYLOV_STEPS)
     return x, relative
 
 

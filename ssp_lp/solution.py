@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 from ssp_lp.arrays import FloatArray
+from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.row import relative_gap
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.occupation import equivalent_randomised_policy
@@ -21,7 +22,18 @@ class Run:
     reason: str  # why this engine, and what it had to do
     oracle_calls: int
     seconds: float
+    work: Work = field(default_factory=Work)  # passes over the process
     program: str = ""  # the linear program's own report, where one was solved
+
+    @property
+    def backups(self) -> int:
+        """Bellman sweeps: backups of all pairs of a process, or of one of its layers."""
+        return self.work.backups
+
+    @property
+    def products(self) -> int:
+        """Products with the rows of one policy, a share of a sweep each."""
+        return self.work.products
 
 
 NOT_YET_RUN = Run("", "", 0, 0.0)

@@ -8,17 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, read_only
-from ssp_lp.engines.column_generation import HullSearch
-from ssp_lp.engines.instance import LeastFailure
+from ssp_lp.arrays import RELATIVE_GAP, read_only
+from ssp_lp.engines.instance import LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import BACKENDS
 from ssp_lp.engines.refinement import Effort, Outcome, optimise
 from ssp_lp.engines.row import Row
-from ssp_lp.errors import InfeasibleError, ModelError
-from ssp_lp.goal_probability import max_goal_probability
+from ssp_lp.errors import ModelError
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.process.semantics import start_distribution
 from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
 ENGINES = ("auto", "columns", "lp")
@@ -68,10 +65,8 @@ def solve(
     if not 0.0 < tolerance < 1.0:
         raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
     instance = problem.instance()
-    least = instance.least_failure()
-    _require_feasible(problem, least)
     if problem.failure_budget is None:
-        return _at_least_failure(problem, least, began)
+        return _at_least_failure(problem, checked_least_failure(instance, None), began)
     effort = Effort(
         engine="columns" if engine == "auto" else engine,
         backend=backend,
@@ -79,52 +74,20 @@ def solve(
         deadline=np.inf if time_limit is None else began + time_limit,
         progress=progress,
     )
-    row = Row(max(problem.failure_budget, least.column.failure), instance.ratio)
-    outcome = optimise(instance, least, row, effort)
-    solution = _conclude(problem, least, outcome, row)
+    outcome = optimise(instance, problem.failure_budget, effort)
+    solution = _conclude(problem, outcome)
     reason = f"{_REASONS[engine]}, {outcome.calls} oracle calls"
     seconds = time.perf_counter() - began
-    run = Run(effort.engine, reason, outcome.calls, seconds, outcome.program)
+    run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)
-
-
-def _require_feasible(problem: Problem, least: LeastFailure) -> None:
-    """Raise :class:`InfeasibleError` where no policy keeps to the budget."""
-    failure, budget = least.column.failure, problem.failure_budget
-    start = start_distribution(problem.model, problem.start)
-    if problem.ratio and least.column.goal <= 0.0:
-        raise InfeasibleError(
-            "the goal cannot be reached from the start: no cost given success exists",
-            failure_budget=budget,
-            least_failure=1.0,
-            least_discounted_failure=None if problem.discount is None else 1.0,
-        )
-    if budget is None or failure <= budget + LEAST_BUDGET:
-        return
-    if problem.discount is None:
-        raise InfeasibleError(
-            f"every policy fails with probability at least {failure:.12g}, above the budget "
-            f"{budget:g}; failure_budget=None asks for the least",
-            failure_budget=budget,
-            least_failure=failure,
-        )
-    real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
-    raise InfeasibleError(
-        f"the discounted failure of every policy is at least {failure:.12g}, above the budget "
-        f"{budget:g}; the least real failure probability is {real:.12g}"
-        + ("; discount=None or a discount nearer to 1 is feasible" if real <= budget else ""),
-        failure_budget=budget,
-        least_failure=real,
-        least_discounted_failure=failure,
-    )
 
 
 def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> Solution:
     policy = MixedPolicy((least.policy,), np.ones(1))
     row = Row(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
-    run = Run("columns", "two stages: greatest goal probability, then least cost", 2,
-              time.perf_counter() - began)  # fmt: skip
+    reason = "two stages: greatest goal probability, then least cost"
+    run = Run("columns", reason, 2, time.perf_counter() - began)
     return Solution(
         problem=problem,
         policy=policy,
@@ -136,31 +99,30 @@ def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> So
     )
 
 
-def _conclude(problem: Problem, least: LeastFailure, outcome: Outcome, row: Row) -> Solution:
-    found, oracle = outcome.found, outcome.instance.oracle()
+def _conclude(problem: Problem, outcome: Outcome) -> Solution:
+    found, oracle, ratio = outcome.found, outcome.instance.oracle(), outcome.row.ratio
     policies = tuple(oracle.policy(c) for c in found.columns)
-    policy = MixedPolicy(policies, found.weights)
-    price = max(found.price - found.objective, 0.0) if row.ratio else found.price
+    price = max(found.price - found.objective, 0.0) if ratio else found.price
     return Solution(
         problem=problem,
-        policy=policy,
+        policy=MixedPolicy(policies, found.weights),
         objective=found.objective,
         lower_bound=found.lower_bound,
         failure_price=price,
         value_function=read_only(found.proof.values),
         run=NOT_YET_RUN,
-        note=_note(problem, least, found),
+        note=_note(problem, outcome),
     )
 
 
-def _note(problem: Problem, least: LeastFailure, found: HullSearch) -> str:
+def _note(problem: Problem, outcome: Outcome) -> str:
     remarks = []
     budget = problem.failure_budget
-    if budget is not None and least.column.failure > budget:
+    if budget is not None and outcome.row.budget > budget:
         remarks.append(
-            f"the budget lies {least.column.failure - budget:.1e} below the least failure and "
+            f"the budget lies {outcome.row.budget - budget:.1e} below the least failure and "
             "counts as equal to it"
         )
-    if not found.finished:
+    if not outcome.found.finished:
         remarks.append("stopped by the time limit; the gap is honest")
     return "; ".join(remarks)

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parent.parent
 ORDER = [
     ("errors", "arrays", "accelerator"),
     ("compiled",),
-    ("linear",),
+    ("bellman", "linear"),
     ("model",),
     ("policies",),
     ("process",),

@@ -1,5 +1,6 @@
 """Truths about the robot example's grid model and about its continuous world."""
 
+import io
 import itertools
 import math
 from collections import Counter
@@ -9,6 +10,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from progress_bar import progress_bar
 from robot import (
     Arena,
     Box,
@@ -123,6 +125,30 @@ def test_random_pairs_against_plain_loops(grid: RobotGrid) -> None:
     for pair in rng.choice(N_ACTIONS * grid.n_cells, size=12, replace=False):
         expected = {s: float(p) for s, p in brute_force(grid, int(pair)).items()}
         assert outcomes(arrays, int(pair)) == pytest.approx(expected, abs=1e-12)
+
+
+def test_progress_rises_to_its_total_and_changes_nothing() -> None:
+    told: list[tuple[int, int]] = []
+    arrays = grid_arrays(SMALL, lambda done, total: told.append((done, total)))
+    total = told[0][1]
+    assert told == [(k, total) for k in range(1, total + 1)]
+    assert arrays.probabilities.tobytes() == grid_arrays(SMALL).probabilities.tobytes()
+
+
+def test_the_progress_bar_is_for_terminals() -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    file, terminal = io.StringIO(), Terminal()
+    for stream in (file, terminal):
+        model = grid_model(SMALL, progress=progress_bar("transitions", stream))
+        assert model.n_states == SMALL.n_cells + 3
+    assert file.getvalue() == ""
+    lines = terminal.getvalue().split("\r")[1:]
+    assert lines[-1].endswith("\n")
+    assert all(line.startswith("transitions [") for line in lines)
+    assert len({len(line.split("]")[0]) for line in lines}) == 1
 
 
 def test_a_mirrored_arena_gives_the_mirrored_model() -> None:

@@ -17,12 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
-from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof, excess_failure
+from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof, Work, excess_failure
 from ssp_lp.engines.row import Row
 
 _ROUNDS = 200
 _SAME_FAILURE = 1e-15
-_STRADDLE = 1e-6  # relative step to the other side of a hinted price, to bracket it at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +35,7 @@ class HullSearch:
     lower_bound: float
     proof: Proof  # behind the bound
     rounds: int  # oracle calls
+    work: Work  # what they took, with the proof
     finished: bool  # false: stopped by the time limit
 
 
@@ -100,11 +100,10 @@ class Edge:
 
 def search(
     oracle: Oracle,
-    first: Column,
-    row: Row,
+    edge: Edge,
     *,
     tolerance: float,
-    hint: float | None = None,
+    last: Column | None = None,
     deadline: float = np.inf,
     report: Callable[[int, float, float], None] | None = None,
 ) -> HullSearch:
@@ -112,36 +111,31 @@ def search(
 
     Args:
         oracle: minimises and measures at a price.
-        first: a column of least failure, at most the budget.
-        row: budget and form of the objective.
+        edge: columns to begin with; the inside one keeps to the budget.
         tolerance: relative gap at which pricing stops.
-        hint: a price to begin with, such as the dual of a linear program.
+        last: a column to start the first pricing from; the inside one if left out.
         deadline: on the clock of ``time.perf_counter``.
         report: called after each oracle call with (calls, price, objective).
     """
-    edge, found, calls = Edge(row, first), first, 0
-    price = edge.slope if hint is None else hint
-    while calls < _ROUNDS:
+    found, calls, work, row = edge.inside if last is None else last, 0, Work(), edge.row
+    finished = False
+    while calls < _ROUNDS and not (calls > 0 and time.perf_counter() > deadline):
+        price = edge.slope
         found, calls = oracle.minimise(price, found), calls + 1
+        work = work + found.work
         if report is not None:
             report(calls, price, edge.objective)
-        if not edge.improved_by(found, price, tolerance):
-            slack = row.ratio and edge.outside is not None and price < edge.objective
-            if price == edge.slope and not slack:
+        if edge.improved_by(found, price, tolerance):
+            finished = edge.has(found)
+            if finished:
                 break
-            if slack and price == edge.slope:
-                edge = Edge(row, edge.inside)  # go on with Dinkelbach's iteration
-        elif price == edge.slope and edge.has(found):
-            break
-        else:
             edge = edge.updated(found)
-        if hint and calls == 1 and edge.slope > 0.0:
-            price = hint * (1.0 - _STRADDLE if found is edge.inside else 1.0 + _STRADDLE)
-        else:
-            price = edge.slope
-        if time.perf_counter() > deadline:
-            return _conclude(oracle, edge, price, found, calls, False, tolerance)
-    return _conclude(oracle, edge, price, found, calls, True, tolerance)
+            continue
+        finished = not (row.ratio and edge.outside is not None and price < edge.objective)
+        if finished:
+            break
+        edge = Edge(row, edge.inside)  # the budget is slack: go on with Dinkelbach's iteration
+    return _conclude(oracle, edge, found, calls, work, finished, tolerance)
 
 
 def _aligned(oracle: Oracle, edge: Edge, price: float) -> Edge:
@@ -156,12 +150,13 @@ def _aligned(oracle: Oracle, edge: Edge, price: float) -> Edge:
 def _conclude(
     oracle: Oracle,
     edge: Edge,
-    price: float,
     last: Column,
     calls: int,
+    work: Work,
     finished: bool,
     tolerance: float,
 ) -> HullSearch:
+    price = edge.slope
     edge = _aligned(oracle, edge, price)
     row, weight, best = edge.row, edge.weight, edge.objective
     columns: tuple[Column, ...] = (edge.inside,)
@@ -179,5 +174,6 @@ def _conclude(
         lower_bound=min(row.lower_bound(proof), best),
         proof=proof,
         rounds=calls,
+        work=work + proof.work,
         finished=finished,
     )

@@ -13,6 +13,7 @@ from ssp_lp.engines.oracles.goal_reach import (
     GoalReach,
     ReachPolicy,
     cheapest,
+    goal_directed,
     greatest_goal_reach,
     least_goal_reach,
 )
@@ -27,29 +28,28 @@ from ssp_lp.process.layered import LayeredProcess, Tails
 from ssp_lp.process.materialise import materialise
 from ssp_lp.process.semantics import survival_of
 
-_MOST_ENTRIES = 200_000_000
-"""Largest table of decisions, nodes x layers: 0.8 GB a policy."""
+_MOST_ENTRIES = 800_000_000
+"""Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""
 
 _FIRST_LAYERS = 2.5
-"""Layers of the first attempt, as a multiple of the least-failure policy's conditional cost."""
+"""Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
 
+_MARGIN = 1.02
+"""Layers beyond what a trial's price asks for: the price still moves a little."""
 
-@dataclass(frozen=True, eq=False)
-class Extremes:
-    """The stationary policies of greatest and of least goal probability (the two tails)."""
-
-    greatest: GoalReach
-    safest: ReachPolicy
-    least: GoalReach
-    riskiest: ReachPolicy
+_MOST_GROWTH = 4
+"""A cap that would have to grow by more comes from a steep price near the least failure."""
 
 
 @dataclass(frozen=True, eq=False)
 class CostInstance:
     """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
 
-    ``cap`` says where the table of accumulated costs ends; None: chosen from the least-failure
-    policy.
+    ``cap`` says where the table of accumulated costs ends; None: a first guess, to learn the
+    price from. From accumulated cost kappa on it is best to fail wherever that can be done for
+    sure, so a cap there loses (almost) nothing whatever is followed beyond it: a policy that goes
+    for the goal and the trivial bound on it will do. Only where kappa is too large for that are
+    the exact policies of greatest goal probability worked out.
     """
 
     model: SSP
@@ -57,6 +57,7 @@ class CostInstance:
     discount: float | None = None
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     cap: int | None = None  # layers
+    exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
     ratio: bool = field(default=True, init=False)
 
     @property
@@ -69,17 +70,22 @@ class CostInstance:
         """One layer of the process."""
         return accumulate_cost(self.model, self.start, self.discount)
 
+    @property
+    def is_trial(self) -> bool:
+        """Whether the cap is a guess."""
+        return self.cap is None and self.fixed_cap is None
+
     @cached_property
-    def extremes(self) -> Extremes:
-        """The two tails."""
+    def safest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The greatest goal probability and the cheapest policy that attains it."""
         greatest = greatest_goal_reach(self.model, self.survival)
+        return greatest, cheapest(self.model, greatest, self.survival)
+
+    @cached_property
+    def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
         least = least_goal_reach(self.model, self.survival)
-        return Extremes(
-            greatest,
-            cheapest(self.model, greatest, self.survival),
-            least,
-            cheapest(self.model, least, self.survival),
-        )
+        return least, cheapest(self.model, least, self.survival)
 
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least E[cost; goal] among its actions.
@@ -87,11 +93,11 @@ class CostInstance:
         At least failure the accumulated cost is not needed: a transition to x' is priced
         ``g * Pmax(x')`` (DESIGN, section 4).
         """
-        safest = self.extremes.safest
+        reach, safest = self.safest
         cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
         policy = DeterministicPolicy(self.model, safest.decision)
         column = Column(cost, max(1.0 - goal, 0.0), goal, None, policy=policy)
-        greatest = float(self.start @ self.extremes.greatest.bound)
+        greatest = float(self.start @ reach.bound)
         ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
         return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
 
@@ -109,15 +115,21 @@ class CostInstance:
         return materialise(self.process)
 
     def refined(self, price: float) -> CostInstance | None:
-        """The same problem with more layers, unless the user fixed them or memory ends."""
+        """The same problem with more layers or better tails, unless nothing is left to improve."""
+        here, exact = self.process.cap, self.process.tails.exact
+        lossless = int(np.ceil(_MARGIN * price / self.base.unit)) + 1
         if self.fixed_cap is not None:
-            return None
-        here = self.process.cap
-        lossless = int(np.ceil(price / self.base.unit)) + 1  # where every state can fail at will
-        wanted = lossless if here < lossless <= 2 * here else 2 * here
+            return None if exact else self._carry(replace(self, exact_tails=True))
+        if self.is_trial and lossless <= _MOST_GROWTH * here:
+            wanted = lossless
+        elif not exact:
+            wanted = lossless if here < lossless <= _MOST_GROWTH * here else here
+            exact = wanted == here
+        else:
+            wanted = lossless if here < lossless <= 2 * here else 2 * here
         if wanted * self.base.n_nodes > _MOST_ENTRIES:
             return None
-        return self._carry(replace(self, cap=wanted))
+        return self._carry(replace(self, cap=wanted, exact_tails=exact))
 
     def matching(self, values: FloatArray) -> CostInstance:
         """The same problem with as many layers as the value function, [layers, nodes].
@@ -127,7 +139,14 @@ class CostInstance:
         """
         if values.ndim != 2 or values.shape[0] == 0:
             raise ModelError("a value function of shape [layers, nodes] is needed")
-        return self._carry(replace(self, cap=values.shape[0]))
+        return self._carry(replace(self, cap=values.shape[0], exact_tails=True))
+
+    def for_program(self) -> CostInstance:
+        """The same problem with the exact tails: a program can do no better than they beyond it."""
+        if self.exact_tails:
+            return self
+        exact = self._carry(replace(self, exact_tails=True))
+        return self._carry(replace(exact, cap=exact.process.cap))
 
     def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
@@ -135,21 +154,32 @@ class CostInstance:
 
     def _carry(self, other: CostInstance) -> CostInstance:
         """Hand what does not depend on the cap to a copy of this instance."""
-        other.__dict__.update(base=self.base, extremes=self.extremes, _tails=self._tails)
+        kept = {"base", "safest", "riskiest"}
+        if self.exact_tails == other.exact_tails:
+            kept.add("_tails")
+        other.__dict__.update((name, self.__dict__[name]) for name in kept & self.__dict__.keys())
         return other
 
     @cached_property
     def _tails(self) -> Tails:
-        safest, riskiest = self.extremes.safest, self.extremes.riskiest
         at = self.base.skeleton.least_over_members
-        both = (safest, riskiest)
+        least, riskiest = self.riskiest
+        exact = self.exact_tails or bool(self.base.skeleton.merged.any())
+        if exact:
+            reach, first = self.safest
+            greatest = -at(-reach.bound)
+        else:
+            first = goal_directed(self.model, self.survival)
+            greatest = np.full(self.base.n_nodes, self.survival)
+        both = (first, riskiest)
         return Tails(
-            decisions=np.stack([p.decision for p in both]),
+            decisions=np.stack([p.decision for p in both]).astype(np.int32),
             goal=np.stack([at(p.goal) for p in both]),
             early=np.stack([at(p.early) for p in both]),
             cost=np.stack([at(p.cost) for p in both]),
-            greatest_goal=-at(-self.extremes.greatest.bound),
-            least_goal=at(self.extremes.least.bound),
+            greatest_goal=greatest,
+            least_goal=at(least.bound),
+            exact=exact,
         )
 
     def _cap_layers(self) -> int:
@@ -159,8 +189,10 @@ class CostInstance:
         elif self.fixed_cap is not None:
             layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
         else:
-            first = self.least_failure().column
-            typical = first.cost / max(first.goal, 1e-300) / base.unit
+            tails = self._tails
+            cost = float(base.start @ tails.cost[0])
+            goal = float(base.start @ tails.goal[0]) + base.start_goal
+            typical = cost / max(goal, 1e-300) / base.unit
             layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
         if (layers + base.width) * base.n_nodes > _MOST_ENTRIES:
             raise ModelError(

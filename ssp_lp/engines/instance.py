@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.engines.oracles.oracle import Column, Oracle
+from ssp_lp.errors import InfeasibleError
+from ssp_lp.model import SSP
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.explicit import ExplicitProcess
 
@@ -24,8 +27,28 @@ class Instance(Protocol):
     """What an engine asks of a problem; a user's own formulation may bring its own."""
 
     @property
+    def model(self) -> SSP:
+        """The model."""
+        ...
+
+    @property
+    def start(self) -> FloatArray:
+        """The distribution in which an episode begins, [states]."""
+        ...
+
+    @property
+    def discount(self) -> float | None:
+        """The discount; None: exact."""
+        ...
+
+    @property
     def ratio(self) -> bool:
         """Whether the objective is cost / (1 - failure) (case S) rather than cost (case M)."""
+        ...
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether this instance is only to learn the price, from which its size will follow."""
         ...
 
     def least_failure(self) -> LeastFailure:
@@ -34,6 +57,10 @@ class Instance(Protocol):
 
     def oracle(self) -> Oracle:
         """The oracle of the process as it stands."""
+        ...
+
+    def for_program(self) -> Instance:
+        """The instance whose written-out process has the optimum of the problem, up to its size."""
         ...
 
     def explicit(self) -> ExplicitProcess:
@@ -59,3 +86,43 @@ class Instance(Protocol):
     def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """How much of a bound at this price is lost to truncation; 0 where nothing is."""
         ...
+
+
+def checked_least_failure(instance: Instance, budget: float | None) -> LeastFailure:
+    """The policy of least failure, which keeps to the budget.
+
+    Args:
+        instance: the instance.
+        budget: failure budget; None: whatever is least.
+
+    Raises:
+        InfeasibleError: it does not, or no cost given success exists.
+    """
+    least = instance.least_failure()
+    failure, discounted = least.column.failure, instance.discount is not None
+    if instance.ratio and least.column.goal <= 0.0:
+        raise InfeasibleError(
+            "the goal cannot be reached from the start: no cost given success exists",
+            failure_budget=budget,
+            least_failure=1.0,
+            least_discounted_failure=1.0 if discounted else None,
+        )
+    if budget is None or failure <= budget + LEAST_BUDGET:
+        return least
+    if not discounted:
+        raise InfeasibleError(
+            f"every policy fails with probability at least {failure:.12g}, above the budget "
+            f"{budget:g}; failure_budget=None asks for the least",
+            failure_budget=budget,
+            least_failure=failure,
+        )
+    greatest = float(instance.start @ greatest_goal_reach(instance.model).goal)
+    real = max(1.0 - greatest, 0.0)
+    raise InfeasibleError(
+        f"the discounted failure of every policy is at least {failure:.12g}, above the budget "
+        f"{budget:g}; the least real failure probability is {real:.12g}"
+        + ("; discount=None or a discount nearer to 1 is feasible" if real <= budget else ""),
+        failure_budget=budget,
+        least_failure=real,
+        least_discounted_failure=failure,
+    )

@@ -24,6 +24,7 @@ class LabelInstance:
     semantics: Semantics
     discount: float | None = None
     ratio: bool = False
+    is_trial: bool = False
 
     @cached_property
     def _oracle(self) -> ExplicitOracle:
@@ -54,6 +55,10 @@ class LabelInstance:
         return
 
     def matching(self, values: FloatArray) -> LabelInstance:
+        """The instance itself."""
+        return self
+
+    def for_program(self) -> LabelInstance:
         """The instance itself."""
         return self
 

@@ -4,15 +4,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.engines.column_generation import HullSearch, search
-from ssp_lp.engines.instance import Instance, LeastFailure
+from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import check_agreement, solve_program
+from ssp_lp.engines.opening import Hint, Opening, open_at, open_by_pricing
+from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.row import Row, relative_gap
 
 _PATIENCE = 3
+
+_TRIAL_TOLERANCE = 1e-2
+"""A trial only learns the price, from which the next instance's size follows."""
+
+_SPREAD = 1e-6  # relative uncertainty of a price that a search or a program ended with
 
 
 @dataclass(frozen=True)
@@ -32,64 +39,89 @@ class Outcome:
 
     found: HullSearch
     instance: Instance
+    row: Row
+    least: LeastFailure | None = None  # where it had to be worked out
     calls: int = 0
+    work: Work = field(default_factory=Work)
     program: str = ""  # report of the last linear program
 
 
-def optimise(instance: Instance, least: LeastFailure, row: Row, effort: Effort) -> Outcome:
+def optimise(instance: Instance, budget: float, effort: Effort) -> Outcome:
     """Search on finer and finer instances until the gap is met, or refining does not help.
 
     Args:
         instance: the instance to begin with.
-        least: its least-failure column, from which every search starts.
-        row: failure budget, at least the least failure, and form of the objective.
+        budget: failure budget.
         effort: engine, tolerance and limits.
 
     Raises:
+        InfeasibleError: no policy keeps to the budget.
         SolverError: the linear program's answer fails its check.
     """
     gaps: list[float] = []
-    outcome = _attempt(instance, least, row, effort, None)
+    instance = instance.for_program() if effort.engine == "lp" else instance
+    outcome = _attempt(instance, Row(budget, instance.ratio), None, effort, None)
     while True:
-        gaps.append(relative_gap(outcome.found.objective, outcome.found.lower_bound))
+        found, here = outcome.found, outcome.instance
+        gaps.append(relative_gap(found.objective, found.lower_bound))
         if gaps[-1] <= effort.tolerance or time.perf_counter() > effort.deadline:
             return outcome
-        price = outcome.found.price
-        if _is_stagnant(gaps) and outcome.instance.tail_loss(price) == 0.0:
+        if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
             return outcome
-        finer = outcome.instance.refined(price)
+        finer = here.refined(found.price)
         if finer is None:
             return outcome
-        following = _attempt(finer, least, row, effort, price)
-        outcome = replace(following, calls=outcome.calls + following.calls)
+        hint = Hint(found.price, _TRIAL_TOLERANCE if here.is_trial else _SPREAD)
+        following = _attempt(finer, outcome.row, outcome.least, effort, hint)
+        outcome = replace(
+            following, calls=outcome.calls + following.calls, work=outcome.work + following.work
+        )
 
 
 def _attempt(
-    instance: Instance, least: LeastFailure, row: Row, effort: Effort, hint: float | None
+    instance: Instance, row: Row, least: LeastFailure | None, effort: Effort, hint: Hint | None
 ) -> Outcome:
     """One search, started from the dual of the linear program where that is the engine.
 
     A budget equal to the least failure needs no program, whose feasibility would hang on rounding:
     the first column is the answer, and its own bound holds.
     """
-    tight, optimum = row.budget <= least.column.failure, None
-    if effort.engine == "lp" and row.budget > least.column.failure + LEAST_BUDGET:
-        optimum = solve_program(instance, row, effort.backend, effort.deadline)
-        hint = optimum.price
+    optimum = None
+    if effort.engine == "lp":
+        least = checked_least_failure(instance, row.budget) if least is None else least
+        row = replace(row, budget=max(row.budget, least.column.failure))
+        if row.budget > least.column.failure + LEAST_BUDGET:
+            optimum = solve_program(instance, row, effort.backend, effort.deadline)
+            hint = Hint(optimum.price, _SPREAD)
+    opening = _opening(instance, row, least, effort, hint)
+    row, least = opening.edge.row, opening.least
     found = search(
         instance.oracle(),
-        least.column,
-        row,
-        tolerance=effort.tolerance,
-        hint=hint,
+        opening.edge,
+        tolerance=_TRIAL_TOLERANCE if instance.is_trial else effort.tolerance,
+        last=opening.last,
         deadline=effort.deadline,
         report=effort.progress,
     )
     if optimum is not None:
         check_agreement(optimum, found.objective)
-    if tight:
+    if least is not None and row.budget <= least.column.failure:
         found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
-    return Outcome(found, instance, found.rounds, "" if optimum is None else optimum.report)
+    calls, work = opening.calls + found.rounds, opening.work + found.work
+    report = "" if optimum is None else optimum.report
+    return Outcome(found, instance, row, least, calls, work, report)
+
+
+def _opening(
+    instance: Instance, row: Row, least: LeastFailure | None, effort: Effort, hint: Hint | None
+) -> Opening:
+    """Columns to begin with, by pricing if that finds one that keeps to the budget."""
+    if least is None or row.budget > least.column.failure:
+        opening = open_by_pricing(instance, row, hint, effort.deadline, effort.progress)
+        if opening is not None:
+            return replace(opening, least=least)
+    least = checked_least_failure(instance, row.budget) if least is None else least
+    return open_at(least, row)
 
 
 def _is_stagnant(gaps: list[float]) -> bool:

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import PROBABILITY_SUM, BoolArray, FloatArray, IntArray, read_only, segment_sums
+from ssp_lp.arrays import PROBABILITY_SUM, BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
+from ssp_lp.model.chunks import chunks, pieces
 
+AnyArray = npt.NDArray[Any]
 Describe = Callable[[int], str]
 
 
@@ -17,8 +20,9 @@ def check_offsets(name: str, offsets: IntArray, end: int) -> None:
     """Raise :class:`ModelError` unless ``offsets`` rise from 0 to ``end``."""
     if offsets.ndim != 1 or offsets.size == 0 or offsets[0] != 0 or offsets[-1] != end:
         raise ModelError(f"{name} must be one-dimensional and run from 0 to {end}")
-    if np.any(np.diff(offsets) < 0):
-        raise ModelError(f"{name} decreases at position {int(np.argmax(np.diff(offsets) < 0))}")
+    falls = offsets[1:] < offsets[:-1]
+    if falls.any():
+        raise ModelError(f"{name} decreases at position {int(np.argmax(falls))}")
 
 
 def check_outcomes(
@@ -40,18 +44,21 @@ def check_outcomes(
     Raises:
         ModelError: naming the first outcome at fault.
     """
-    rules: list[tuple[BoolArray, str]] = [
-        ((successors < 0) | (successors >= n_states), "has a successor that is no state"),
-        (np.isnan(probabilities), "has a probability that is NaN"),
-        (probabilities < 0, "has a negative probability"),
-        (np.isinf(probabilities), "has an infinite probability"),
-        (np.isnan(costs), "has a cost that is NaN"),
-        (costs < 0, "has a negative cost"),
-        (np.isinf(costs), "has an infinite cost"),
+    paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
+    rules: list[tuple[AnyArray, Callable[[AnyArray], AnyArray], str]] = [
+        (successors, lambda s: (s < 0) | (s >= n_states), "has a successor that is no state"),
+        (probabilities, np.isnan, "has a probability that is NaN"),
+        (probabilities, lambda p: p < 0, "has a negative probability"),
+        (probabilities, np.isinf, "has an infinite probability"),
+        (paid, np.isnan, "has a cost that is NaN"),
+        (paid, lambda c: c < 0, "has a negative cost"),
+        (paid, np.isinf, "has an infinite cost"),
     ]
-    for broken, complaint in rules:
-        if broken.any():
-            raise ModelError(f"{describe(int(np.argmax(broken)))} {complaint}")
+    for values, is_broken, complaint in rules:
+        for some in chunks(values.size):
+            broken = is_broken(values[some])
+            if broken.any():
+                raise ModelError(f"{describe(some.start + int(np.argmax(broken)))} {complaint}")
 
 
 def unit_sums(probabilities: FloatArray, offsets: IntArray, describe: Describe) -> FloatArray:
@@ -65,17 +72,23 @@ def unit_sums(probabilities: FloatArray, offsets: IntArray, describe: Describe) 
     Raises:
         ModelError: a pair without outcomes, or whose probabilities do not sum to one.
     """
-    empty = np.diff(offsets) == 0
+    empty = offsets[1:] == offsets[:-1]
     if empty.any():
         raise ModelError(f"{describe(int(np.argmax(empty)))} has no outcomes")
-    sums = segment_sums(probabilities, offsets)
+    sums = np.empty(empty.size)
+    for piece in pieces(offsets):
+        sums[piece.segments] = np.add.reduceat(probabilities[piece.entries], piece.firsts)
     wrong = np.abs(sums - 1.0) > PROBABILITY_SUM
     if wrong.any():
         pair = int(np.argmax(wrong))
         raise ModelError(f"{describe(pair)}: probabilities sum to {sums[pair]:.12g}, not to 1")
     if np.all(sums == 1.0):
         return probabilities
-    return probabilities / np.repeat(sums, np.diff(offsets))
+    shared = np.empty_like(probabilities)
+    for piece in pieces(offsets):
+        by = np.repeat(sums[piece.segments], piece.lengths)
+        np.divide(probabilities[piece.entries], by, out=shared[piece.entries])
+    return shared
 
 
 def successor_array(successors: npt.ArrayLike) -> IntArray:
@@ -84,6 +97,25 @@ def successor_array(successors: npt.ArrayLike) -> IntArray:
     if array.size and not np.issubdtype(array.dtype, np.integer):
         raise ModelError("successors must be integers (indices of states)")
     return read_only(array, np.int64 if array.dtype.itemsize > 4 else np.int32)
+
+
+def cost_array(costs: npt.ArrayLike, outcome_offsets: IntArray) -> FloatArray:
+    """Spread costs over outcomes, [outcomes]; a number for all of them takes no room.
+
+    Args:
+        costs: one number, or one per pair, or one per outcome.
+        outcome_offsets: [pairs + 1].
+
+    Raises:
+        ModelError: they are of another length.
+    """
+    given = np.asarray(costs, dtype=np.float64)
+    n_pairs, n_outcomes = len(outcome_offsets) - 1, int(outcome_offsets[-1])
+    if given.ndim == 0 or given.shape == (n_outcomes,):
+        return read_only(np.broadcast_to(given, (n_outcomes,)))
+    if given.shape == (n_pairs,):
+        return read_only(np.repeat(given, np.diff(outcome_offsets)))
+    raise ModelError(f"costs must be a number, {n_pairs} or {n_outcomes} numbers")
 
 
 def check_idle_states(

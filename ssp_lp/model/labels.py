@@ -11,6 +11,7 @@ import numpy.typing as npt
 from ssp_lp.arrays import BoolArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model.builders import no_lone_string
+from ssp_lp.model.chunks import pieces
 
 
 def goal_mask_of(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
@@ -38,8 +39,12 @@ def action_table(
     """Distinct action labels and, per pair, the position of its label among them."""
     n_pairs = int(pair_offsets[-1])
     if actions is None:
-        position = np.arange(n_pairs) - np.repeat(pair_offsets[:-1], np.diff(pair_offsets))
-        return range(int(position.max(initial=-1)) + 1), position.astype(np.int32)
+        most = int(np.diff(pair_offsets).max(initial=0))
+        position = np.empty(n_pairs, dtype=np.min_scalar_type(most))
+        for piece in pieces(pair_offsets):
+            first = np.repeat(piece.firsts, piece.lengths)
+            position[piece.entries] = np.arange(first.size) - first
+        return range(most), position
     if len(actions) != n_pairs:
         raise ModelError(f"{len(actions)} action labels given for {n_pairs} pairs")
     table: dict[Hashable, int] = {}

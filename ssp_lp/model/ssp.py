@@ -23,6 +23,7 @@ from ssp_lp.model.checks import (
     check_idle_states,
     check_offsets,
     check_outcomes,
+    cost_array,
     successor_array,
     unit_sums,
 )
@@ -32,6 +33,7 @@ from ssp_lp.model.labels import (
     goal_mask_of,
     indexed_labels,
 )
+from ssp_lp.model.predecessors import Predecessors, find_predecessors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -179,7 +181,7 @@ class SSP:
         chance = read_only(probabilities, np.float64)
         if target.shape != (n_outcomes,) or chance.shape != (n_outcomes,):
             raise ModelError(f"successors and probabilities must have length {n_outcomes}")
-        stage_cost = draft._per_outcome(costs)
+        stage_cost = cost_array(costs, draft.outcome_offsets)
         check_outcomes(target, chance, stage_cost, draft.n_states, draft._describe_outcome)
         chance = unit_sums(chance, draft.outcome_offsets, draft.describe_pair)
         check_idle_states(
@@ -250,6 +252,13 @@ class SSP:
         return read_only(np.repeat(np.arange(self.n_states, dtype=np.int32), counts))
 
     @cached_property
+    def predecessors(self) -> Predecessors:
+        """For each state the pairs that may lead to it; found at first use, then kept."""
+        return find_predecessors(
+            self.n_states, self.outcome_offsets, self.successors, self.probabilities
+        )
+
+    @cached_property
     def _index(self) -> Mapping[Hashable, int]:
         return {label: i for i, label in enumerate(self.states)}
 
@@ -283,12 +292,3 @@ class SSP:
     def _describe_outcome(self, outcome: int) -> str:
         pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
         return self.describe_pair(pair)
-
-    def _per_outcome(self, costs: npt.ArrayLike) -> FloatArray:
-        """Spread costs (scalar, per pair or per outcome) over outcomes; a scalar takes no room."""
-        given, n_outcomes = np.asarray(costs, dtype=np.float64), int(self.outcome_offsets[-1])
-        if given.ndim == 0 or given.shape == (n_outcomes,):
-            return read_only(np.broadcast_to(given, (n_outcomes,)))
-        if given.shape == (self.n_pairs,):
-            return read_only(np.repeat(given, np.diff(self.outcome_offsets)))
-        raise ModelError(f"costs must be a number, {self.n_pairs} or {n_outcomes} numbers")

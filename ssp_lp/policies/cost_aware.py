@@ -28,15 +28,16 @@ class CostAwarePolicy(Policy, Playable):
 
     model: SSP
     unit: float  # cost of one layer
-    decision: IntArray  # [cap, states] pair, GIVE_UP_CODE or UNDECIDED
-    tails: IntArray  # [tails, states] likewise
+    decision: IntArray  # [cap, states] position in the state's pairs, GIVE_UP_CODE or UNDECIDED
+    tails: IntArray  # [tails, states] pair, GIVE_UP_CODE or UNDECIDED
     tail_threshold: FloatArray  # [states] layer from which the last tail is followed
 
     def __post_init__(self) -> None:
         for name in ("decision", "tails", "tail_threshold"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         everywhere = np.arange(self.model.n_states)
-        check_decisions(self.model, self.decision, everywhere)
+        for layer in self.decision:
+            check_decisions(self.model, self._pairs(layer, everywhere), everywhere)
         check_decisions(self.model, self.tails, everywhere)
 
     @property
@@ -56,7 +57,8 @@ class CostAwarePolicy(Policy, Playable):
         """The one decision of each (state, memory)."""
         below = memory < self.cap
         pair = np.empty(len(states), dtype=np.int64)
-        pair[below] = self.decision[memory[below], states[below]]
+        some = states[below]
+        pair[below] = self._pairs(self.decision[memory[below], some], some)
         pair[~below] = self.tails[memory[~below] - self.cap, states[~below]]
         return Branches(np.arange(len(states)), pair, np.ones(len(states)))
 
@@ -75,6 +77,10 @@ class CostAwarePolicy(Policy, Playable):
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
         layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
         return np.where(acting, self._memory_at(layer, successors), memory)
+
+    def _pairs(self, decision: IntArray, states: IntArray) -> IntArray:
+        """Pairs of the model in place of positions; codes stay, [k] of [k]."""
+        return np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
 
     def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
         last = len(self.tails) - 1

@@ -7,8 +7,7 @@ here, so where the goal can be avoided for sure (attention states) a policy may 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -16,9 +15,11 @@ import scipy.sparse as sp
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states
-from ssp_lp.process.lattice import common_unit, layers_of
+from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means, uniform_cost
+from ssp_lp.process.lattice import Lattice, lattice_of
+from ssp_lp.process.rows import RowChoice, live_rows
 from ssp_lp.process.semantics import survival_of
-from ssp_lp.process.skeleton import Skeleton, build_skeleton, costless_pairs
+from ssp_lp.process.skeleton import Skeleton, build_skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,8 @@ class AccumulatedCost:
     unit: float  # cost of one layer
     width: int  # layers that one step can reach: 0 .. width - 1 ahead
     survival: float  # the discount, 1 in the exact setting
-    steps: sp.csr_array  # [pairs, width * nodes] column = layers ahead * nodes + node
+    instant: sp.csr_array  # [pairs, nodes] steps that cost nothing and stay in the layer
+    later: sp.csr_array  # [pairs, (width - 1) * nodes] column 0 is one layer ahead
     gain: FloatArray  # [pairs] probability of stepping into the goal (weight gamma^t)
     gain_cost: FloatArray  # [pairs] E[stage cost; step into the goal]
     failure: FloatArray  # [pairs] mass that fails
@@ -47,17 +49,10 @@ class AccumulatedCost:
         """Pairs of each node, [nodes + 1]."""
         return self.skeleton.pair_offsets
 
-    @cached_property
-    def instant(self) -> sp.csr_array:
-        """Steps that cost nothing and stay in the layer, [pairs, nodes]."""
-        inside = sp.csr_array(self.steps[:, : self.n_nodes])
-        inside.sum_duplicates()
-        return inside
-
-    @cached_property
-    def later(self) -> sp.csr_array:
-        """Steps that cost something, [pairs, (width - 1) * nodes]; column 0 is one layer ahead."""
-        return sp.csr_array(self.steps[:, self.n_nodes :])
+    @property
+    def steps(self) -> sp.csr_array:
+        """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
+        return sp.csr_array(sp.hstack([self.instant, self.later]))
 
 
 def accumulate_cost(model: SSP, start: FloatArray, discount: float | None) -> AccumulatedCost:
@@ -74,25 +69,36 @@ def accumulate_cost(model: SSP, start: FloatArray, discount: float | None) -> Ac
     survival = survival_of(discount)
     free = costless_pairs(model) if discount is None else None
     skeleton = build_skeleton(model, free=free, exits=attention_states(model))
-    moving = (skeleton.node_of[model.successors] >= 0) & (model.probabilities > 0)
-    paid = model.costs[moving]
-    unit = common_unit(paid, model.exact_costs)
-    layer = np.zeros(model.n_outcomes, dtype=np.int64)
-    layer[moving] = layers_of(paid, unit, model.exact_costs)
-    width = int(layer.max(initial=0)) + 1
-    to_goal = model.goal_mask[model.successors].astype(np.float64)
-    to_dead = skeleton.expectation(skeleton.dead[model.successors].astype(np.float64), 1.0)
+    lattice = lattice_of(model, skeleton.node_of >= 0)
+    instant, later = _steps(skeleton, lattice, survival)
+    to_dead = skeleton.at_pairs(successor_means(model, skeleton.dead), 1.0)
     acting = skeleton.pair_at >= 0
     return AccumulatedCost(
         skeleton=skeleton,
-        unit=float(unit),
-        width=width,
+        unit=float(lattice.unit),
+        width=lattice.width,
         survival=survival,
-        steps=sp.csr_array(skeleton.matrix(model.probabilities, layer, width) * survival),
-        gain=skeleton.expectation(to_goal),
-        gain_cost=skeleton.expectation(to_goal * model.costs),
+        instant=instant,
+        later=later,
+        gain=skeleton.at_pairs(successor_means(model, model.goal_mask)),
+        gain_cost=skeleton.at_pairs(cost_means(model, model.goal_mask)),
         failure=np.where(acting, (1.0 - survival) + survival * to_dead, 1.0),
         start=skeleton.gather(start),
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[skeleton.dead].sum()),
     )
+
+
+def _steps(
+    skeleton: Skeleton, lattice: Lattice, survival: float
+) -> tuple[sp.csr_array, sp.csr_array]:
+    """Steps within the layer and steps to later layers; one of them is often empty."""
+    model, n = skeleton.model, skeleton.n_nodes
+    rows = RowChoice(model, skeleton.node_of, n, skeleton.pair_at)
+    uniform = uniform_cost(model)
+    if lattice.width == 2 and uniform is not None and uniform > 0.0:  # one layer a step
+        later, _ = live_rows(rows, survival)
+        return sp.csr_array(later.shape), later
+    rows = replace(rows, ahead=lattice.ahead, width=lattice.width)
+    steps = live_rows(rows, survival)[0]
+    return sp.csr_array(steps[:, :n]), sp.csr_array(steps[:, n:])

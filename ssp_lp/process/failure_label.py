@@ -15,16 +15,16 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states
 from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.semantics import (
     GiveUp,
     Semantics,
     dead_end_charges,
-    expected_costs,
     give_up_charges,
     survival_of,
 )
-from ssp_lp.process.skeleton import Skeleton, build_skeleton, costless_pairs
+from ssp_lp.process.skeleton import Skeleton, build_skeleton
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,32 +79,21 @@ def label_failure(
 def _fill(
     model: SSP, skeleton: Skeleton, charges: FloatArray, entering: FloatArray, survival: float
 ) -> ExplicitProcess:
-    per_node = skeleton.least_over_members(charges)
-    stage = _at_pairs(skeleton, expected_costs(model), per_node)
-    into_dead = skeleton.dead[model.successors].astype(np.float64)
-    to_dead = skeleton.expectation(into_dead, 1.0)
-    charged = skeleton.expectation(entering[model.successors])
-    to_goal = skeleton.expectation(model.goal_mask[model.successors].astype(np.float64))
-    acting = skeleton.pair_at >= 0
-    transitions, departs = sp.csr_array(skeleton.outcomes * survival), np.ones(len(acting))
-    if survival == 1.0:
-        transitions, departs = skeleton.departures
+    stage = skeleton.at_pairs(cost_means(model), skeleton.least_over_members(charges))
+    to_dead = skeleton.at_pairs(successor_means(model, skeleton.dead), 1.0)
+    if entering.any():
+        stage = stage + survival * skeleton.at_pairs(successor_means(model, entering))
+    to_goal = skeleton.at_pairs(successor_means(model, model.goal_mask))
+    leaks = np.where(skeleton.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)
+    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
     return ExplicitProcess(
         pair_offsets=skeleton.pair_offsets,
         transitions=transitions,
         start=np.zeros(skeleton.n_nodes),
-        cost=(stage + survival * charged) / departs,
-        failure=np.where(acting, (1.0 - survival) + survival * to_dead, 1.0) / departs,
+        cost=stage / departs,
+        failure=leaks / departs,
         goal=survival * to_goal / departs,
     )
-
-
-def _at_pairs(skeleton: Skeleton, per_pair: FloatArray, give_up: FloatArray) -> FloatArray:
-    """Values of model pairs and, for pairs that give up, of their nodes, [pairs]."""
-    values = give_up[skeleton.pair_node].copy()
-    acting = skeleton.pair_at >= 0
-    values[acting] = per_pair[skeleton.pair_at[acting]]
-    return values
 
 
 def _with_start(

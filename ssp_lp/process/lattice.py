@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from fractions import Fraction
 from math import gcd, lcm
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.chunks import chunks
+from ssp_lp.process.expectations import uniform_cost
 
 _MOST_LAYERS_PER_STEP = 1_000_000
 
@@ -51,3 +55,44 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
             f"{float(distinct[-1]) / 100:g}) when building the model"
         )
     return np.array(counts, dtype=np.int64)[back].reshape(np.shape(costs))
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """The unit of accumulated cost, and how many units each outcome passes."""
+
+    unit: Fraction
+    ahead: IntArray  # [outcomes] layers ahead, of outcomes that go on
+    width: int  # layers that one step can reach: 0 .. width - 1 ahead
+
+
+def lattice_of(model: SSP, going_on: BoolArray) -> Lattice:
+    """Place a model's costs on their common lattice.
+
+    Args:
+        model: the model.
+        going_on: successors at which a run goes on, so that the cost of getting there must be
+            remembered, [states].
+
+    Raises:
+        ModelError: the costs have no common unit that gives a sane number of layers.
+    """
+    exact = model.exact_costs
+    same = uniform_cost(model)
+    if same is not None:
+        unit = common_unit(np.array([same]), exact)
+        layer = layers_of(np.array([same]), unit, exact).astype(np.int32)
+        return Lattice(unit, np.broadcast_to(layer, (model.n_outcomes,)), int(layer[0]) + 1)
+    found = [np.zeros(0)]
+    for some in chunks(model.n_outcomes):
+        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
+        found.append(np.unique(model.costs[some][moving]))
+    distinct = np.unique(np.concatenate(found))
+    unit = common_unit(distinct, exact)
+    layers = layers_of(distinct, unit, exact)
+    ahead = np.zeros(model.n_outcomes, dtype=np.int32)
+    for some in chunks(model.n_outcomes if distinct.size else 0):
+        place = np.minimum(np.searchsorted(distinct, model.costs[some]), distinct.size - 1)
+        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
+        ahead[some] = np.where(moving, layers[place], 0)
+    return Lattice(unit, ahead, int(ahead.max(initial=0)) + 1)

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, read_only
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.process.accumulated_cost import AccumulatedCost
 
 
@@ -16,7 +15,8 @@ from ssp_lp.process.accumulated_cost import AccumulatedCost
 class Tails:
     """Stationary policies for accumulated costs beyond the cap, as values per node.
 
-    Row 0 fails least (then is cheapest), the last row fails most (the paper's pi'_or).
+    Row 0 goes for the goal, where ``exact`` with the least failure; the last row fails most (the
+    paper's pi'_or).
     """
 
     decisions: IntArray  # [tails, states]
@@ -25,6 +25,7 @@ class Tails:
     cost: FloatArray  # [tails, nodes] E[gamma^(T - 1) * cost; goal]
     greatest_goal: FloatArray  # [nodes] checked upper bound of E[gamma^T; goal]
     least_goal: FloatArray  # [nodes] checked lower bound of it
+    exact: bool = True  # whether row 0 and the upper bound are those of the least failure
 
     def threshold(self, unit: float, failure_price: float) -> FloatArray:
         """Layer from which the last tail is no worse than the first at this price, [nodes].
@@ -86,20 +87,22 @@ class LayeredProcess:
         """Pull a choice back to the model.
 
         Args:
-            choice: position among the pairs of one layer, [cap, nodes].
+            choice: position among the pairs of its node, [cap, nodes].
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
-        skeleton = self.base.skeleton
-        threshold = np.full(skeleton.model.n_states, np.inf)
+        skeleton, model = self.base.skeleton, self.base.skeleton.model
+        threshold = np.full(model.n_states, np.inf)
         live = skeleton.node_of >= 0
         threshold[live] = self.threshold(tail_price)[skeleton.node_of[live]]
-        decision = np.full((self.cap, skeleton.model.n_states), UNDECIDED, dtype=np.int32)
+        most = int(np.diff(model.pair_offsets).max(initial=1))
+        decision = np.empty((self.cap, model.n_states), dtype=least_integer_type(most))
         for layer in range(self.cap):
-            decision[layer] = skeleton.pull_back(choice[layer])
+            pair = skeleton.pull_back(self.base.pair_offsets[:-1] + choice[layer])
+            decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
         return CostAwarePolicy(
-            model=skeleton.model,
+            model=model,
             unit=self.base.unit,
-            decision=read_only(decision),
+            decision=decision,
             tails=self.tails.decisions,
             tail_threshold=threshold,
         )

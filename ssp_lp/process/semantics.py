@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, segment_minima, segment_sums
+from ssp_lp.arrays import BoolArray, FloatArray, segment_minima
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import staying_pairs
+from ssp_lp.process.expectations import cost_means
 
 
 class GiveUp(enum.StrEnum):
@@ -49,11 +50,6 @@ def parse_give_up(value: str | GiveUp) -> GiveUp:
         raise ModelError(f"give_up must be one of {choices}, not {value!r}") from error
 
 
-def expected_costs(model: SSP) -> FloatArray:
-    """Expected stage cost E[g(x, u, w)] of each pair, [pairs]."""
-    return segment_sums(model.probabilities * model.costs, model.outcome_offsets)
-
-
 def dead_end_charges(model: SSP, dead: BoolArray, semantics: Semantics) -> FloatArray:
     """What entering each dead-end costs once: its least expected stage cost, [states].
 
@@ -61,7 +57,7 @@ def dead_end_charges(model: SSP, dead: BoolArray, semantics: Semantics) -> Float
     """
     if not semantics.charge_failing_step:
         return np.zeros(model.n_states)
-    least = segment_minima(expected_costs(model), model.pair_offsets)
+    least = segment_minima(cost_means(model), model.pair_offsets)
     return np.where(dead & np.isfinite(least), least, 0.0)
 
 
@@ -81,7 +77,7 @@ def give_up_charges(
         allowed = ~model.goal_mask & (anywhere | attention)
         charge[allowed] = 0.0
         if semantics.charge_failing_step:
-            costs = expected_costs(model)
+            costs = cost_means(model)
             if not anywhere:
                 costs = np.where(staying_pairs(model, attention), costs, np.inf)
             charge[allowed] = segment_minima(costs, model.pair_offsets)[allowed]

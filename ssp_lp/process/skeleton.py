@@ -7,16 +7,15 @@ such a component is free, so an exact process treats it as one place (DESIGN, se
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
-from ssp_lp.linear import without_self_loops
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids, segment_sums
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, end_components
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
+from ssp_lp.process.rows import RowChoice, live_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,59 +32,31 @@ class Skeleton:
     pair_node: IntArray  # [pairs] increasing
     pair_offsets: IntArray  # [nodes + 1]
 
-    @cached_property
-    def outcomes(self) -> sp.csr_array:
-        """Probability of going from each pair to each node, [pairs, nodes]."""
-        return self.matrix(self.model.probabilities, np.zeros(self.model.n_outcomes, np.int64), 1)
-
-    @cached_property
-    def departures(self) -> tuple[sp.csr_array, FloatArray]:
-        """Outcomes seen on departing from a node only, [pairs, nodes], and the mass that departs.
-
-        For exact processes: waiting in place changes no total (see ``without_self_loops``).
-        """
-        ended = np.where(self.node_of[self.model.successors] < 0, 1.0, 0.0)
-        return without_self_loops(self.outcomes, self.pair_node, self.expectation(ended, 1.0))
-
-    def matrix(self, weights: FloatArray, layer: IntArray, width: int) -> sp.csr_array:
-        """Sum outcome weights by pair and (layer, node), [pairs, width * nodes].
+    def transitions(self, survival: float, *, departing: bool) -> tuple[sp.csr_array, FloatArray]:
+        """Probability of going from each pair to each node, [pairs, nodes].
 
         Args:
-            weights: [outcomes]; outcomes into goals and dead-ends are left out.
-            layer: block of columns of each outcome, 0 .. width - 1, [outcomes].
+            survival: factor of every probability, the discount.
+            departing: see each node's outcomes on departing from it only (see ``live_rows``).
+
+        Returns:
+            The matrix and what its rows were divided by, [pairs].
         """
-        target = self.node_of[self.model.successors]
-        live = (target >= 0) & (weights != 0)
-        column = layer[live] * self.n_nodes + target[live]
-        before = np.concatenate([[0], np.cumsum(live)])
-        full = sp.csr_array(
-            (weights[live], column, before[self.model.outcome_offsets]),
-            shape=(self.model.n_pairs, width * self.n_nodes),
+        home = self.pair_node if departing else None
+        return live_rows(
+            RowChoice(self.model, self.node_of, self.n_nodes, self.pair_at, home), survival
         )
-        chosen = sp.csr_array(full[np.maximum(self.pair_at, 0)] if self.model.n_pairs else full)
-        gives_up = np.flatnonzero(self.pair_at < 0)
-        if gives_up.size:
-            keep = np.ones(len(self.pair_at))
-            keep[gives_up] = 0.0
-            chosen = sp.csr_array(sp.diags_array(keep) @ chosen)
-            chosen.eliminate_zeros()
-        chosen.sum_duplicates()
-        return chosen
 
-    def expectation(self, weights: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
-        """Expectation of outcome weights under each pair, [pairs].
+    def at_pairs(self, per_pair: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
+        """Values of the model's pairs, in the order of the pairs here, [pairs].
 
         Args:
-            weights: [outcomes].
+            per_pair: [model pairs].
             give_up: value of the pairs that give up: a number, or one per node.
         """
-        per_pair = segment_sums(self.model.probabilities * weights, self.model.outcome_offsets)
-        acting = self.pair_at >= 0
-        result = np.broadcast_to(np.asarray(give_up, dtype=np.float64), (self.n_nodes,))[
-            self.pair_node
-        ].copy()
-        result[acting] = per_pair[self.pair_at[acting]]
-        return result
+        if isinstance(give_up, float):
+            return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up)
+        return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up[self.pair_node])
 
     def least_over_members(self, values: FloatArray) -> FloatArray:
         """Minimum of state values over the members of each node, [nodes]."""
@@ -119,12 +90,10 @@ class Skeleton:
         Returns:
             [states] pair of the model, GIVE_UP_CODE or UNDECIDED.
         """
-        decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int64)
+        decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int32)
         chosen = self.pair_at[choice]
-        live = self.node_of >= 0
-        gives_up = np.zeros(self.model.n_states, dtype=np.bool_)
-        gives_up[live] = chosen[self.node_of[live]] == GIVE_UP_CODE
-        decision[gives_up] = GIVE_UP_CODE
+        live = np.flatnonzero(self.node_of >= 0)
+        decision[live[chosen[self.node_of[live]] == GIVE_UP_CODE]] = GIVE_UP_CODE
         acting = chosen[chosen >= 0]
         decision[self.model.pair_state[acting]] = acting
         return self._routed(decision)
@@ -151,6 +120,7 @@ def build_skeleton(
     free: BoolArray | None = None,
     exits: BoolArray | None = None,
     free_exits: bool = False,
+    ended: BoolArray | None = None,
 ) -> Skeleton:
     """Group the live states into nodes and list the pairs by which each can be left.
 
@@ -160,30 +130,35 @@ def build_skeleton(
             collapsing (discounted processes leak mass everywhere and need none).
         exits: states in which giving up is allowed, [states].
         free_exits: also allow giving up in collapsed components, that is staying for ever.
+        ended: further states at which the process ends, [states].
     """
     dead = dead_ends(model)
     live = ~dead & ~model.goal_mask
-    usable = np.ones(model.n_pairs, dtype=np.bool_) if usable is None else usable
-    usable = usable & live[model.pair_state]
-    if free is None:
-        component = np.full(model.n_states, -1)
-        inside = np.zeros(model.n_pairs, dtype=np.bool_)
-    else:
+    live = live if ended is None else live & ~ended
+    usable = live[model.pair_state] if usable is None else usable & live[model.pair_state]
+    component = np.full(model.n_states, -1)
+    inside = np.zeros(model.n_pairs, dtype=np.bool_)
+    if free is not None and (free & usable).any():
         component, inside = end_components(model, free & usable)
-    group = np.where(component >= 0, component + model.n_states, np.arange(model.n_states))
-    node_of = np.full(model.n_states, -1, dtype=np.int64)
-    _, node_of[live] = np.unique(_first_member(group, live)[live], return_inverse=True)
     merged = component >= 0
     leaving = np.zeros(model.n_states, dtype=np.bool_) if exits is None else exits & live
     if free_exits:
         leaving = leaving | merged
+    node_of = _numbered(live, component)
     return _with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
 
 
-def _first_member(group: IntArray, live: BoolArray) -> IntArray:
-    """The least state of each state's group, so that nodes keep the order of the states."""
-    _, first, back = np.unique(group, return_index=True, return_inverse=True)
-    return np.asarray(np.where(live, first[back], -1))
+def _numbered(live: BoolArray, component: IntArray) -> IntArray:
+    """Node of each state in the order of their first states, -1 where it is not live, [states]."""
+    group = np.where(component >= 0, component + live.size, np.arange(live.size))
+    first = np.arange(live.size)
+    members = np.flatnonzero(component >= 0)
+    if members.size:
+        _, begin, back = np.unique(group[members], return_index=True, return_inverse=True)
+        first[members] = members[begin[back]]
+    heads = live & (first == np.arange(live.size))
+    number = np.cumsum(heads, dtype=np.int32) - 1
+    return np.where(live, number[first], -1).astype(np.int32)
 
 
 def _with_pairs(
@@ -196,12 +171,19 @@ def _with_pairs(
     leaving: BoolArray,
 ) -> Skeleton:
     n_nodes = int(node_of.max(initial=-1)) + 1
-    pairs = np.flatnonzero(kept)
-    exit_nodes = np.unique(node_of[leaving])
-    pair_at = np.concatenate([np.full(exit_nodes.size, GIVE_UP_CODE), pairs])  # ties: give up
-    pair_node = np.concatenate([exit_nodes, node_of[model.pair_state[pairs]]])
-    order = np.argsort(pair_node, kind="stable")
-    counts = np.bincount(pair_node, minlength=n_nodes)
+    pairs = np.flatnonzero(kept).astype(np.int32)
+    pair_node = node_of[model.pair_state[pairs]]
+    if merged.any():
+        order = np.argsort(pair_node, kind="stable")
+        pairs, pair_node = pairs[order], pair_node[order]
+    gives_up = np.zeros(n_nodes, dtype=np.int32)
+    gives_up[node_of[leaving]] = 1
+    counts = np.bincount(pair_node, minlength=n_nodes) + gives_up
+    offsets = np.append(0, np.cumsum(counts)).astype(np.int32)
+    pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
+    acting = np.ones(len(pair_at), dtype=np.bool_)
+    acting[offsets[:-1][gives_up > 0]] = False  # first in its node: among equals giving up wins
+    pair_at[acting] = pairs
     return Skeleton(
         model=model,
         dead=dead,
@@ -209,15 +191,7 @@ def _with_pairs(
         n_nodes=n_nodes,
         inside=inside,
         merged=merged,
-        pair_at=pair_at[order],
-        pair_node=pair_node[order],
-        pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+        pair_at=pair_at,
+        pair_node=segment_ids(offsets),
+        pair_offsets=offsets,
     )
-
-
-def costless_pairs(model: SSP) -> BoolArray:
-    """Pairs whose every possible outcome costs nothing, [pairs]."""
-    paid = segment_sums(
-        ((model.probabilities > 0) & (model.costs > 0)).astype(np.float64), model.outcome_offsets
-    )
-    return np.asarray(paid == 0)

@@ -8,7 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.engines.oracles.oracle import Column, Proof, required
+from ssp_lp.bellman import ChosenRows
+from ssp_lp.engines.oracles.oracle import Column, Proof, Work, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.errors import ModelError
@@ -16,6 +17,8 @@ from ssp_lp.linear import accumulate
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import FailureLabelled
+
+_NO_WORK = Work()
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,26 +36,52 @@ class ExplicitOracle:
     def _leaving(self) -> IntArray:
         """A policy that leaves the process from every state, towards the goal first, [states]."""
         process = self.process
-        to_goal = approach(process.pair_offsets, process.transitions, process.goal > 0)
-        leaks = approach(
-            process.pair_offsets, process.transitions, process.goal + process.failure > 0
-        )
+        offsets, transitions = process.pair_offsets, process.transitions
+        to_goal = approach(offsets, transitions, process.goal > 0)
+        if to_goal.min(initial=0) >= 0:
+            return to_goal
+        leaks = approach(offsets, transitions, process.goal + process.failure > 0)
         return np.where(to_goal >= 0, to_goal, leaks)
+
+    @cached_property
+    def _rewards(self) -> FloatArray:
+        """Cost and failure of each pair, [pairs, 2]."""
+        return np.stack([self.process.cost, self.process.failure], axis=1)
+
+    def first(self) -> Column:
+        """A policy that comes nearer to the goal with every step it takes, where it can."""
+        return self.measure(self._leaving.astype(np.int32))
 
     def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
         """A policy of least ``cost + failure_price * failure``, measured exactly."""
         process = self.process
-        first = self._leaving if warm is None or warm.choice is None else warm.choice
-        priced = process.cost + failure_price * process.failure
-        choice, _ = improve(process.pair_offsets, process.transitions, priced, first)
-        return self.measure(choice)
+        found = warm is not None and warm.choice is not None
+        settled = improve(
+            process.pair_offsets,
+            process.transitions,
+            self._rewards,
+            np.array([1.0, failure_price]),
+            warm.choice if warm is not None and warm.choice is not None else self._leaving,
+            warm.totals if warm is not None and found else None,
+        )
+        return self.measure(settled.choice, settled.totals, settled.work)
 
-    def measure(self, choice: IntArray) -> Column:
-        """Exact cost and failure of one pair per state, by a sparse linear solve."""
+    def measure(
+        self, choice: IntArray, guess: FloatArray | None = None, work: Work = _NO_WORK
+    ) -> Column:
+        """Exact cost and failure of one pair per state, by sparse linear solves.
+
+        Args:
+            choice: [states].
+            guess: totals to start from, [states, 2].
+            work: what finding the choice took.
+        """
         process = self.process
-        reward = np.stack([process.cost[choice], process.failure[choice]], axis=1)
-        totals = process.start @ accumulate(process.transitions[choice], reward)
-        return Column(float(totals[0]), float(totals[1]), 1.0 - float(totals[1]), choice)
+        chain = ChosenRows(process.transitions, choice)
+        totals = accumulate(chain, self._rewards[choice], guess)
+        cost, failure = (process.start @ totals).tolist()
+        work = work + Work(0, chain.products)
+        return Column(cost, failure, 1.0 - failure, choice, totals=totals, work=work)
 
     def aligned(self, column: Column, price: float) -> Column:
         """The column itself: it has no tails."""
@@ -60,10 +89,8 @@ class ExplicitOracle:
 
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
-        process = self.process
-        priced = process.cost + price * process.failure
-        choice = self._leaving if best.choice is None else best.choice
-        return self.check(price, accumulate(process.transitions[choice], priced[choice]))
+        column = best if best.totals is not None else self.minimise(price, best)
+        return self.check(price, required(column.totals) @ np.array([1.0, price]))
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [states], to a checked sub-solution.

@@ -6,19 +6,23 @@ second stage that minimises a cost over the policies that attain the first (DESI
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import MAXIMISER, BoolArray, FloatArray, IntArray
+from ssp_lp.bellman import ChosenRows
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.linear import accumulate
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states
-from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.model.graph import approach_pairs, attention_states, pairs_into
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
+from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
+from ssp_lp.process.rows import RowChoice, live_rows
 from ssp_lp.process.skeleton import Skeleton, build_skeleton
+
+_ONE = np.ones(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,36 +54,39 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     """
     everything = np.ones(model.n_pairs, dtype=np.bool_) if survival == 1.0 else None
     skeleton = build_skeleton(model, free=everything)  # moving about in a component risks nothing
-    transitions, departs = _transitions(skeleton, survival)
+    offsets = skeleton.pair_offsets
+    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
     hit = survival * _goal_mass(skeleton) / departs
-    first = approach(skeleton.pair_offsets, transitions, hit > 0)
-    choice, loss = improve(skeleton.pair_offsets, transitions, -hit, first)
-    reach = -loss
-    reach = accumulate(transitions[choice], hit[choice], reach)
-    ahead = hit + transitions @ reach
-    best = ahead >= reach[skeleton.pair_node] * (1.0 - MAXIMISER)
-    best[choice] = True
-    bound = -sub_solution(skeleton.pair_offsets, transitions, -hit, -reach, floor=-1.0 - 1e-9)
-    return _on_states(skeleton, reach, bound, best, choice)
+    first = approach(offsets, transitions, hit > 0)
+    settled = improve(offsets, transitions, hit[:, None], -_ONE, first)
+    chain = ChosenRows(transitions, settled.choice)
+    reach = accumulate(chain, hit[settled.choice], settled.totals[:, 0])
+    best = hit + transitions @ reach >= reach[skeleton.pair_node] * (1.0 - MAXIMISER)
+    best[settled.choice] = True
+    bound = -sub_solution(offsets, transitions, -hit, -reach, floor=-1.0 - 1e-9)
+    return _on_states(skeleton, reach, bound, best, settled.choice)
 
 
 def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
-    """MINPROB: the least E[survival^T; goal] from every state; 0 at attention states."""
+    """MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
+
+    Only states that cannot avoid the goal for sure need to be solved for.
+    """
     attention = attention_states(model)
-    skeleton = build_skeleton(model, exits=attention)
-    transitions, departs = _transitions(skeleton, survival)
+    skeleton = build_skeleton(model, ended=attention)
+    offsets = skeleton.pair_offsets
+    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
     hit = survival * _goal_mass(skeleton) / departs
-    exits = np.flatnonzero(skeleton.pair_at == GIVE_UP_CODE)
-    first = approach(skeleton.pair_offsets, transitions, hit > 0)
-    first[skeleton.pair_node[exits]] = exits
-    choice, reach = improve(skeleton.pair_offsets, transitions, hit, first)
-    reach = np.maximum(accumulate(transitions[choice], hit[choice], reach), 0.0)
-    ahead = hit + transitions @ reach
-    best = ahead <= reach[skeleton.pair_node] * (1.0 + MAXIMISER)
-    best[attention[model.pair_state[np.maximum(skeleton.pair_at, 0)]]] = False
-    best[choice] = True
-    bound = sub_solution(skeleton.pair_offsets, transitions, hit, reach)
-    return _on_states(skeleton, reach, bound, best, choice)
+    first = np.asarray(offsets[:-1])
+    settled = improve(offsets, transitions, hit[:, None], _ONE, first)
+    chain = ChosenRows(transitions, settled.choice)
+    reach = np.maximum(accumulate(chain, hit[settled.choice], settled.totals[:, 0]), 0.0)
+    best = hit + transitions @ reach <= reach[skeleton.pair_node] * (1.0 + MAXIMISER)
+    best[settled.choice] = True
+    bound = sub_solution(offsets, transitions, hit, reach)
+    found = _on_states(skeleton, reach, bound, best, settled.choice)
+    decision = np.where(attention & ~skeleton.dead, GIVE_UP_CODE, found.decision)
+    return replace(found, decision=decision)
 
 
 def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
@@ -90,23 +97,21 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     section 4). Loops that cost nothing are collapsed: a policy must leave them.
     """
     early = np.where(model.goal_mask, 0.0, reach.goal / survival)
-    weight = np.where(model.goal_mask, 1.0, survival * early)[model.successors] * model.costs
-    free = None
-    if survival == 1.0:
-        paid = (weight > 0) & (model.probabilities > 0)
-        free = ~np.logical_or.reduceat(paid, model.outcome_offsets[:-1]) if model.n_pairs else None
+    weight = np.where(model.goal_mask, 1.0, survival * early)
     exits = reach.decision == GIVE_UP_CODE
-    free = None if free is None else free & ~exits[model.pair_state]
+    free = costless_pairs(model, weight) & ~exits[model.pair_state] if survival == 1.0 else None
     usable = reach.usable & ~exits[model.pair_state]
     skeleton = build_skeleton(model, usable=usable, free=free, exits=exits)
-    transitions, departs = _transitions(skeleton, survival)
-    leaving = (skeleton.pair_at == GIVE_UP_CODE) | (_goal_mass(skeleton) > 0)
-    first = approach(skeleton.pair_offsets, transitions, leaving)
-    pair_cost = skeleton.expectation(weight) / departs
-    choice, _ = improve(skeleton.pair_offsets, transitions, pair_cost, first)
-    chain = transitions[choice]
-    gain = (_goal_mass(skeleton) / departs)[choice]
-    solved = accumulate(chain, np.stack([pair_cost[choice], gain], axis=1))
+    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
+    gain = _goal_mass(skeleton) / departs
+    pair_cost = skeleton.at_pairs(cost_means(model, weight)) / departs
+    first = approach(
+        skeleton.pair_offsets, transitions, (skeleton.pair_at == GIVE_UP_CODE) | (gain > 0)
+    )
+    rewards, only_cost = np.stack([pair_cost, gain], axis=1), np.array([1.0, 0.0])
+    settled = improve(skeleton.pair_offsets, transitions, rewards, only_cost, first)
+    choice = settled.choice
+    solved = accumulate(ChosenRows(transitions, choice), rewards[choice], settled.totals)
     bound = sub_solution(skeleton.pair_offsets, transitions, pair_cost, solved[:, 0])
     early_goal = skeleton.lift(solved[:, 1])
     return ReachPolicy(
@@ -118,16 +123,36 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     )
 
 
+def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
+    """A policy every step of which may come nearer to the goal, in number of steps.
+
+    It reaches the goal with positive probability from wherever that can be done, and is found and
+    evaluated without optimising anything; its cost bound is the trivial one.
+    """
+    decision = approach_pairs(model, pairs_into(model, model.goal_mask))
+    live = np.flatnonzero(decision >= 0)
+    node_of = np.full(model.n_states, -1, dtype=np.int32)
+    node_of[live] = np.arange(live.size)
+    taken, exact = decision[live].astype(np.int32), survival == 1.0
+    home = node_of[live] if exact else None
+    chain, departs = live_rows(RowChoice(model, node_of, live.size, taken, home), survival)
+    hit = successor_means(model, model.goal_mask)[taken] / departs
+    early = np.zeros(model.n_states)
+    early[live] = accumulate(chain, hit)
+    goal = np.where(model.goal_mask, 1.0, survival * early)
+    cost = np.zeros(model.n_states)
+    cost[live] = accumulate(chain, cost_means(model, goal)[taken] / departs)
+    return ReachPolicy(
+        decision=np.where(decision >= 0, decision, UNDECIDED),
+        goal=goal,
+        early=early,
+        cost=cost,
+        cost_bound=np.zeros(model.n_states),
+    )
+
+
 def _goal_mass(skeleton: Skeleton) -> FloatArray:
-    model = skeleton.model
-    return skeleton.expectation(model.goal_mask[model.successors].astype(np.float64))
-
-
-def _transitions(skeleton: Skeleton, survival: float) -> tuple[sp.csr_array, FloatArray]:
-    """Discounted transitions; exact ones are seen on departing only, with the mass departing."""
-    if survival == 1.0:
-        return skeleton.departures
-    return sp.csr_array(skeleton.outcomes * survival), np.ones(len(skeleton.pair_at))
+    return skeleton.at_pairs(successor_means(skeleton.model, skeleton.model.goal_mask))
 
 
 def _on_states(

@@ -2,59 +2,95 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
     FloatArray,
     IntArray,
-    first_minimisers,
-    segment_minima,
+    least_integer_type,
 )
-from ssp_lp.engines.oracles.oracle import Column, Proof, required
+from ssp_lp.bellman import (
+    ChosenRows,
+    PairCost,
+    backup_rounding,
+    best_pairs,
+    chosen_product,
+    safe_minima,
+)
+from ssp_lp.engines.oracles.oracle import Column, Proof, Work, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
-from ssp_lp.engines.oracles.sub_solution import backup_rounding, sub_solution
+from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.engines.oracles.window import Window
 from ssp_lp.errors import ModelError
 from ssp_lp.linear import accumulate
+from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.layered import LayeredProcess
-
-_FEW_ENTRIES = 20_000
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
 
+_KEPT_VALUES = 25_000_000
+"""Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
+shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
+
+_ONE = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """The parts of each pair's backup, for counting rounding (see ``safe_minima``)."""
+
+    cost: PairCost
+    magnitude: FloatArray  # [pairs]
+    alone: FloatArray  # [pairs]
+
 
 @dataclass(frozen=True, eq=False)
 class LayeredOracle:
-    """Column generation's oracle for case S; the process is never written out."""
+    """Column generation's oracle for case S; the process is never written out.
+
+    A choice is the position of a pair among those of its node, [cap, nodes], in the smallest
+    integers that hold it.
+    """
 
     process: LayeredProcess
+
+    def first(self) -> Column:
+        """The policy of least failure among the tails, followed from the start."""
+        base, tails = self.process.base, self.process.tails
+        cost, goal = float(base.start @ tails.cost[0]), float(base.start @ tails.goal[0])
+        failure = float(base.start @ (1.0 - tails.goal[0])) + base.start_failure
+        policy = DeterministicPolicy(base.skeleton.model, tails.decisions[0])
+        return Column(cost, failure, goal + base.start_goal, None, policy=policy)
 
     def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
         """A policy of least ``E[cost; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
-        choice = np.empty((self.process.cap, base.n_nodes), dtype=np.int32)
+        choice = self._blank_choice()
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
-        window = Window(self._tail_values(failure_price, failing))
-        inner = self._first_choice
+        paid = PairCost(base.gain_cost + owed, base.gain * base.unit)
+        ahead = Window(self._tail_values(failure_price, failing))
+        measured = self._measures_beyond(failure_price)
+        totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
         for layer in reversed(range(self.process.cap)):
-            paid = base.gain * (layer * base.unit) + base.gain_cost
-            ahead = paid + owed + base.later @ window.ahead.reshape(-1)
+            cost = replace(paid, factor=float(layer))
             if self._acyclic:
-                values = segment_minima(ahead, offsets)
-                inner = first_minimisers(ahead, values, offsets)
+                backup = best_pairs(offsets, base.later, cost, ahead.flat)
+                inner, values = backup.choice, backup.minima
             else:
-                inner, values = improve(offsets, base.instant, ahead, inner)
-            choice[layer] = inner
-            window.push(values)
-        return self.measure(choice, failure_price)
+                onward = (cost.total + base.later @ ahead.flat)[:, None]
+                settled = improve(offsets, base.instant, onward, _ONE, inner)
+                inner, values = settled.choice, settled.values
+            choice[layer] = inner - offsets[:-1]
+            ahead.push(values)
+            totals = self._measured(inner, layer, measured)
+        return self._column(totals, choice, failure_price, self.process.cap)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Exact E[cost; goal] and failure of a choice, by a backward sweep.
@@ -64,22 +100,40 @@ class LayeredOracle:
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
         base = self.process.base
-        beyond_cost, beyond_goal = self.process.beyond(tail_price)
-        window = Window(np.stack([beyond_cost, 1.0 - beyond_goal, beyond_goal], axis=-1))
-        values = np.zeros((base.n_nodes, 3))
+        measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
-            chosen = choice[layer]
-            cost = base.gain[chosen] * (layer * base.unit) + base.gain_cost[chosen]
-            hit = base.survival * base.gain[chosen]
-            values = np.stack([cost, base.failure[chosen], hit], axis=1)
-            values = values + _chosen_rows(base.later, chosen, window.ahead.reshape(-1, 3))
-            if not self._acyclic:
-                values = accumulate(base.instant[chosen], values)
-            window.push(values)
-        cost, failure, goal = (base.start @ values).tolist()
-        return Column(
-            cost, failure + base.start_failure, goal + base.start_goal, choice, tail_price
-        )
+            totals = self._measured(base.pair_offsets[:-1] + choice[layer], layer, measured)
+        return self._column(totals, choice, tail_price, 0)
+
+    def _measured(self, chosen: IntArray, layer: int, ahead: Window) -> FloatArray:
+        """(cost, failure, goal) of a layer's choice, [nodes, 3]; they are pushed to the window."""
+        base = self.process.base
+        totals = np.empty((base.n_nodes, 3))
+        totals[:, 0] = base.gain[chosen] * (layer * base.unit) + base.gain_cost[chosen]
+        totals[:, 1] = base.failure[chosen]
+        totals[:, 2] = base.survival * base.gain[chosen]
+        totals += chosen_product(base.later, chosen, ahead.flat)
+        if not self._acyclic:
+            totals = accumulate(ChosenRows(base.instant, chosen), totals)
+        ahead.push(totals)
+        return totals
+
+    def _measures_beyond(self, tail_price: float) -> Window:
+        cost, goal = self.process.beyond(tail_price)
+        return Window(np.stack([cost, 1.0 - goal, goal], axis=-1))
+
+    def _column(
+        self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
+    ) -> Column:
+        base, work = self.process.base, Work(backups, self.process.cap)
+        cost, failure, goal = (base.start @ totals).tolist()
+        failure, goal = failure + base.start_failure, goal + base.start_goal
+        return Column(cost, failure, goal, choice, tail_price, work=work)
+
+    def _blank_choice(self) -> IntArray:
+        most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
+        shape = (self.process.cap, self.process.base.n_nodes)
+        return np.empty(shape, dtype=least_integer_type(most))
 
     def aligned(self, column: Column, price: float) -> Column:
         """The column with its tails chosen by this price, measured again."""
@@ -102,8 +156,10 @@ class LayeredOracle:
             ModelError: values of another shape.
         """
         failing = 0.0 if slack else price
-        beyond = self.process.beyond_bound(price, failing)
-        return self._swept(price, failing, values, beyond)
+        shape = (self.process.cap, self.process.base.n_nodes)
+        if values.shape != shape:
+            raise ModelError(f"a value function of shape {shape} is needed")
+        return self._swept(price, failing, values, self.process.beyond_bound(price, failing))
 
     def tail_loss(self, price: float, *, slack: bool = False) -> float:
         """How much of the bound the cap costs: 0 where the tails are proved to be optimal.
@@ -117,32 +173,50 @@ class LayeredOracle:
         return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
 
     def _swept(self, price: float, failing: float, values: FloatArray, beyond: FloatArray) -> Proof:
-        base, offsets, success = self.process.base, self.process.base.pair_offsets, price - failing
-        if values.shape != (self.process.cap, base.n_nodes):
-            raise ModelError(
-                f"a value function of shape {self.process.cap, base.n_nodes} is needed"
-            )
-        checked, window = np.empty(values.shape), Window(beyond)
-        rounding, inner = backup_rounding(base.steps), self._first_choice
+        """Lower values layer by layer, from what is given beyond the cap."""
+        base, success = self.process.base, price - failing
         owed, saved = failing * base.failure, success * base.survival * base.gain
+        paid = base.gain_cost + owed
+        sums = _Sums(PairCost(paid - saved, base.gain * base.unit), paid + saved, owed)
         floor = -success * (1.0 + _BELOW_EVERY_VALUE)
+        kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else None
+        window, inner, lowest = Window(beyond), self._first_choice, np.zeros(base.n_nodes)
         for layer in reversed(range(self.process.cap)):
-            paid = base.gain * (layer * base.unit) + base.gain_cost + owed
-            size = paid + saved + base.later @ np.abs(window.ahead).reshape(-1)
-            ahead = paid - saved + base.later @ window.ahead.reshape(-1)
-            ahead = np.where(size == owed, ahead, ahead - rounding * size)
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
-                checked[layer] = np.minimum(segment_minima(ahead, offsets), given)
+                lowest = np.minimum(self._safe_layer(sums, layer, window), given)
             else:
-                inner, best = improve(offsets, base.instant, ahead, inner)
-                given = np.minimum(best, given)
-                checked[layer] = sub_solution(offsets, base.instant, ahead, given, floor)
-            window.push(checked[layer])
-        parts = np.append(base.start * checked[0], [failing * base.start_failure,
-                                                    -success * base.start_goal])  # fmt: skip
+                lowest, inner = self._safe_cycles(sums, layer, window, given, inner, floor)
+            if kept is not None:
+                kept[layer] = lowest
+            window.push(lowest)
+        parts = np.append(base.start * lowest, [failing * base.start_failure,
+                                                -success * base.start_goal])  # fmt: skip
         loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
-        return Proof(price, failing, float(parts.sum()) - max(float(loss), 0.0), checked)
+        bound = float(parts.sum()) - max(float(loss), 0.0)
+        checked = self._anything if kept is None else kept
+        return Proof(price, failing, bound, checked, Work(self.process.cap, 0))
+
+    def _safe_layer(self, sums: _Sums, layer: int, window: Window) -> FloatArray:
+        """Checked values of a layer whose steps all lead on to later ones, [nodes]."""
+        base, cost = self.process.base, replace(sums.cost, factor=float(layer))
+        return safe_minima(
+            base.pair_offsets, base.later, cost, sums.magnitude, sums.alone, window.flat
+        )
+
+    def _safe_cycles(
+        self, sums: _Sums, layer: int, window: Window, given: FloatArray, inner: IntArray,
+        floor: float,
+    ) -> tuple[FloatArray, IntArray]:  # fmt: skip
+        """Checked values of a layer with steps inside it, [nodes], and its best choice."""
+        base, offsets = self.process.base, self.process.base.pair_offsets
+        growth = float(layer) * base.gain * base.unit
+        size = (sums.magnitude + growth) + base.later @ np.abs(window.flat)
+        ahead = (sums.cost.fixed + growth) + base.later @ window.flat
+        ahead = np.where(size == sums.alone, ahead, ahead - backup_rounding(base.later) * size)
+        settled = improve(offsets, base.instant, ahead[:, None], _ONE, inner)
+        given = np.minimum(settled.values, given)
+        return sub_solution(offsets, base.instant, ahead, given, floor), settled.choice
 
     @cached_property
     def _anything(self) -> FloatArray:
@@ -176,10 +250,3 @@ class LayeredOracle:
         """Values of the tails beyond the cap, [width - 1, nodes]."""
         cost, goal = self.process.beyond(price)
         return cost + failing * (1.0 - goal) - (price - failing) * goal
-
-
-def _chosen_rows(matrix: sp.csr_array, rows: IntArray, dense: FloatArray) -> FloatArray:
-    """``matrix[rows] @ dense``; picking rows costs more than multiplying where all are few."""
-    if matrix.nnz <= _FEW_ENTRIES:
-        return np.asarray((matrix @ dense)[rows])
-    return np.asarray(matrix[rows] @ dense)

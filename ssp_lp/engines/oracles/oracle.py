@@ -3,11 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
+
+import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
+
+_Array = TypeVar("_Array", bound=npt.NDArray[Any])
+
+
+@dataclass(frozen=True)
+class Work:
+    """Passes over a process: what most of an oracle's time is spent on."""
+
+    backups: int = 0  # over all pairs
+    products: int = 0  # over one pair per state
+
+    def __add__(self, other: Work) -> Work:
+        """Both together."""
+        return Work(self.backups + other.backups, self.products + other.products)
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,6 +39,8 @@ class Column:
     choice: IntArray | None  # the oracle's own form of the policy
     tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
     policy: Policy | None = None  # the policy on the model, where it did not come from the oracle
+    totals: FloatArray | None = None  # expected cost and failure from each state, a warm start
+    work: Work = Work()  # what finding it took
 
 
 def excess_failure(risky: Column, safe: Column) -> float:
@@ -45,17 +63,18 @@ class Proof:
     failing: float
     bound: float  # at the start
     values: FloatArray  # the checked sub-solution behind it, in the oracle's own shape
+    work: Work = Work()
 
 
-def required(choice: IntArray | None) -> IntArray:
-    """The choice of a column that an oracle made.
+def required(part: _Array | None) -> _Array:
+    """The choice or the totals of a column that an oracle made.
 
     Raises:
         ModelError: the column came from elsewhere.
     """
-    if choice is None:
+    if part is None:
         raise ModelError("this column was not made by the oracle and carries no choice")
-    return choice
+    return part
 
 
 class Oracle(Protocol):
@@ -64,6 +83,10 @@ class Oracle(Protocol):
     Nothing here assumes that the states of the process fit into one array: an implementation may
     be explicit, layered or distributed.
     """
+
+    def first(self) -> Column:
+        """A policy from which the goal is reached if it can be; cheap to find."""
+        ...
 
     def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
         """A policy of least priced cost, measured exactly; ``warm`` is a policy to start from."""

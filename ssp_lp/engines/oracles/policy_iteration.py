@@ -2,57 +2,67 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import (
-    IMPROVEMENT,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    concatenated_ranges,
-    first_minimisers,
-    segment_minima,
-)
+from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.bellman import ChosenRows, best_pairs
+from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.errors import SolverError
 from ssp_lp.linear import DIRECT_STATES, accumulate
+from ssp_lp.model.approach import nearer_pairs
+from ssp_lp.model.predecessors import find_predecessors
 
 _ITERATIONS = 1_000
-_ROUGH, _FINE = 1e-6, 1e-13  # relative residuals of evaluations
-_NOISE = 100.0  # a rough residual grows by the length of a run
+_ROUGH, _FINE = 0.1, 1e-13  # relative residuals of evaluations: the first one, the last one
+_FORCING = 0.1  # share of the last gain, relative to the values, that an evaluation may miss by
+_NOISE = 0.01  # of a rough residual: changes for less may go back and forth
+
+
+@dataclass(frozen=True, eq=False)
+class Settled:
+    """A policy that no single change of a pair improves, with its expected totals."""
+
+    choice: IntArray  # [states]
+    totals: FloatArray  # [states, rewards]
+    values: FloatArray  # [states] the totals, weighted
+    work: Work
 
 
 def improve(
     pair_offsets: IntArray,
     transitions: sp.csr_array,
-    pair_cost: FloatArray,
+    rewards: FloatArray,
+    weights: FloatArray,
     choice: IntArray,
     guess: FloatArray | None = None,
-) -> tuple[IntArray, FloatArray]:
-    """Minimise the expected total pair cost from every state.
+) -> Settled:
+    """Minimise the expected total of ``rewards @ weights`` from every state.
 
     A state changes its pair only for a gain above rounding. Started from a policy whose chain is
     transient, every later policy is transient too, provided that an end component either does not
     exist or costs something (DESIGN, section 4): then the fixed point reached is the optimum.
+    Evaluations are as exact as the last gain warrants; the last one is exact.
 
     Args:
         pair_offsets: [states + 1].
         transitions: substochastic, [pairs, states].
-        pair_cost: [pairs].
+        rewards: one or more rewards of each pair, [pairs, rewards].
+        weights: [rewards].
         choice: pair of the first policy in each state, [states].
-        guess: values to start the first evaluation from, [states].
-
-    Returns:
-        The pair chosen in each state and the values of that policy, [states].
+        guess: totals to start the first evaluation from, [states, rewards].
 
     Raises:
         SolverError: no convergence, or a policy that never leaves the process.
     """
-    if len(choice) > DIRECT_STATES:  # come near with rough evaluations first
-        near = _settle(pair_offsets, transitions, pair_cost, choice, guess, _ROUGH)
-        if near is not None:
-            choice, guess = near
-    settled = _settle(pair_offsets, transitions, pair_cost, choice, guess, _FINE)
+    choice = np.asarray(choice, dtype=np.int32)
+    if len(choice) > DIRECT_STATES:
+        settled = _settle(pair_offsets, transitions, rewards, weights, choice, guess, _ROUGH)
+        if settled is not None:
+            return settled
+    settled = _settle(pair_offsets, transitions, rewards, weights, choice, None, _FINE)
     if settled is None:
         raise SolverError(f"policy iteration did not settle in {_ITERATIONS} rounds")
     return settled
@@ -61,32 +71,42 @@ def improve(
 def _settle(
     pair_offsets: IntArray,
     transitions: sp.csr_array,
-    pair_cost: FloatArray,
+    rewards: FloatArray,
+    weights: FloatArray,
     choice: IntArray,
-    values: FloatArray | None,
+    totals: FloatArray | None,
     accuracy: float,
-) -> tuple[IntArray, FloatArray] | None:
-    """Policy iteration with evaluations of this accuracy, until no gain stands out from it.
+) -> Settled | None:
+    """Policy iteration whose evaluations become exact as the gains shrink.
 
-    None where that does not happen; a rough evaluation may lead to a policy that never leaves.
+    None where a rough evaluation led to a policy that never leaves, or it does not end.
     """
+    pair_cost, rough = rewards @ weights, accuracy > _FINE
+    backups = products = 0
     for _ in range(_ITERATIONS):
+        chain = ChosenRows(transitions, choice)
         try:
-            values = accumulate(transitions[choice], pair_cost[choice], values, accuracy=accuracy)
+            totals = accumulate(chain, rewards[choice], totals, accuracy=accuracy)
         except SolverError:
-            if accuracy > _FINE:
+            if rough:
                 return None
             raise
-        ahead = pair_cost + transitions @ values
-        best = segment_minima(ahead, pair_offsets)
-        here = ahead[choice]
-        noise = IMPROVEMENT * np.abs(here)
+        values = totals @ weights
+        backup = best_pairs(pair_offsets, transitions, pair_cost, values, choice)
+        backups, products = backups + 1, products + chain.products
+        scale = max(float(np.abs(values).max(initial=0.0)), 1e-300)
+        noise = IMPROVEMENT * np.abs(backup.here)
         if accuracy > _FINE:
-            noise = noise + _NOISE * accuracy * float(np.abs(values).max())
-        better = best < here - noise
-        if not better.any():
-            return choice, values
-        choice = np.where(better, first_minimisers(ahead, best, pair_offsets), choice)
+            noise = noise + _NOISE * accuracy * scale
+        better = backup.minima < backup.here - noise
+        if better.any():
+            gain = float((backup.here - backup.minima).max()) / scale
+            choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
+            accuracy = min(max(_FORCING * gain, _FINE), accuracy)
+        elif accuracy > _FINE:
+            accuracy = _FINE
+        else:
+            return Settled(choice, totals, values, Work(backups, products))
     return None
 
 
@@ -101,17 +121,7 @@ def approach(pair_offsets: IntArray, transitions: sp.csr_array, leaving: BoolArr
     Returns:
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
-    n_states = len(pair_offsets) - 1
-    state_of = np.repeat(np.arange(n_states), np.diff(pair_offsets))
-    choice = np.full(n_states, -1, dtype=np.int64)
-    entering = transitions.tocsc()
-    useful = np.flatnonzero(leaving)
-    while useful.size:
-        useful = useful[choice[state_of[useful]] < 0]
-        states, first = np.unique(state_of[useful], return_index=True)
-        choice[states] = useful[first]
-        begin = entering.indptr[states]
-        useful = np.unique(
-            entering.indices[concatenated_ranges(begin, entering.indptr[states + 1] - begin)]
-        )
-    return choice
+    before = find_predecessors(
+        transitions.shape[1], transitions.indptr, transitions.indices, transitions.data
+    )
+    return nearer_pairs(before, pair_offsets, segment_ids(pair_offsets), leaving)

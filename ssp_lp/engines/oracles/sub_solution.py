@@ -10,33 +10,24 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import (
-    MACHINE_EPSILON,
-    FloatArray,
-    IntArray,
-    first_minimisers,
-    segment_minima,
-)
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.bellman import ChosenRows, PairCost, best_pairs, safe_minima
 from ssp_lp.errors import SolverError
 from ssp_lp.linear import accumulate
 
 _ROUNDS = 12
 _RUN_ACCURACY = 1e-3  # runs are used times 1.5 and checked
-_SHRINKAGES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-
-
-def backup_rounding(transitions: sp.csr_array) -> FloatArray:
-    """Rounding of a backup relative to the sum of its terms' magnitudes, per pair, [pairs]."""
-    return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
+_SLIGHT = (1e-13, 1e-12)  # shares that cost nothing worth a search for less
+_SHRINKAGES = (1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
 def shortfall(
     pair_offsets: IntArray, transitions: sp.csr_array, pair_cost: FloatArray, values: FloatArray
 ) -> FloatArray:
     """How far each state's value exceeds its backup, rounding counted against us, [states]."""
-    size = np.abs(pair_cost) + transitions @ np.abs(values)
-    ahead = pair_cost + transitions @ values - backup_rounding(transitions) * size
-    return np.maximum(values - segment_minima(ahead, pair_offsets), 0.0)
+    size = np.abs(pair_cost)
+    safe = safe_minima(pair_offsets, transitions, PairCost(pair_cost), size, size, values)
+    return np.maximum(values - safe, 0.0)
 
 
 def sub_solution(
@@ -60,16 +51,25 @@ def sub_solution(
     lack = shortfall(pair_offsets, transitions, pair_cost, values)
     if not lack.any():
         return values
+
+    def shrunk(share: float) -> FloatArray:
+        return np.asarray(floor + (1.0 - share) * (values - floor))
+
+    def passes(lowered: FloatArray) -> bool:
+        return not shortfall(pair_offsets, transitions, pair_cost, lowered).any()
+
+    for share in _SLIGHT:
+        if passes(shrunk(share)):
+            return shrunk(share)
     run = _longest_run(pair_offsets, transitions, pair_cost, values, lack)
     if run is not None:
         for factor in (1.5, 4.0, 16.0, 64.0, 1024.0):
             lowered = np.maximum(values - factor * run, floor)
-            if not shortfall(pair_offsets, transitions, pair_cost, lowered).any():
+            if passes(lowered):
                 return lowered
     for share in _SHRINKAGES:
-        lowered = floor + (1.0 - share) * (values - floor)
-        if not shortfall(pair_offsets, transitions, pair_cost, lowered).any():
-            return lowered
+        if passes(shrunk(share)):
+            return shrunk(share)
     return np.full_like(values, floor)
 
 
@@ -87,23 +87,22 @@ def _longest_run(
     """
     worst_lack, met = float(lack.max()), lack > 0
     ahead = pair_cost + transitions @ values
-    least = segment_minima(ahead, pair_offsets)
-    choice = first_minimisers(ahead, least, pair_offsets)
-    spare = ahead - np.repeat(least, np.diff(pair_offsets))
+    backup = best_pairs(pair_offsets, transitions, pair_cost, values)
+    choice = backup.choice
+    spare = ahead - np.repeat(backup.minima, np.diff(pair_offsets))
     run: FloatArray | None = None
     for _ in range(_ROUNDS):
         reward = np.where(met, worst_lack, 0.0)
         try:
-            run = accumulate(transitions[choice], reward, run, accuracy=_RUN_ACCURACY)
+            run = accumulate(ChosenRows(transitions, choice), reward, run, accuracy=_RUN_ACCURACY)
         except SolverError:
             return None
         if (run < 0).any():
             return None
-        loss = spare - transitions @ run
-        worst = segment_minima(loss, pair_offsets)
-        changed = worst < loss[choice] - 0.1 * reward
+        worst = best_pairs(pair_offsets, transitions, spare, -run, choice)
+        changed = worst.minima < worst.here - 0.1 * reward
         if not changed.any() and np.array_equal(met, run > 0):
             return run
         met = run > 0
-        choice = np.where(changed, first_minimisers(loss, worst, pair_offsets), choice)
+        choice = np.where(changed, worst.choice, choice)
     return run

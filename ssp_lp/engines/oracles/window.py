@@ -24,6 +24,12 @@ class Window:
         """The layers ahead, contiguous, [width - 1, ...]."""
         return self._buffer[self._front : self._front + self._length]
 
+    @property
+    def flat(self) -> FloatArray:
+        """The layers ahead one after the other, as the columns of steps are, [layers * nodes]."""
+        ahead = self.ahead
+        return ahead.reshape(-1, *ahead.shape[2:])
+
     def push(self, layer: FloatArray) -> None:
         """Put a layer at the front and drop the farthest."""
         if self._length == 0:

@@ -1,0 +1,63 @@
+"""This library's engines in the comparison."""
+
+import math
+import time
+
+from comparison_answer import Answer, Prepared, joined
+from comparison_models import ReadyInstance, build
+from comparison_solvers import Order
+from ssp_lp import Solution, SolverError, solve
+from ssp_lp.accelerator import has_accelerator
+
+
+def prepare(ready: ReadyInstance, order: Order, *, engine: str, backend: str | None) -> Prepared:
+    """Make ready to solve an instance with an engine.
+
+    The first call compiles inner loops where numba is installed, so that column generation solves
+    a small instance first; it is what the other engines end with.
+    """
+    failure_budget = ready.instance.failure_budget
+
+    def call() -> Answer:
+        began = time.perf_counter()
+        try:
+            solution = solve(
+                ready.problem(),
+                engine,
+                backend=backend,
+                tolerance=order.tolerance,
+                time_limit=order.time_limit,
+            )
+        except SolverError as error:
+            if time.perf_counter() - began < order.time_limit:
+                raise
+            return Answer(math.nan, details=str(error), in_time=False)
+        return _answer(solution, order, failure_budget)
+
+    small = ready if ready.instance.warm_up == ready.instance else None
+
+    def warm_up() -> Solution:
+        return solve((small or build(ready.instance.warm_up)).problem(), "columns")
+
+    return Prepared(call, warm_up)
+
+
+def _answer(solution: Solution, order: Order, failure_budget: float) -> Answer:
+    run = solution.run
+    loops = "numba" if has_accelerator() else "numpy"
+    discounted = solution.problem.discount is not None
+
+    def excess() -> float:
+        failure = solution.discounted_failure if discounted else solution.failure_probability
+        return max((failure or 0.0) - failure_budget, 0.0)
+
+    return Answer(
+        objective=solution.objective,
+        gap=solution.gap,
+        note=joined(f"{run.oracle_calls} oracle calls", loops, solution.note),
+        details=run.program,
+        in_time=solution.gap <= order.tolerance or run.seconds < order.time_limit,
+        backups=getattr(run, "backups", None),
+        products=getattr(run, "products", None),
+        excess=excess,
+    )

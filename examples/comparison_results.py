@@ -1,0 +1,77 @@
+"""What one run of one solver on one instance gave: a row of the comparison."""
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, fields
+from enum import StrEnum
+from typing import Any
+
+
+class Outcome(StrEnum):
+    """How a run ended."""
+
+    SOLVED = "solved"
+    TIME_OUT = "time-out"
+    OUT_OF_MEMORY = "out of memory"
+    FAILED = "failed"
+    NOT_INSTALLED = "not installed"
+    SKIPPED = "skipped"
+
+
+@dataclass(frozen=True)
+class SolverRun:
+    """A row of the comparison; what a run did not come to is None."""
+
+    instance: str
+    solver: str
+    outcome: Outcome
+    time_limit: float  # seconds that the call was allowed
+    states: int | None = None
+    pairs: int | None = None
+    transitions: int | None = None
+    seconds: float | None = None  # of the call on the ready model: the least of `calls`
+    calls: int = 0
+    import_seconds: float | None = None
+    model_seconds: float | None = None  # building the model
+    convert_seconds: float | None = None  # writing it out in the solver's own form
+    warm_up_seconds: float | None = None  # a first call, where something compiles on first use
+    objective: float | None = None
+    gap: float | None = None  # relative; ours is certified, that of an LP is its own
+    excess: float | None = None  # max(failure - budget, 0)
+    ready_memory: int | None = None  # bytes held before the first call
+    peak_memory: int | None = None  # bytes, of the whole process
+    backups: int | None = None  # Bellman sweeps over all pairs
+    products: int | None = None  # products with the transitions of one policy
+    note: str = ""  # in the table
+    details: str = ""  # not in the table
+
+    @property
+    def build_seconds(self) -> float | None:
+        """Seconds of all that is made ready before the call: the model, in the solver's form."""
+        parts = [s for s in (self.model_seconds, self.convert_seconds) if s is not None]
+        return sum(parts) if parts else None
+
+    @property
+    def over_limit(self) -> bool:
+        """Whether time or memory ran out."""
+        return self.outcome in (Outcome.TIME_OUT, Outcome.OUT_OF_MEMORY)
+
+
+def run_to_json(run: SolverRun) -> dict[str, Any]:
+    """Return a run as a JSON object."""
+    return asdict(run)
+
+
+def run_from_json(entry: dict[str, Any]) -> SolverRun:
+    """Return the run that a JSON object describes; entries that are no fields are left out."""
+    known = {field.name for field in fields(SolverRun)}
+    kept = {name: value for name, value in entry.items() if name in known}
+    return SolverRun(**{**kept, "outcome": Outcome(entry["outcome"])})
+
+
+def reference_seconds(runs: Iterable[SolverRun], reference: str = "columns") -> dict[str, float]:
+    """Return the seconds of the reference solver on each instance that it solved."""
+    return {
+        run.instance: run.seconds
+        for run in runs
+        if run.solver == reference and run.outcome is Outcome.SOLVED and run.seconds
+    }

@@ -1,0 +1,292 @@
+"""Searches on a model's graph, compiled; their twins are in ``ssp_lp.model``.
+
+Indices are read through unsigned views: numba guards signed ones against counting from the end.
+Sets and least elements only, so every result is the same, bit by bit, as that of the twin.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import get_num_threads, njit, prange
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+
+_MOST_PARTS = 8  # the counts of each part take one number per state
+
+
+def transposed(
+    n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """Offsets, [states + 1], and pairs, [entries], by a counting sort of parts side by side."""
+    parts = min(get_num_threads(), _MOST_PARTS)
+    shares = np.linspace(0, outcome_offsets[-1], parts + 1)
+    bounds = np.searchsorted(outcome_offsets, shares[:-1])
+    bounds = np.append(bounds, len(outcome_offsets) - 1)
+    columns = unsigned(successors)
+    counts = np.zeros((parts, n_states), dtype=np.int64)
+    _count(bounds, outcome_offsets, columns, probabilities, counts)
+    offsets = np.concatenate([[0], np.cumsum(counts.sum(axis=0))])
+    free = offsets[:-1]
+    for part in range(parts):  # counts become the first free place of each part
+        counts[part], free = free, free + counts[part]
+    pairs = np.empty(offsets[-1], dtype=np.int32)
+    _place(bounds, outcome_offsets, columns, probabilities, counts, pairs)
+    return offsets, pairs
+
+
+@njit(cache=True, parallel=True)
+def _count(
+    bounds: IntArray,
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    counts: IntArray,
+) -> None:
+    """Count the possible outcomes that go to each state, part by part."""
+    for part in prange(len(bounds) - 1):
+        mine = counts[part]
+        for outcome in range(outcome_offsets[bounds[part]], outcome_offsets[bounds[part + 1]]):
+            if probabilities[outcome] > 0:
+                mine[successors[outcome]] += 1
+
+
+@njit(cache=True, parallel=True)
+def _place(
+    bounds: IntArray,
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    places: IntArray,
+    pairs: IntArray,
+) -> None:
+    """Write each pair to the next place of its successors, part by part."""
+    for part in prange(len(bounds) - 1):
+        mine = places[part]
+        for pair in range(bounds[part], bounds[part + 1]):
+            for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
+                if probabilities[outcome] > 0:
+                    successor = successors[outcome]
+                    pairs[mine[successor]] = pair
+                    mine[successor] += 1
+
+
+def reached(
+    pair_offsets: IntArray,
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    start: IntArray,
+) -> BoolArray:
+    """States that a run from the start states may visit, [states].
+
+    Args:
+        pair_offsets: [states + 1].
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        start: states to begin with.
+    """
+    mask = np.zeros(len(pair_offsets) - 1, dtype=np.bool_)
+    mask[start] = True
+    queue, filled = _queue(np.flatnonzero(mask), mask.size)
+    bounds = outcome_offsets[pair_offsets]
+    _go_on(bounds, unsigned(successors), probabilities, mask, queue, filled)
+    return mask
+
+
+@njit(cache=True)
+def _go_on(
+    bounds: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    mask: BoolArray,
+    queue: IntArray,
+    filled: int,
+) -> None:
+    head = 0
+    while head < filled:
+        state = queue[head]
+        head += 1
+        for outcome in range(bounds[state], bounds[state + 1]):
+            successor = successors[outcome]
+            if not mask[successor] and probabilities[outcome] > 0:
+                mask[successor] = True
+                queue[filled] = successor
+                filled += 1
+
+
+def reaching(
+    offsets: IntArray, pairs: IntArray, pair_state: IntArray, goals: IntArray
+) -> BoolArray:
+    """States from which a run may reach a goal, goals included, [states].
+
+    Args:
+        offsets: of the predecessors, [states + 1].
+        pairs: the predecessors, [entries].
+        pair_state: [pairs].
+        goals: distinct states.
+    """
+    mask = np.zeros(len(offsets) - 1, dtype=np.bool_)
+    mask[goals] = True
+    queue, filled = _queue(goals, mask.size)
+    _go_back(offsets, unsigned(pairs), unsigned(pair_state), mask, queue, filled)
+    return mask
+
+
+@njit(cache=True)
+def _go_back(
+    offsets: IntArray,
+    pairs: IntArray,
+    pair_state: IntArray,
+    mask: BoolArray,
+    queue: IntArray,
+    filled: int,
+) -> None:
+    head = 0
+    while head < filled:
+        near = queue[head]
+        head += 1
+        for entry in range(offsets[near], offsets[near + 1]):
+            state = pair_state[pairs[entry]]
+            if not mask[state]:
+                mask[state] = True
+                queue[filled] = state
+                filled += 1
+
+
+def drain(
+    offsets: IntArray,
+    pairs: IntArray,
+    pair_state: IntArray,
+    open_pairs: BoolArray,
+    open_counts: IntArray,
+    closed_states: IntArray,
+) -> None:
+    """Close, in place, every pair that may lead to a closed state, and states without pairs.
+
+    Args:
+        offsets: of the predecessors, [states + 1].
+        pairs: the predecessors, [entries].
+        pair_state: [pairs].
+        open_pairs: [pairs].
+        open_counts: the number of open pairs of each state, [states].
+        closed_states: states to begin with.
+    """
+    queue, filled = _queue(closed_states, open_counts.size)
+    _drain(offsets, unsigned(pairs), unsigned(pair_state), open_pairs, open_counts, queue, filled)
+
+
+@njit(cache=True)
+def _drain(
+    offsets: IntArray,
+    pairs: IntArray,
+    pair_state: IntArray,
+    open_pairs: BoolArray,
+    open_counts: IntArray,
+    queue: IntArray,
+    filled: int,
+) -> None:
+    head = 0
+    while head < filled:
+        closed = queue[head]
+        head += 1
+        for entry in range(offsets[closed], offsets[closed + 1]):
+            pair = pairs[entry]
+            if open_pairs[pair]:
+                open_pairs[pair] = False
+                state = pair_state[pair]
+                open_counts[state] -= 1
+                if open_counts[state] == 0:
+                    queue[filled] = state
+                    filled += 1
+
+
+def approach(
+    offsets: IntArray,
+    pairs: IntArray,
+    pair_state: IntArray,
+    useful: IntArray,
+    usable: BoolArray,
+    choice: IntArray,
+) -> None:
+    """Choose, in place, for each state a usable pair that comes nearer to a useful one.
+
+    Args:
+        offsets: of the predecessors, [states + 1].
+        pairs: the predecessors, [entries].
+        pair_state: [pairs].
+        useful: usable pairs to begin with, ascending.
+        usable: [pairs].
+        choice: [states], -1 throughout, and where no useful pair can be reached.
+    """
+    distance = np.zeros(choice.size, dtype=np.int32)
+    queue = np.empty(choice.size, dtype=np.uint32)
+    arrays = offsets, unsigned(pairs), unsigned(pair_state)
+    _approach(*arrays, useful, usable, choice, distance, queue)
+
+
+@njit(cache=True)
+def _approach(
+    offsets: IntArray,
+    pairs: IntArray,
+    pair_state: IntArray,
+    useful: IntArray,
+    usable: BoolArray,
+    choice: IntArray,
+    distance: IntArray,
+    queue: IntArray,
+) -> None:
+    head, filled = 0, 0
+    for pair in useful:
+        state = pair_state[pair]
+        if choice[state] < 0:
+            choice[state] = pair
+            queue[filled] = state
+            filled += 1
+    while head < filled:
+        near = queue[head]
+        head += 1
+        for entry in range(offsets[near], offsets[near + 1]):
+            pair = pairs[entry]
+            state = pair_state[pair]
+            if not usable[pair]:
+                continue
+            if choice[state] < 0:
+                choice[state] = pair
+                distance[state] = distance[near] + 1
+                queue[filled] = state
+                filled += 1
+            elif distance[state] == distance[near] + 1 and pair < choice[state]:
+                choice[state] = pair
+
+
+def leading_into(
+    outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
+) -> BoolArray:
+    """Pairs that may lead to one of the states, [pairs]."""
+    return _leading_into(outcome_offsets, unsigned(successors), probabilities, states)
+
+
+@njit(cache=True, parallel=True)
+def _leading_into(
+    outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
+) -> BoolArray:
+    leads = np.zeros(len(outcome_offsets) - 1, dtype=np.bool_)
+    for pair in prange(len(leads)):
+        for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
+            if states[successors[outcome]] and probabilities[outcome] > 0:
+                leads[pair] = True
+                break
+    return leads
+
+
+def unsigned(indices: IntArray) -> IntArray:
+    """The same non-negative 32-bit indices, unsigned."""
+    return indices.view(np.uint32)
+
+
+def _queue(first: IntArray, room: int) -> tuple[IntArray, int]:
+    """A queue of states that begins with these, and how many they are."""
+    queue = np.empty(room, dtype=np.uint32)
+    queue[: len(first)] = first
+    return queue, len(first)

@@ -1,0 +1,26 @@
+"""One loop, compiled twice: for one core, and for all of them where the work is worth the start."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any, Final
+
+from numba import njit
+
+MANY_ENTRIES: Final = 4_000_000
+"""Entries from which waking other cores does not matter, even where they are busy with other work."""
+
+Loop = Callable[..., Any]
+
+
+def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
+    """Compile a loop over ``prange`` for one core and for all.
+
+    Returns:
+        A function of the number of entries that says which of both to run.
+    """
+    copy = FunctionType(function.__code__, function.__globals__, f"{function.__name__}_everywhere")
+    copy.__qualname__ = copy.__name__  # numba caches by this name
+    single, everywhere = njit(cache=True)(function), njit(parallel=True, cache=True)(copy)
+    return lambda entries: everywhere if entries >= MANY_ENTRIES else single

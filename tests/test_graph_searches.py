@@ -1,0 +1,173 @@
+"""Searches on the graph: numpy whole, numpy in pieces and compiled, against plain sets."""
+
+import numpy as np
+import pytest
+
+from ssp_lp import SSP
+from ssp_lp.accelerator import has_accelerator
+from ssp_lp.model import graph
+
+PATHS = {"whole": (1 << 22, False), "pieces": (3, False), "compiled": (1 << 22, True)}
+
+
+@pytest.fixture(params=PATHS)
+def path(request, monkeypatch):
+    """One of the ways in which the searches run."""
+    chunk, compiled = PATHS[request.param]
+    if compiled and not has_accelerator():
+        pytest.skip("no accelerator")
+    if compiled:
+        monkeypatch.setattr("ssp_lp.compiled.graph.get_num_threads", lambda: 3)
+    monkeypatch.setattr("ssp_lp.model.chunks.CHUNK", chunk)
+    monkeypatch.setattr("ssp_lp.accelerator._WORTH_COMPILING", 0 if compiled else 1 << 62)
+
+
+def drawn_model(seed, n_states):
+    """A model with idle states, repeated successors and outcomes of probability 0; and its rng."""
+    rng = np.random.default_rng(seed)
+    goals = rng.choice(n_states, size=rng.integers(1, 3), replace=False)
+    counts = rng.integers(0, 4, size=n_states)
+    counts[goals] = 0
+    spread = rng.integers(1, 5, size=counts.sum())
+    offsets = np.concatenate([[0], np.cumsum(spread)])
+    weights = rng.integers(0, 3, size=offsets[-1])
+    weights[offsets[:-1]] += 1
+    sums = np.add.reduceat(weights, offsets[:-1]) if spread.size else weights
+    near = np.repeat(np.repeat(np.arange(n_states), counts), spread)
+    model = SSP.from_arrays(
+        pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+        outcome_offsets=offsets,
+        successors=(near + rng.integers(-2, 3, size=offsets[-1])) % n_states,
+        probabilities=weights / np.repeat(sums, spread),
+        costs=1.0,
+        goal_states=goals,
+        treat_actionless_as_dead_ends=True,
+    )
+    return model, rng
+
+
+def steps_of(model):
+    """The possible successors of each pair, as sets."""
+    ends = model.outcome_offsets
+    return [
+        {int(model.successors[k]) for k in range(ends[p], ends[p + 1]) if model.probabilities[k]}
+        for p in range(model.n_pairs)
+    ]
+
+
+def pairs_of(model, state):
+    return range(model.pair_offsets[state], model.pair_offsets[state + 1])
+
+
+def members(mask):
+    return set(np.flatnonzero(mask).tolist())
+
+
+SEEDS = [(seed, n) for seed in range(8) for n in (3, 8, 25)]
+
+
+@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+def test_predecessors_turn_the_graph_round(path, seed, n_states):
+    model, _ = drawn_model(seed, n_states)
+    before = model.predecessors
+    outcomes = np.flatnonzero(model.probabilities > 0)
+    pair_of = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
+    for state in range(n_states):
+        expected = pair_of[outcomes[model.successors[outcomes] == state]]
+        found = before.pairs[before.offsets[state] : before.offsets[state + 1]]
+        assert found.tolist() == expected.tolist()
+    assert before.pairs.dtype == np.int32
+    assert not before.pairs.flags.writeable
+
+
+@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+def test_reachable_states_and_dead_ends(path, seed, n_states):
+    model, rng = drawn_model(seed, n_states)
+    steps = steps_of(model)
+    ahead = [{s}.union(*(steps[p] for p in pairs_of(model, s))) for s in range(n_states)]
+    for _ in range(n_states):
+        ahead = [set().union(*(ahead[t] for t in known)) for known in ahead]
+    start = rng.integers(0, n_states, size=2)
+    reached = graph.reachable_states(model, start)
+    assert members(reached) == set().union(*(ahead[s] for s in start))
+    goals = members(model.goal_mask)
+    assert members(graph.dead_ends(model)) == {s for s in range(n_states) if not ahead[s] & goals}
+
+
+@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+def test_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
+    model, rng = drawn_model(seed, n_states)
+    steps = steps_of(model)
+    kept = set(range(n_states)) - members(model.goal_mask)
+    while True:
+        stay = {s for s in kept if any(steps[p] <= kept for p in pairs_of(model, s))}
+        stay |= {s for s in kept if not pairs_of(model, s)}
+        if stay == kept:
+            break
+        kept = stay
+    attention = graph.attention_states(model)
+    assert members(attention) == kept
+    staying = {p for p in range(model.n_pairs) if steps[p] | {int(model.pair_state[p])} <= kept}
+    assert members(graph.staying_pairs(model, attention)) == staying
+    some = rng.random(n_states) < 0.3
+    expected = {p for p in range(model.n_pairs) if steps[p] & members(some)}
+    assert members(graph.pairs_into(model, some)) == expected
+
+
+@pytest.mark.parametrize("everything", [True, False])
+@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, everything):
+    model, rng = drawn_model(seed, n_states)
+    steps = steps_of(model)
+    leaving = rng.random(model.n_pairs) < 0.15
+    usable = None if everything else rng.random(model.n_pairs) < 0.7
+    free = [everything or bool(usable[p]) for p in range(model.n_pairs)]
+    choice = graph.approach_pairs(model, leaving, usable)
+    expected, near = {}, set()
+    while True:
+        found = {}
+        for state in set(range(n_states)) - set(expected):
+            pairs = [p for p in pairs_of(model, state) if free[p]]
+            useful = [p for p in pairs if (steps[p] & near if expected else leaving[p])]
+            if useful:
+                found[state] = useful[0]
+        if not found:
+            break
+        near = set(found)
+        expected |= found
+    assert choice.tolist() == [expected.get(s, -1) for s in range(n_states)]
+
+
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
+@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+def test_end_components_are_the_maximal_ones(path, seed, n_states, share):
+    model, rng = drawn_model(seed, n_states)
+    allowed = rng.random(model.n_pairs) < share
+    component, inside = graph.end_components(model, allowed)
+    expected, kept = plain_components(model, allowed)
+    assert members(inside) == kept
+    assert component.tolist() == expected
+
+
+def plain_components(model, allowed):
+    """End components by dropping, again and again, pairs that leave what comes back to them."""
+    steps, kept = steps_of(model), members(allowed)
+    while True:
+        ahead = {s: {s} for s in range(model.n_states)}
+        for _ in range(model.n_states):
+            for pair in kept:
+                for known in ahead.values():
+                    if int(model.pair_state[pair]) in known:
+                        known |= steps[pair]
+        acting = {int(model.pair_state[p]) for p in kept}
+        stay = {
+            p
+            for p in kept
+            if all(s in acting and int(model.pair_state[p]) in ahead[s] for s in steps[p])
+        }
+        if stay == kept:
+            break
+        kept = stay
+    least = {s: min(t for t in ahead[s] if s in ahead[t]) for s in acting}
+    order = sorted(set(least.values()))
+    return [order.index(least[s]) if s in least else -1 for s in range(model.n_states)], kept
