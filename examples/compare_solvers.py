@@ -29,7 +29,7 @@ from comparison_instances import DEFAULT_INSTANCES, Instance, parse_instance
 from comparison_machine import describe_machine, machine_text
 from comparison_memory import physical_memory
 from comparison_process import Limits, python_command, watch
-from comparison_results import Outcome, SolverRun, run_from_json, run_to_json
+from comparison_results import Outcome, SolverRun, judged, run_from_json, run_to_json
 from comparison_solvers import Order, solver_named, solver_names
 from comparison_table import LEGEND, run_line, table_text
 
@@ -42,9 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> list[SolverRun]:
     limits = Limits(options.prepare_limit, options.time_limit, options.memory_limit * 1e9)
     results: dict[str, Any] = {"machine": describe_machine(), "limits": asdict(limits)}
     print(machine_text(results["machine"]), flush=True)
-    runs = []
+    runs: list[SolverRun] = []
     for run in compare(options, limits):
-        runs.append(run)
+        runs = judged([*runs, run])
         print(run_line(run), flush=True)
         results["runs"] = [run_to_json(r) for r in runs]
         _save(results, options.output)

@@ -62,10 +62,11 @@ def _compiled_sum() -> Callable[[np.ndarray], float]:
     def total(numbers: np.ndarray) -> float:  # pragma: no cover - compiled
         sums = 0.0
         for chunk in numba.prange(numbers.size // _CHUNK):
-            part = 0.0
-            for k in range(chunk * _CHUNK, (chunk + 1) * _CHUNK):
-                part += numbers[k]
-            sums += part
+            part = numbers[chunk * _CHUNK : (chunk + 1) * _CHUNK]
+            share = 0.0
+            for k in range(part.size):
+                share += part[k]
+            sums += share
         return sums
 
     return total

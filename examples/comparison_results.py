@@ -1,9 +1,12 @@
 """What one run of one solver on one instance gave: a row of the comparison."""
 
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from typing import Any
+
+REFERENCE = "columns"
+_AGREEMENT = 1e-4  # relative; every solver is asked for more
 
 
 class Outcome(StrEnum):
@@ -13,6 +16,7 @@ class Outcome(StrEnum):
     TIME_OUT = "time-out"
     OUT_OF_MEMORY = "out of memory"
     FAILED = "failed"
+    WRONG = "wrong"
     NOT_INSTALLED = "not installed"
     SKIPPED = "skipped"
 
@@ -68,10 +72,26 @@ def run_from_json(entry: dict[str, Any]) -> SolverRun:
     return SolverRun(**{**kept, "outcome": Outcome(entry["outcome"])})
 
 
-def reference_seconds(runs: Iterable[SolverRun], reference: str = "columns") -> dict[str, float]:
-    """Return the seconds of the reference solver on each instance that it solved."""
+def reference_runs(runs: Iterable[SolverRun]) -> dict[str, SolverRun]:
+    """Return the run of column generation on each instance that it solved."""
     return {
-        run.instance: run.seconds
+        run.instance: run
         for run in runs
-        if run.solver == reference and run.outcome is Outcome.SOLVED and run.seconds
+        if run.solver == REFERENCE and run.outcome is Outcome.SOLVED
     }
+
+
+def judged(runs: Sequence[SolverRun]) -> list[SolverRun]:
+    """Return the runs, those marked wrong whose objective is far from the certified one."""
+    certified = {name: run.objective for name, run in reference_runs(runs).items()}
+    return [_judge(run, certified.get(run.instance)) for run in runs]
+
+
+def _judge(run: SolverRun, certified: float | None) -> SolverRun:
+    if run.outcome is not Outcome.SOLVED or run.objective is None or certified is None:
+        return run
+    off = abs(run.objective - certified) / max(abs(certified), 1e-300)
+    if off <= _AGREEMENT:
+        return run
+    note = f"off the certified value by {off:.1g}"
+    return replace(run, outcome=Outcome.WRONG, note="; ".join(n for n in (note, run.note) if n))

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 LIBRARY, HIGHS, STORM = "comparison_library", "comparison_highs", "comparison_storm"
+PLAIN = {"SSP_LP_ACCELERATOR": "none"}
+"""Without numba: a peer's memory is then its own, not that of compiling our model building."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,7 @@ def _highs(method: str, also_needs: str = "", pip: str = "pip install highspy") 
         pip=pip,
         also_needs=also_needs,
         options={"method": method},
+        environment=PLAIN,
     )
 
 
@@ -65,12 +68,13 @@ def _storm(name: str, sound: bool, precision: str | None = None) -> Solver:
         package="stormpy",
         pip="pip install 'stormpy>=2'",
         options={"sound": sound, "precision": precision},
+        environment=PLAIN,
     )
 
 
 SOLVERS = (
     _engine("columns", "columns"),
-    _engine("columns-numpy", "columns", environment={"SSP_LP_ACCELERATOR": "none"}),
+    _engine("columns-numpy", "columns", environment=PLAIN),
     _engine("lp-simplex", "lp", "highs-simplex"),
     _engine("lp-ipx", "lp", "highs-ipx"),
     _engine("lp-clarabel", "lp", "clarabel"),

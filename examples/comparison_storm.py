@@ -1,11 +1,14 @@
 """Storm's multi-objective check (stormpy 2) on the augmented process.
 
-    multi(R{"cost"}min=? [C], P>=1-budget [F "goal"])
+    multi(R{"cost"}min=? [C], P<=budget [F "fail"])
 
 The process gets two absorbing states, the goal and failure, so that every number means what it
-means here. Case S, a ratio, is beyond Storm: it minimises E[cost; goal] within the budget on the
-states x accumulated cost. That is the ratio's numerator, and where the budget is tight, as on
-these instances, its value over 1 - budget is the ratio. Our solvers find the ratio itself.
+means here. (Asked for `P>=1-budget [F "goal"]` instead, Storm is as fast, but at its default
+precision it answered 1.00005 to robot-80x36-M, where 13.5637 is right.)
+
+Case S, a ratio, is beyond Storm: it minimises E[cost; goal] within the budget on the states x
+accumulated cost. That is the ratio's numerator, and where the budget is tight, as on these
+instances, its value over 1 - budget is the ratio. Our solvers find the ratio itself.
 """
 
 import numpy as np
@@ -36,8 +39,7 @@ def prepare(ready: ReadyInstance, order: Order, *, sound: bool, precision: str |
     model, size, details = storm_model(process), size_of(process), describe(process)
     del process
     asked = ready.instance
-    least_success = 1.0 - asked.failure_budget
-    query = f'multi(R{{"cost"}}min=? [C], P>={least_success!r} [F "goal"])'
+    query = f'multi(R{{"cost"}}min=? [C], P<={asked.failure_budget!r} [F "fail"])'
     formula = stormpy.parse_properties(query)[0]
     environment = environments.sound() if sound else environments.Environment()
     settings = environment.modelchecker().multi()
@@ -50,7 +52,8 @@ def prepare(ready: ReadyInstance, order: Order, *, sound: bool, precision: str |
         value = float(result.get_value(start))
         if asked.case == "M":
             return Answer(value)
-        return Answer(value / least_success, note="min E[cost; goal] / (1 - budget)")
+        success = 1.0 - asked.failure_budget
+        return Answer(value / success, note="min E[cost; goal] / (1 - budget)")
 
     note = joined(f"precision {float(settings.precision):.0e}", size)
     return Prepared(call, note=note, details=details)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 
-from comparison_results import Outcome, SolverRun, reference_seconds
+from comparison_results import Outcome, SolverRun, reference_runs
 
 _HEAD = (
     "instance", "states", "pairs", "transitions", "solver", "seconds", "x columns", "objective",
@@ -24,7 +24,7 @@ peak       memory of the solver's own process, in GB\
 
 def table_text(runs: Sequence[SolverRun]) -> str:
     """Return the table of some runs."""
-    reference = reference_seconds(runs)
+    reference = {name: run.seconds for name, run in reference_runs(runs).items()}
     rows = [_HEAD, *(_cells(run, reference.get(run.instance)) for run in runs)]
     widths = [max(len(row[k]) for row in rows) for k in range(len(_HEAD))]
     lines = [_line(row, widths) for row in rows]
@@ -33,7 +33,7 @@ def table_text(runs: Sequence[SolverRun]) -> str:
 
 def run_line(run: SolverRun) -> str:
     """Return a run in one line, as it comes in."""
-    figures = f"{_seconds(run)} s" if run.seconds is not None else run.outcome.value
+    figures = f"{_seconds(run)} s" if run.outcome is Outcome.SOLVED else run.outcome.value
     return f"{run.instance:<18} {run.solver:<14} {figures:>12}  {_number(run.objective, '.9g')}"
 
 

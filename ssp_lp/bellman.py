@@ -85,7 +85,7 @@ def best_pairs(
     here = np.empty(0 if held is None else n)
     own = _NOBODY if held is None else _unsigned(held)
     compiled.back_up(transitions.nnz)(
-        _unsigned(pair_offsets), *_parts(transitions), *cost.parts, values, own,
+        *unsigned_parts(pair_offsets, transitions), *cost.parts, values, own,
         minima, choice.view(np.uint32), here,
     )  # fmt: skip
     return Backup(minima, choice, here)
@@ -123,7 +123,7 @@ def safe_minima(
     minima = np.empty(len(pair_offsets) - 1)
     fixed, slope, factor = pair_cost.parts
     compiled.back_up_safely(transitions.nnz)(
-        _unsigned(pair_offsets), *_parts(transitions), fixed, magnitude, slope, factor, alone,
+        *unsigned_parts(pair_offsets, transitions), fixed, magnitude, slope, factor, alone,
         MACHINE_EPSILON, values, minima,
     )  # fmt: skip
     return minima
@@ -156,12 +156,25 @@ class ChosenRows:
         """
         self._transitions, self._choice = transitions, choice
         self._is_compiled = accelerated(transitions.nnz) if is_compiled is None else is_compiled
+        self._is_gathered = False
         self.shape = (len(choice), int(transitions.shape[1]))
         self.products = 0  # how often all rows were multiplied by vectors
 
     @cached_property
     def matrix(self) -> sp.csr_array:
-        """The rows as a matrix of their own, which products read in order, [states, columns]."""
+        """The rows as a matrix of their own, [states, columns]."""
+        return self._copied()
+
+    def gathered(self) -> ChosenRows:
+        """The same rows, read from a matrix of their own: for repeated products."""
+        if self._is_gathered:
+            return self
+        matrix = self._copied()
+        rows = ChosenRows(matrix, np.arange(self.shape[0], dtype=np.int32), self._is_compiled)
+        rows.matrix, rows._is_gathered, rows.products = matrix, True, self.products
+        return rows
+
+    def _copied(self) -> sp.csr_array:
         if not self._is_compiled:
             return sp.csr_array(self._transitions[self._choice])
         from ssp_lp.compiled import bellman as compiled
@@ -174,12 +187,6 @@ class ChosenRows:
         run = compiled.extract(indices.size)
         run(*self._arrays, indptr, indices.view(np.uint32), data)
         return sp.csr_array((data, indices, indptr), shape=self.shape)
-
-    def gathered(self) -> ChosenRows:
-        """The same rows, read from a matrix of their own: for repeated products."""
-        rows = ChosenRows(self.matrix, np.arange(self.shape[0], dtype=np.int32), self._is_compiled)
-        rows.matrix = self.matrix
-        return rows
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
         """Product with one vector, [columns], or several, [columns, vectors]."""
@@ -232,7 +239,7 @@ class ChosenRows:
 
     @cached_property
     def _arrays(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-        return _unsigned(self._choice), *_parts(self._transitions)
+        return unsigned_parts(self._choice, self._transitions)
 
     @cached_property
     def _entries(self) -> int:
@@ -243,8 +250,15 @@ class ChosenRows:
 def all_rows(chain: sp.csr_array) -> ChosenRows:
     """A chain given as a matrix of its own."""
     rows = ChosenRows(chain, np.arange(chain.shape[0], dtype=np.int32))
-    rows.matrix = chain
+    rows.matrix, rows._is_gathered = chain, True
     return rows
+
+
+def unsigned_parts(
+    offsets: IntArray, matrix: sp.csr_array
+) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+    """Offsets and the three arrays of a matrix as compiled loops take them."""
+    return _unsigned(offsets), *_parts(matrix)
 
 
 def _parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:

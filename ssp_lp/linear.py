@@ -22,6 +22,7 @@ _FACTORABLE_STATES = 50_000
 _TRIAL = 4  # sweeps over which the contraction is judged
 _CONTRACTION = 0.85  # per sweep; slower chains are left to BiCGStab, which takes 2 products a step
 _SWEEPS = 200
+_FEW_SWEEPS = 5  # up to here, gathering the rows costs more than reading them where they are
 
 _KRYLOV_STEPS = 1_000
 _RESTARTS = 4
@@ -64,8 +65,7 @@ def accumulate(
         return (_dense if size <= _DENSE_STATES else _factorised)(rows.matrix, reward)
     columns = reward.reshape(size, -1)
     first = columns if guess is None else guess.reshape(size, -1)
-    own = rows.gathered()
-    x, reached = _swept(own, columns, first, accuracy)
+    x, reached, own = _swept(rows, columns, first, accuracy)
     if not reached:
         least = accuracy if size <= _FACTORABLE_STATES else max(accuracy, _LEAST_RESIDUAL)
         for j in range(columns.shape[1]):
@@ -73,28 +73,33 @@ def accumulate(
             if not residual <= least:
                 return _factorised(own.matrix, reward)
             x[:, j] = solved
-    rows.products += own.products
+    rows.products = own.products
     return x.reshape(reward.shape)
 
 
 def _swept(
     rows: ChosenRows, reward: FloatArray, x: FloatArray, target: float
-) -> tuple[FloatArray, bool]:
-    """Repeat ``x <- reward + rows @ x`` while it contracts; x, and whether it is near enough."""
+) -> tuple[FloatArray, bool, ChosenRows]:
+    """Repeat ``x <- reward + rows @ x`` while it contracts; x, and whether it is near enough.
+
+    If that takes long, the rows are gathered into a matrix of their own, which comes back too.
+    """
     changes: list[float] = []
     most = float(np.abs(reward).max())
     while True:
         ahead, change, size = rows.sweep(reward, x)
         relative = change / (size + most) if size + most > 0 else 0.0
         if relative <= target:
-            return ahead, True
+            return ahead, True, rows
         if not np.isfinite(relative):
-            return reward.copy(), False
+            return reward.copy(), False, rows.gathered()
         slow = len(changes) >= _TRIAL and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]
         if slow or len(changes) > _SWEEPS:
-            return ahead, False
+            return ahead, False, rows.gathered()
         changes.append(relative)
         x = ahead
+        if len(changes) == _FEW_SWEEPS:
+            rows = rows.gathered()
 
 
 def without_self_loops(

@@ -10,6 +10,7 @@ import numpy as np
 from numba import get_num_threads, njit, prange
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.compiled.loops import one_or_all_cores
 
 _MOST_PARTS = 8  # the counts of each part take one number per state
 
@@ -24,17 +25,17 @@ def transposed(
     bounds = np.append(bounds, len(outcome_offsets) - 1)
     columns = unsigned(successors)
     counts = np.zeros((parts, n_states), dtype=np.int64)
-    _count(bounds, outcome_offsets, columns, probabilities, counts)
+    _count(len(columns))(bounds, outcome_offsets, columns, probabilities, counts)
     offsets = np.concatenate([[0], np.cumsum(counts.sum(axis=0))])
     free = offsets[:-1]
     for part in range(parts):  # counts become the first free place of each part
         counts[part], free = free, free + counts[part]
     pairs = np.empty(offsets[-1], dtype=np.int32)
-    _place(bounds, outcome_offsets, columns, probabilities, counts, pairs)
+    _place(len(columns))(bounds, outcome_offsets, columns, probabilities, counts, pairs)
     return offsets, pairs
 
 
-@njit(cache=True, parallel=True)
+@one_or_all_cores
 def _count(
     bounds: IntArray,
     outcome_offsets: IntArray,
@@ -50,7 +51,7 @@ def _count(
                 mine[successors[outcome]] += 1
 
 
-@njit(cache=True, parallel=True)
+@one_or_all_cores
 def _place(
     bounds: IntArray,
     outcome_offsets: IntArray,
@@ -264,10 +265,11 @@ def leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
 ) -> BoolArray:
     """Pairs that may lead to one of the states, [pairs]."""
-    return _leading_into(outcome_offsets, unsigned(successors), probabilities, states)
+    run = _leading_into(len(successors))
+    return np.asarray(run(outcome_offsets, unsigned(successors), probabilities, states))
 
 
-@njit(cache=True, parallel=True)
+@one_or_all_cores
 def _leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
 ) -> BoolArray:

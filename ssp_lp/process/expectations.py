@@ -9,6 +9,7 @@ from ssp_lp.accelerator import accelerated
 from ssp_lp.arrays import BoolArray, FloatArray, segment_sums
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import segment_chunks
+from ssp_lp.model.predecessors import narrow
 
 
 def uniform_cost(model: SSP) -> float | None:
@@ -27,7 +28,7 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
     if not accelerated(model.n_outcomes):
         shape = (model.n_pairs, model.n_states)
         matrix = sp.csr_array(
-            (model.probabilities, model.successors, model.outcome_offsets), shape=shape
+            (model.probabilities, model.successors, narrow(model.outcome_offsets)), shape=shape
         )
         return np.asarray(matrix @ values)
     from ssp_lp.compiled import bellman as compiled

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states
+from ssp_lp.model.graph import attention_states, pairs_into
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.process.explicit import ExplicitProcess
@@ -42,6 +42,17 @@ class FailureLabelled:
         """
         decision = self.skeleton.pull_back(choice[: self.skeleton.n_nodes])
         return DeterministicPolicy(self.skeleton.model, decision)
+
+    def nearer_goal(self) -> IntArray | None:
+        """A pair of each state by which it may come nearer to the goal; -1: none, [states].
+
+        None where it has to be found on the process itself (see ``Skeleton.nearer``).
+        """
+        model = self.skeleton.model
+        found = self.skeleton.nearer(pairs_into(model, model.goal_mask))
+        if found is None or self.process.n_states == len(found):
+            return found
+        return np.append(found, self.process.n_pairs - 1)  # the source state's only pair
 
 
 def label_failure(

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids, segment_sums
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends, end_components
+from ssp_lp.model.graph import approach_pairs, dead_ends, end_components
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.process.rows import RowChoice, live_rows
 
@@ -57,6 +57,23 @@ class Skeleton:
         if isinstance(give_up, float):
             return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up)
         return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up[self.pair_node])
+
+    def nearer(self, leaving: BoolArray) -> IntArray | None:
+        """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].
+
+        Found on the model's graph, which is turned round once for all searches; so there is no
+        answer (None) where components are merged, whose members need not be equally near.
+
+        Args:
+            leaving: [model pairs].
+        """
+        if self.merged.any():
+            return None
+        position = np.full(self.model.n_pairs, -1, dtype=np.int32)
+        acting = np.flatnonzero(self.pair_at >= 0)
+        position[self.pair_at[acting]] = acting
+        taken = approach_pairs(self.model, leaving, position >= 0)[self.node_of >= 0]
+        return np.where(taken >= 0, position[taken], -1)
 
     def least_over_members(self, values: FloatArray) -> FloatArray:
         """Minimum of state values over the members of each node, [nodes]."""

@@ -37,7 +37,8 @@ class ExplicitOracle:
         """A policy that leaves the process from every state, towards the goal first, [states]."""
         process = self.process
         offsets, transitions = process.pair_offsets, process.transitions
-        to_goal = approach(offsets, transitions, process.goal > 0)
+        found = self.labelled.nearer_goal()
+        to_goal = approach(offsets, transitions, process.goal > 0) if found is None else found
         if to_goal.min(initial=0) >= 0:
             return to_goal
         leaks = approach(offsets, transitions, process.goal + process.failure > 0)

@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ssp_lp.accelerator import accelerated
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
     FloatArray,
@@ -20,6 +21,7 @@ from ssp_lp.bellman import (
     best_pairs,
     chosen_product,
     safe_minima,
+    unsigned_parts,
 )
 from ssp_lp.engines.oracles.oracle import Column, Proof, Work, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
@@ -80,17 +82,40 @@ class LayeredOracle:
         totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
         for layer in reversed(range(self.process.cap)):
             cost = replace(paid, factor=float(layer))
-            if self._acyclic:
-                backup = best_pairs(offsets, base.later, cost, ahead.flat)
-                inner, values = backup.choice, backup.minima
+            if self._acyclic and accelerated(base.later.nnz):
+                values, totals = self._fused(cost, ahead, measured, choice[layer])
             else:
-                onward = (cost.total + base.later @ ahead.flat)[:, None]
-                settled = improve(offsets, base.instant, onward, _ONE, inner)
-                inner, values = settled.choice, settled.values
-            choice[layer] = inner - offsets[:-1]
+                inner, values = self._best(cost, ahead, inner)
+                choice[layer] = inner - offsets[:-1]
+                totals = self._measured(inner, layer, measured)
             ahead.push(values)
-            totals = self._measured(inner, layer, measured)
+            measured.push(totals)
         return self._column(totals, choice, failure_price, self.process.cap)
+
+    def _best(self, cost: PairCost, ahead: Window, inner: IntArray) -> tuple[IntArray, FloatArray]:
+        """The pairs of least value in a layer and their values, [nodes] each."""
+        base, offsets = self.process.base, self.process.base.pair_offsets
+        if self._acyclic:
+            backup = best_pairs(offsets, base.later, cost, ahead.flat)
+            return backup.choice, backup.minima
+        onward = (cost.total + base.later @ ahead.flat)[:, None]
+        settled = improve(offsets, base.instant, onward, _ONE, inner)
+        return settled.choice, settled.values
+
+    def _fused(
+        self, cost: PairCost, ahead: Window, measured: Window, position: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """The same and its measures in one compiled pass, which writes the choice to position."""
+        from ssp_lp.compiled.layers import back_up_layer
+
+        base, matrix = self.process.base, self.process.base.later
+        values, totals = np.empty(base.n_nodes), np.empty((base.n_nodes, 3))
+        back_up_layer(matrix.nnz)(
+            *unsigned_parts(base.pair_offsets, matrix), *cost.parts,
+            base.gain, base.gain_cost, base.failure, base.unit, base.survival,
+            ahead.flat, measured.flat, values, position, totals,
+        )  # fmt: skip
+        return values, totals
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Exact E[cost; goal] and failure of a choice, by a backward sweep.
@@ -103,10 +128,11 @@ class LayeredOracle:
         measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
             totals = self._measured(base.pair_offsets[:-1] + choice[layer], layer, measured)
+            measured.push(totals)
         return self._column(totals, choice, tail_price, 0)
 
     def _measured(self, chosen: IntArray, layer: int, ahead: Window) -> FloatArray:
-        """(cost, failure, goal) of a layer's choice, [nodes, 3]; they are pushed to the window."""
+        """(cost, failure, goal) of a layer's choice, [nodes, 3]."""
         base = self.process.base
         totals = np.empty((base.n_nodes, 3))
         totals[:, 0] = base.gain[chosen] * (layer * base.unit) + base.gain_cost[chosen]
@@ -115,7 +141,6 @@ class LayeredOracle:
         totals += chosen_product(base.later, chosen, ahead.flat)
         if not self._acyclic:
             totals = accumulate(ChosenRows(base.instant, chosen), totals)
-        ahead.push(totals)
         return totals
 
     def _measures_beyond(self, tail_price: float) -> Window:
