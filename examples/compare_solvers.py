@@ -29,7 +29,14 @@ from comparison_instances import DEFAULT_INSTANCES, Instance, parse_instance
 from comparison_machine import describe_machine, machine_text
 from comparison_memory import physical_memory
 from comparison_process import Limits, python_command, watch
-from comparison_results import Outcome, SolverRun, judged, run_from_json, run_to_json
+from comparison_results import (
+    Outcome,
+    SolverRun,
+    completed,
+    judged,
+    run_from_json,
+    run_to_json,
+)
 from comparison_solvers import Order, solver_named, solver_names
 from comparison_table import LEGEND, run_line, table_text
 
@@ -44,12 +51,14 @@ def main(arguments: Sequence[str] | None = None) -> list[SolverRun]:
     print(machine_text(results["machine"]), flush=True)
     runs: list[SolverRun] = []
     for run in compare(options, limits):
-        runs = judged([*runs, run])
+        runs = judged(completed([*runs, run]))
         print(run_line(run), flush=True)
         results["runs"] = [run_to_json(r) for r in runs]
-        _save(results, options.output)
+        _save(results, options)
     if runs:
-        print(f"\n{table_text(runs)}\n\n{LEGEND.format(repeat=options.repeat)}")
+        table = f"{table_text(runs)}\n\n{LEGEND.format(repeat=options.repeat)}"
+        (options.output / "comparison.txt").write_text(table + "\n", encoding="utf-8")
+        print(f"\n{table}")
         _draw(runs, options.output)
     if growth := growth_text(runs):
         print(f"\nColumn generation from refinement to refinement\n{growth}")
@@ -57,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> list[SolverRun]:
         results["bandwidth"] = _bandwidths(runs, limits)
     if options.frontier:
         results["frontier"] = _frontiers(options)
-    _save(results, options.output)
+    _save(results, options)
     return runs
 
 
@@ -71,15 +80,17 @@ def compare(options: argparse.Namespace, limits: Limits) -> Iterator[SolverRun]:
             )
             smaller = beaten.get((instance.group, name))
             if smaller is not None and smaller.size < instance.size and not options.try_all:
-                note = f"over the limit on {smaller.name}"
-                yield SolverRun(
-                    instance.name, name, Outcome.SKIPPED, limits.call_seconds, note=note
-                )
+                yield _skipped(order, smaller)
                 continue
             run = run_solver(order, limits)
             if run.over_limit:
                 beaten[instance.group, name] = instance
             yield run
+
+
+def _skipped(order: Order, smaller: Instance) -> SolverRun:
+    note = f"over the limit on {smaller.name}"
+    return SolverRun(order.instance, order.solver, Outcome.SKIPPED, order.time_limit, note=note)
 
 
 def run_solver(order: Order, limits: Limits, command: Sequence[str] | None = None) -> SolverRun:
@@ -138,9 +149,10 @@ def _draw(runs: Sequence[SolverRun], output: Path) -> None:
     save_plot(runs, output / "comparison.png")
 
 
-def _save(results: dict[str, Any], output: Path) -> None:
-    text = json.dumps(results, indent=1, default=str)
-    (output / "comparison.json").write_text(text + "\n", encoding="utf-8")
+def _save(results: dict[str, Any], options: argparse.Namespace) -> None:
+    name = "frontier.json" if options.frontier else "comparison.json"
+    text = json.dumps(results, indent=1)
+    (options.output / name).write_text(text + "\n", encoding="utf-8")
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -81,6 +81,16 @@ def reference_runs(runs: Iterable[SolverRun]) -> dict[str, SolverRun]:
     }
 
 
+def completed(runs: Sequence[SolverRun]) -> list[SolverRun]:
+    """Return the runs, those without the model's sizes given them from others on the instance."""
+    known = {run.instance: run for run in runs if run.transitions is not None}
+    return [_sized(run, known.get(run.instance, run)) for run in runs]
+
+
+def _sized(run: SolverRun, other: SolverRun) -> SolverRun:
+    return replace(run, states=other.states, pairs=other.pairs, transitions=other.transitions)
+
+
 def judged(runs: Sequence[SolverRun]) -> list[SolverRun]:
     """Return the runs, those marked wrong whose objective is far from the certified one."""
     certified = {name: run.objective for name, run in reference_runs(runs).items()}

@@ -34,7 +34,7 @@ def table_text(runs: Sequence[SolverRun]) -> str:
 def run_line(run: SolverRun) -> str:
     """Return a run in one line, as it comes in."""
     figures = f"{_seconds(run)} s" if run.outcome is Outcome.SOLVED else run.outcome.value
-    return f"{run.instance:<18} {run.solver:<14} {figures:>12}  {_number(run.objective, '.9g')}"
+    return f"{run.instance:<22} {run.solver:<14} {figures:>12}  {_number(run.objective, '.9g')}"
 
 
 def _line(cells: Sequence[str], widths: Iterable[int]) -> str:

@@ -185,7 +185,7 @@ class ChosenRows:
         indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
         data = np.empty(indices.size)
         run = compiled.extract(indices.size)
-        run(*self._arrays, indptr, indices.view(np.uint32), data)
+        run(*self._arrays, _unsigned(indptr), _unsigned(indices), data)
         return sp.csr_array((data, indices, indptr), shape=self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:

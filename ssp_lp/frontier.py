@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -10,7 +11,7 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, FloatArray
 from ssp_lp.engines.column_generation import Edge, search
 from ssp_lp.engines.instance import Instance, checked_least_failure
-from ssp_lp.engines.oracles.oracle import Column, Oracle
+from ssp_lp.engines.oracles.oracle import Column, Oracle, Work
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.policies import MixedPolicy
@@ -34,7 +35,9 @@ class Frontier:
     price: FloatArray  # [points - 1] price of failure on each segment, decreasing
     gap: float  # no policy lies below the frontier by more than this share of the cost
     ratio: bool  # case S
+    complete: bool  # whether it begins at the least failure, not at the steepest price asked for
     oracle_calls: int
+    work: Work  # passes over the process
     _oracle: Oracle
     _columns: tuple[Column, ...]
 
@@ -48,6 +51,7 @@ class Frontier:
 
         Raises:
             InfeasibleError: the budget is below the least failure.
+            ModelError: the frontier was not traced down to the budget.
         """
         number, weight = self._locate(budget)
         row = Row(budget, self.ratio)
@@ -62,6 +66,7 @@ class Frontier:
 
         Raises:
             InfeasibleError: the budget is below the least failure.
+            ModelError: the frontier was not traced down to the budget.
         """
         number, weight = self._locate(budget)
         if weight == 0.0:
@@ -72,6 +77,11 @@ class Frontier:
     def _locate(self, budget: float) -> tuple[int, float]:
         """The turning point at or before the budget, and the weight of the next one."""
         least = float(self.failure[0])
+        if not self.complete and not budget >= least:
+            raise ModelError(
+                f"the frontier was traced from failure {least:.12g} on, which the budget "
+                f"{budget!r} is below; a steeper steepest_price traces more of it"
+            )
         if not budget >= least - LEAST_BUDGET:
             raise InfeasibleError(
                 f"every policy fails with at least {least:.12g}, above the budget {budget!r}",
@@ -89,7 +99,9 @@ def trace_frontier(
     problem: Problem,
     *,
     gap: float = RELATIVE_GAP,
+    steepest_price: float | None = None,
     point_limit: int | None = None,
+    time_limit: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Frontier:
     """Trace the frontier from the least failure to where more failure buys nothing.
@@ -101,28 +113,54 @@ def trace_frontier(
     Args:
         problem: its failure budget does not matter.
         gap: share of the cost by which a policy may lie below the traced frontier.
+        steepest_price: begin with the policy that is best at this price of failure (kappa in case
+            S) rather than at the least failure, near which the price grows without bound.
         point_limit: stop splitting after so many turning points; ``gap`` is then what was reached.
+        time_limit: seconds after which splitting stops, likewise.
         progress: called after each oracle call with (calls, turning points so far).
 
     Raises:
-        ModelError: ``gap`` out of range.
+        ModelError: an argument out of range.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
     if not 0.0 < gap < 1.0:
         raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
+    if steepest_price is not None and not 0.0 < steepest_price < np.inf:
+        raise ModelError(f"steepest_price must be a positive number, not {steepest_price!r}")
+    deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
+    limits = _Limits(gap, steepest_price, point_limit, deadline, progress)
     instance = problem.instance()
-    least = checked_least_failure(instance, None).column
-    calls = 0
+    if steepest_price is None:
+        instance = instance.for_program()
+    elif instance.is_trial:
+        instance = instance.refined(steepest_price) or instance
+    calls, work = 0, Work()
     for _ in range(_REFINEMENTS):
-        traced = _trace(instance, least, gap, point_limit, progress)
-        calls += traced.oracle_calls
+        traced = _trace(instance, limits)
+        calls, work = calls + traced.oracle_calls, work + traced.work
         finer = None
         if len(traced.price) and _truncated(instance, traced, gap):
             finer = instance.refined(float(traced.price[0]))
-        if finer is None:
+        if finer is None or time.perf_counter() > deadline:
             break
         instance = finer
-    return replace(traced, oracle_calls=calls)
+    return replace(traced, oracle_calls=calls, work=work)
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """How far to trace."""
+
+    gap: float
+    steepest_price: float | None
+    point_limit: int | None
+    deadline: float  # on the clock of time.perf_counter
+    progress: Callable[[int, int], None] | None
+
+    def allows(self, points: int) -> bool:
+        """Whether a segment may still be split."""
+        full = self.point_limit is not None and points >= self.point_limit
+        return not full and time.perf_counter() <= self.deadline
 
 
 def _truncated(instance: Instance, traced: Frontier, gap: float) -> bool:
@@ -131,33 +169,38 @@ def _truncated(instance: Instance, traced: Frontier, gap: float) -> bool:
     return lost > gap * float(traced.cost.min(initial=np.inf))
 
 
-def _trace(
-    instance: Instance,
-    least: Column,
-    gap: float,
-    point_limit: int | None,
-    progress: Callable[[int, int], None] | None,
-) -> Frontier:
+def _trace(instance: Instance, limits: _Limits) -> Frontier:
     oracle, row = instance.oracle(), Row(1.0, instance.ratio)
-    free = search(oracle, Edge(row, least), tolerance=gap)
-    last, calls = free.columns[-1], free.rounds
-    columns = [least] if last.failure <= least.failure else [least, last]
-    waiting = [(least, last)] if len(columns) == 2 else []
+    if limits.steepest_price is None:
+        first, calls = checked_least_failure(instance, None).column, 0
+    else:
+        first, calls = oracle.minimise(limits.steepest_price, oracle.first()), 1
+        if row.ratio and row.objective(first.cost, first.goal) >= limits.steepest_price:
+            raise ModelError(
+                f"at the price {limits.steepest_price:g} of failure it is best to fail: "
+                "steepest_price must lie above the least cost given success"
+            )
+    free = search(oracle, Edge(row, first), tolerance=limits.gap)
+    last, calls, work = free.columns[-1], calls + free.rounds, first.work + free.work
+    columns = [first] if last.failure <= first.failure else [first, last]
+    waiting = [(first, last)] if len(columns) == 2 else []
+    columns = [replace(column, totals=None) for column in columns]
     reached = 0.0
     while waiting:
         edge = Edge(Row(1.0, instance.ratio), *waiting.pop())
         if edge.outside is None or edge.slope == 0.0:
             continue
         found, calls = oracle.minimise(edge.slope, edge.outside), calls + 1
-        below = _share_below(edge, found)
-        if below > gap and (point_limit is None or len(columns) < point_limit):
-            columns.append(found)
+        below, work = _share_below(edge, found), work + found.work
+        if below > limits.gap and limits.allows(len(columns)):
+            columns.append(replace(found, totals=None))  # only those waiting start others warmly
             waiting += [(edge.inside, found), (found, edge.outside)]
         else:
             reached = max(reached, below)
-        if progress is not None:
-            progress(calls, len(columns))
-    return _frontier(oracle, columns, max(reached, gap), instance.ratio, calls)
+        if limits.progress is not None:
+            limits.progress(calls, len(columns))
+    traced = _frontier(oracle, columns, max(reached, limits.gap), instance.ratio)
+    return replace(traced, complete=limits.steepest_price is None, oracle_calls=calls, work=work)
 
 
 def _share_below(edge: Edge, found: Column) -> float:
@@ -168,9 +211,7 @@ def _share_below(edge: Edge, found: Column) -> float:
     return max(below, 0.0) / max(edge.inside.cost, 1e-300)
 
 
-def _frontier(
-    oracle: Oracle, columns: list[Column], gap: float, ratio: bool, calls: int
-) -> Frontier:
+def _frontier(oracle: Oracle, columns: list[Column], gap: float, ratio: bool) -> Frontier:
     ordered = sorted(columns, key=lambda c: c.failure)
     failure = np.array([c.failure for c in ordered])
     cost = np.array([c.cost for c in ordered])
@@ -181,7 +222,9 @@ def _frontier(
         price=-np.diff(cost) / np.diff(failure),
         gap=gap,
         ratio=ratio,
-        oracle_calls=calls,
+        complete=True,
+        oracle_calls=0,
+        work=Work(),
         _oracle=oracle,
         _columns=tuple(ordered),
     )

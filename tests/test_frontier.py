@@ -103,3 +103,27 @@ def test_frontiers_without_an_edge() -> None:
         trace_frontier(MCMP(sure, "s"), gap=0.0)
     with pytest.raises(InfeasibleError):
         trace_frontier(S3P(ROADS, "d"))
+
+
+@pytest.mark.parametrize("problem", [PROBLEMS[0], PROBLEMS[3]], ids=["MCMP", "S3P"])
+def test_a_frontier_from_a_price_on_is_the_rest_of_the_whole(problem: Any) -> None:
+    whole = trace_frontier(problem)
+    steepest = float(np.sqrt(whole.price[0] * whole.price[1]))  # between two kinks
+    part = trace_frontier(problem, steepest_price=steepest)
+    assert not part.complete
+    assert part.failure == pytest.approx(whole.failure[1:], abs=1e-12)
+    assert part.cost == pytest.approx(whole.cost[1:], rel=1e-12)
+    with pytest.raises(ModelError, match="steeper"):
+        part.objective_at(float(whole.failure[0]))
+
+
+def test_tracing_stops_early_and_says_how_far_it_came() -> None:
+    few = trace_frontier(PROBLEMS[0], point_limit=2)
+    assert len(few.failure) == 2
+    assert few.gap > 1e-9
+    assert len(trace_frontier(PROBLEMS[0], time_limit=1e-9).failure) == 2
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ModelError, match="steepest_price"):
+            trace_frontier(PROBLEMS[0], steepest_price=wrong)
+    with pytest.raises(ModelError, match="best to fail"):
+        trace_frontier(PROBLEMS[3], steepest_price=1e-3)

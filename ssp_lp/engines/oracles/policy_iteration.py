@@ -11,12 +11,13 @@ from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray, segment_
 from ssp_lp.bellman import ChosenRows, best_pairs
 from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.errors import SolverError
-from ssp_lp.linear import DIRECT_STATES, accumulate
+from ssp_lp.linear import DIRECT_STATES, EXACT, accumulate
 from ssp_lp.model.approach import nearer_pairs
 from ssp_lp.model.predecessors import find_predecessors
 
 _ITERATIONS = 1_000
-_ROUGH, _FINE = 0.1, 1e-13  # relative residuals of evaluations: the first one, the last one
+_ROUGH, _FINE = 0.1, EXACT  # relative residuals of evaluations: the first one, the last one
+_LAST_GAINS = 1e-4
 _FORCING = 0.1  # share of the last gain, relative to the values, that an evaluation may miss by
 _NOISE = 0.01  # of a rough residual: changes for less may go back and forth
 
@@ -102,7 +103,7 @@ def _settle(
         if better.any():
             gain = float((backup.here - backup.minima).max()) / scale
             choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
-            accuracy = min(max(_FORCING * gain, _FINE), accuracy)
+            accuracy = min(_FORCING * gain if gain > _LAST_GAINS else _FINE, accuracy)
         elif accuracy > _FINE:
             accuracy = _FINE
         else:
