@@ -25,6 +25,8 @@ from comparison_results import Outcome
 EXAMPLES = Path(__file__).parent
 PREPARING, DONE = "preparing", "done"
 _POLL = 0.02  # seconds
+_NO_MEMORY = ("SIGKILL", "MemoryError", "bad_alloc", "memory allocation")
+"""What the end of a process says that was refused memory, or ended by the system for it."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +77,7 @@ def watch(
     command: Sequence[str], limits: Limits, environment: Mapping[str, str] | None = None
 ) -> Ending:
     """Run a command within limits; the path of its report is appended to its arguments."""
+    found_here = os.pathsep.join(filter(None, sys.path))  # what we can import, it can
     with tempfile.TemporaryDirectory() as folder:
         report, log = Path(folder, "report"), Path(folder, "log")
         report.touch()
@@ -84,7 +87,7 @@ def watch(
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
-                env={**os.environ, **(environment or {})},
+                env={**os.environ, "PYTHONPATH": found_here, **(environment or {})},
                 start_new_session=True,
             )
         try:
@@ -105,9 +108,12 @@ def _wait(process: subprocess.Popen[bytes], report: Path, log: Path, limits: Lim
         held, peak = memory or (0, peak)
         phase = entries.get("phase", PREPARING)
         if code is not None:
-            in_order = code == 0 and phase == DONE
-            words = "" if in_order else _last_words(code, log)
-            return Ending(entries, None if in_order else Outcome.FAILED, words, peak)
+            if code == 0 and phase == DONE:
+                return Ending(entries, None, "", peak)
+            words = _last_words(code, log)
+            greedy = any(sign in words for sign in _NO_MEMORY)
+            outcome = Outcome.OUT_OF_MEMORY if greedy else Outcome.FAILED
+            return Ending(entries, outcome, words, peak)
         if held > limits.memory:
             words = f"more than {limits.memory / 1e9:.3g} GB while {phase}"
             return Ending(entries, Outcome.OUT_OF_MEMORY, words, peak)

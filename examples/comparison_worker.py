@@ -37,6 +37,8 @@ def main(arguments: list[str]) -> None:
         return
     try:
         _run(solver, order, report)
+    except MemoryError as error:
+        report.say(outcome=Outcome.OUT_OF_MEMORY, note=str(error)[:300], phase=DONE)
     except Exception as error:  # whatever goes wrong in a solver is a row of the table
         words = " ".join(str(error).split())[:300]
         report.say(outcome=Outcome.FAILED, note=f"{type(error).__name__}: {words}", phase=DONE)

@@ -22,7 +22,6 @@ _FACTORABLE_STATES = 50_000
 _TRIAL = 4  # sweeps over which the contraction is judged
 _CONTRACTION = 0.85  # per sweep; slower chains are left to BiCGStab, which takes 2 products a step
 _SWEEPS = 200
-_FEW_SWEEPS = 5  # up to here, gathering the rows costs more than reading them where they are
 
 _KRYLOV_STEPS = 1_000
 _RESTARTS = 4
@@ -58,48 +57,45 @@ def accumulate(
     size = chain.shape[0]
     if size == 0:
         return reward.copy()
-    rows = chain if isinstance(chain, ChosenRows) else all_rows(chain)
+    rows = chain.gathered() if isinstance(chain, ChosenRows) else all_rows(chain)
     if size <= DIRECT_STATES:
         if rows.matrix.nnz == 0:
             return reward.copy()
         return (_dense if size <= _DENSE_STATES else _factorised)(rows.matrix, reward)
     columns = reward.reshape(size, -1)
     first = columns if guess is None else guess.reshape(size, -1)
-    x, reached, own = _swept(rows, columns, first, accuracy)
+    x, reached = _swept(rows, columns, first, accuracy)
     if not reached:
         least = accuracy if size <= _FACTORABLE_STATES else max(accuracy, _LEAST_RESIDUAL)
         for j in range(columns.shape[1]):
-            solved, residual = _krylov(own, columns[:, j], x[:, j], accuracy)
+            solved, residual = _krylov(rows, columns[:, j], x[:, j], accuracy)
             if not residual <= least:
-                return _factorised(own.matrix, reward)
+                return _factorised(rows.matrix, reward)
             x[:, j] = solved
-    rows.products = own.products
+    if isinstance(chain, ChosenRows) and rows is not chain:
+        chain.products += rows.products
     return x.reshape(reward.shape)
 
 
 def _swept(
     rows: ChosenRows, reward: FloatArray, x: FloatArray, target: float
-) -> tuple[FloatArray, bool, ChosenRows]:
-    """Repeat ``x <- reward + rows @ x`` while it contracts; x, and whether it is near enough.
-
-    If that takes long, the rows are gathered into a matrix of their own, which comes back too.
-    """
+) -> tuple[FloatArray, bool]:
+    """Repeat ``x <- reward + rows @ x`` while it contracts; x, and whether it is near enough."""
+    x = x.copy()
     changes: list[float] = []
     most = float(np.abs(reward).max())
     while True:
         ahead, change, size = rows.sweep(reward, x)
         relative = change / (size + most) if size + most > 0 else 0.0
         if relative <= target:
-            return ahead, True, rows
+            return ahead, True
         if not np.isfinite(relative):
-            return reward.copy(), False, rows.gathered()
+            return reward.copy(), False
         slow = len(changes) >= _TRIAL and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]
         if slow or len(changes) > _SWEEPS:
-            return ahead, False, rows.gathered()
+            return ahead, False
         changes.append(relative)
         x = ahead
-        if len(changes) == _FEW_SWEEPS:
-            rows = rows.gathered()
 
 
 def without_self_loops(

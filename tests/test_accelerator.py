@@ -83,11 +83,11 @@ def test_chains_are_the_same(accelerate: Switch, vectors: int) -> None:
     rng = np.random.default_rng(vectors)
     _, transitions = random_pairs(rng, 3_000)
     choice = rng.integers(0, transitions.shape[0], 3_000).astype(np.int32)
-    reward = rng.random((3_000, vectors))
+    reward, order = rng.random((3_000, vectors)), rng.permutation(3_000)
 
     def work() -> tuple[np.ndarray, ...]:
         rows = ChosenRows(transitions, choice)
-        return rows @ reward, rows.gathered() @ reward, *rows.sweep(reward, reward[::-1].copy())
+        return rows @ reward, rows.gathered(order) @ reward, *rows.sweep(reward, reward[::-1])
 
     compiled, plain = both(accelerate, work)
     assert_same(compiled, plain)

@@ -52,7 +52,7 @@ def test_large_instances_are_warmed_up_on_a_small_one() -> None:
 
 
 def test_solvers_agree_each_in_a_process_of_its_own(tmp_path: Path) -> None:
-    chosen = ["columns", "lp-simplex", "highs-ipx"]
+    chosen = ["columns", "highs-ipx"]
     runs = compare_solvers.main(
         ["--instances", SMALL, "--solvers", *chosen, "--repeat", "2", "--output", str(tmp_path)]
     )
@@ -102,6 +102,14 @@ def test_a_crash_is_a_row_with_its_reason() -> None:
         run = compare_solvers.run_solver(order, Limits(9.0, 9.0), [sys.executable, "-c", code])
         assert run.outcome is Outcome.FAILED
         assert run.note == reason
+
+
+def test_a_solver_that_is_refused_memory_ran_out_of_it() -> None:
+    order = Order(SMALL, "columns", time_limit=9.0, repeat=1, tolerance=1e-9)
+    aborted = "import os, sys; print('std::bad_alloc', file=sys.stderr, flush=True); os.abort()"
+    run = compare_solvers.run_solver(order, Limits(9.0, 9.0), [sys.executable, "-c", aborted])
+    assert run.outcome is Outcome.OUT_OF_MEMORY
+    assert run.note == "SIGABRT: std::bad_alloc"
 
 
 @pytest.mark.skipif(process_memory(1) is None, reason="the memory of others cannot be read here")

@@ -5,48 +5,56 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
+from numba import njit, prange
 
 from ssp_lp.compiled.loops import one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
 
-@one_or_all_cores
+@njit(cache=True)
 def sweep(
-    choice: Array,
-    indptr: Array,
-    indices: Array,
-    data: Array,
-    reward: Array,
-    x: Array,
-    ahead: Array,
+    order: Array, indptr: Array, indices: Array, data: Array, reward: Array, x: Array
 ) -> tuple[float, float]:
-    """Write ``reward + chain @ x`` to ``ahead``; the greatest change and the greatest size."""
+    """Set each x in turn to what the others imply (Gauss and Seidel), in place.
+
+    Row i of the matrix is that of state ``order[i]``. One core only: the result then does not
+    depend on timing, and two cores saved less than using new values at once does.
+
+    Returns:
+        The greatest change and the greatest size.
+    """
     change, size = 0.0, 0.0
-    if x.shape[1] == 2:  # each entry is read once
-        for s in prange(choice.size):
-            row = choice[s]
-            first, second = 0.0, 0.0
-            for k in range(indptr[row], indptr[row + 1]):
-                weight, column = data[k], indices[k]
-                first += weight * x[column, 0]
-                second += weight * x[column, 1]
-            first, second = reward[s, 0] + first, reward[s, 1] + second
-            ahead[s, 0], ahead[s, 1] = first, second
-            change = max(change, max(abs(first - x[s, 0]), abs(second - x[s, 1])))
-            size = max(size, max(abs(first), abs(second)))
-        return change, size
-    for s in prange(choice.size):
-        row = choice[s]
+    for i in range(order.size):
+        s = order[i]
         for j in range(x.shape[1]):
             total = 0.0
-            for k in range(indptr[row], indptr[row + 1]):
+            for k in range(indptr[i], indptr[i + 1]):
                 total += data[k] * x[indices[k], j]
             total = reward[s, j] + total
-            ahead[s, j] = total
             change = max(change, abs(total - x[s, j]))
             size = max(size, abs(total))
+            x[s, j] = total
+    return change, size
+
+
+@njit(cache=True)
+def sweep_two(
+    order: Array, indptr: Array, indices: Array, data: Array, reward: Array, x: Array
+) -> tuple[float, float]:
+    """The same for two rewards, reading each entry once."""
+    change, size = 0.0, 0.0
+    for i in range(order.size):
+        s = order[i]
+        first, second = 0.0, 0.0
+        for k in range(indptr[i], indptr[i + 1]):
+            weight, column = data[k], indices[k]
+            first += weight * x[column, 0]
+            second += weight * x[column, 1]
+        first, second = reward[s, 0] + first, reward[s, 1] + second
+        change = max(change, max(abs(first - x[s, 0]), abs(second - x[s, 1])))
+        size = max(size, max(abs(first), abs(second)))
+        x[s, 0], x[s, 1] = first, second
     return change, size
 
 

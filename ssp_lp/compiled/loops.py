@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from numba import njit
 
-MANY_ENTRIES: Final = 4_000_000
+MANY_ENTRIES: Final = 10_000_000
 """Entries from which waking other cores does not matter, even where they are busy otherwise."""
 
 Loop = Callable[..., Any]

@@ -18,8 +18,6 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import FailureLabelled
 
-_NO_WORK = Work()
-
 
 @dataclass(frozen=True, eq=False)
 class ExplicitOracle:
@@ -65,23 +63,20 @@ class ExplicitOracle:
             warm.choice if warm is not None and warm.choice is not None else self._leaving,
             warm.totals if warm is not None and found else None,
         )
-        return self.measure(settled.choice, settled.totals, settled.work)
+        return self._column(settled.choice, settled.totals, settled.work)
 
-    def measure(
-        self, choice: IntArray, guess: FloatArray | None = None, work: Work = _NO_WORK
-    ) -> Column:
-        """Exact cost and failure of one pair per state, by sparse linear solves.
+    def measure(self, choice: IntArray) -> Column:
+        """Exact cost and failure of one pair per state, by a sparse linear solve.
 
         Args:
             choice: [states].
-            guess: totals to start from, [states, 2].
-            work: what finding the choice took.
         """
-        process = self.process
-        chain = ChosenRows(process.transitions, choice)
-        totals = accumulate(chain, self._rewards[choice], guess)
-        cost, failure = (process.start @ totals).tolist()
-        work = work + Work(0, chain.products)
+        chain = ChosenRows(self.process.transitions, choice)
+        totals = accumulate(chain, self._rewards[choice])
+        return self._column(choice, totals, Work(0, chain.products))
+
+    def _column(self, choice: IntArray, totals: FloatArray, work: Work) -> Column:
+        cost, failure = (self.process.start @ totals).tolist()
         return Column(cost, failure, 1.0 - failure, choice, totals=totals, work=work)
 
     def aligned(self, column: Column, price: float) -> Column:

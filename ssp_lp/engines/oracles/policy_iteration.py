@@ -17,7 +17,7 @@ from ssp_lp.model.predecessors import find_predecessors
 
 _ITERATIONS = 1_000
 _ROUGH, _FINE = 0.1, EXACT  # relative residuals of evaluations: the first one, the last one
-_LAST_GAINS = 1e-4
+_LAST_GAINS = 1e-4  # gains, relative to the values, after which evaluations are exact
 _FORCING = 0.1  # share of the last gain, relative to the values, that an evaluation may miss by
 _NOISE = 0.01  # of a rough residual: changes for less may go back and forth
 
@@ -45,7 +45,8 @@ def improve(
     A state changes its pair only for a gain above rounding. Started from a policy whose chain is
     transient, every later policy is transient too, provided that an end component either does not
     exist or costs something (DESIGN, section 4): then the fixed point reached is the optimum.
-    Evaluations are as exact as the last gain warrants; the last one is exact.
+    Evaluations are as exact as the last gain warrants; the last one is exact. They visit states in
+    the order of their values, since runs lead from high values to low ones.
 
     Args:
         pair_offsets: [states + 1].
@@ -83,9 +84,10 @@ def _settle(
     None where a rough evaluation led to a policy that never leaves, or it does not end.
     """
     pair_cost, rough = rewards @ weights, accuracy > _FINE
-    backups = products = 0
-    for _ in range(_ITERATIONS):
-        chain = ChosenRows(transitions, choice)
+    products = 0
+    order = None if totals is None else np.argsort(totals @ weights)
+    chain = ChosenRows(transitions, choice).gathered(order)
+    for backups in range(1, _ITERATIONS + 1):
         try:
             totals = accumulate(chain, rewards[choice], totals, accuracy=accuracy)
         except SolverError:
@@ -94,7 +96,6 @@ def _settle(
             raise
         values = totals @ weights
         backup = best_pairs(pair_offsets, transitions, pair_cost, values, choice)
-        backups, products = backups + 1, products + chain.products
         scale = max(float(np.abs(values).max(initial=0.0)), 1e-300)
         noise = IMPROVEMENT * np.abs(backup.here)
         if accuracy > _FINE:
@@ -104,10 +105,14 @@ def _settle(
             gain = float((backup.here - backup.minima).max()) / scale
             choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
             accuracy = min(_FORCING * gain if gain > _LAST_GAINS else _FINE, accuracy)
+            order = np.argsort(values) if order is None else order
+            products += chain.products
+            chain = ChosenRows(transitions, choice).gathered(order)
         elif accuracy > _FINE:
             accuracy = _FINE
         else:
-            return Settled(choice, totals, values, Work(backups, products))
+            work = Work(backups, products + chain.products)
+            return Settled(choice, totals, values, work)
     return None
 
 
