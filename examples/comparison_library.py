@@ -37,7 +37,13 @@ def prepare(ready: ReadyInstance, order: Order, *, engine: str, backend: str | N
     small = ready if ready.instance.warm_up == ready.instance else None
 
     def warm_up() -> Solution:
-        return solve((small or build(ready.instance.warm_up)).problem(), "columns")
+        problem = (small or build(ready.instance.warm_up)).problem()
+        if small is None and has_accelerator():  # the loops of large models, on a small one
+            from ssp_lp.compiled.loops import on_all_cores
+
+            with on_all_cores():
+                solve(problem, "columns")
+        return solve(problem, "columns")
 
     return Prepared(call, warm_up)
 
@@ -45,19 +51,13 @@ def prepare(ready: ReadyInstance, order: Order, *, engine: str, backend: str | N
 def _answer(solution: Solution, order: Order, failure_budget: float) -> Answer:
     run = solution.run
     loops = "numba" if has_accelerator() else "numpy"
-    discounted = solution.problem.discount is not None
-
-    def excess() -> float:
-        failure = solution.discounted_failure if discounted else solution.failure_probability
-        return max((failure or 0.0) - failure_budget, 0.0)
-
     return Answer(
         objective=solution.objective,
         gap=solution.gap,
         note=joined(f"{run.oracle_calls} oracle calls", loops, solution.note),
         details=run.program,
         in_time=solution.gap <= order.tolerance or run.seconds < order.time_limit,
-        backups=getattr(run, "backups", None),
-        products=getattr(run, "products", None),
-        excess=excess,
+        backups=run.backups,
+        products=run.products,
+        excess=lambda: max(solution.budget_used - failure_budget, 0.0),
     )

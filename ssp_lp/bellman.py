@@ -155,51 +155,35 @@ class ChosenRows:
         """
         self._transitions, self._choice = transitions, choice
         self._is_compiled = accelerated(transitions.nnz) if is_compiled is None else is_compiled
-        self._order: IntArray | None = None  # of the states, where the rows have been gathered
+        self._is_gathered = False
         self.shape = (len(choice), int(transitions.shape[1]))
         self.products = 0  # how often all rows were multiplied by vectors
 
     @property
     def matrix(self) -> sp.csr_array:
         """The rows as a matrix of their own, [states, columns]."""
-        if self._order is not None and not self._is_compiled:
-            return self._transitions
-        return sp.csr_array(self._transitions[self._choice])
+        return self._transitions if self._is_gathered else self._copied()
 
-    def gathered(self, order: IntArray | None = None) -> ChosenRows:
-        """The same rows, copied one after the other for repeated sweeps.
+    def gathered(self) -> ChosenRows:
+        """The same rows, copied one after the other for repeated use.
 
         Reading them where they are, among the rows of all pairs, takes as long as copying them.
-
-        Args:
-            order: the order in which sweeps are to visit the states, best such that runs pass
-                from late ones to early ones, [states]; as they are numbered if left out.
         """
-        if self._order is not None:
-            return self
-        numbers = np.arange(self.shape[0], dtype=np.int32)
-        if not self._is_compiled:
-            rows = ChosenRows(self.matrix, numbers, is_compiled=False)
-            rows._order = numbers
-            return rows
-        order = numbers if order is None else order.astype(np.int32, copy=False)
-        position = np.empty(len(order), dtype=np.int32)
-        position[order] = numbers
-        rows = ChosenRows(self._copied(self._choice[order]), position, is_compiled=True)
-        rows._order = order
-        return rows
+        return self if self._is_gathered else all_rows(self._copied(), self._is_compiled)
 
-    def _copied(self, chosen: IntArray) -> sp.csr_array:
+    def _copied(self) -> sp.csr_array:
+        if not self._is_compiled:
+            return sp.csr_array(self._transitions[self._choice])
         from ssp_lp.compiled import bellman as compiled
 
         begin = self._transitions.indptr
-        lengths = begin[chosen + 1] - begin[chosen]
+        lengths = begin[self._choice + 1] - begin[self._choice]
         indptr = np.append(0, np.cumsum(lengths)).astype(begin.dtype)
         indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
         data = np.empty(indices.size)
-        arrays = unsigned_parts(chosen, self._transitions)
-        compiled.extract(indices.size)(*arrays, _unsigned(indptr), _unsigned(indices), data)
-        return sp.csr_array((data, indices, indptr), shape=(len(chosen), self.shape[1]))
+        run = compiled.extract(indices.size)
+        run(*self._arrays, _unsigned(indptr), _unsigned(indices), data)
+        return sp.csr_array((data, indices, indptr), shape=self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
         """Product with one vector, [columns], or several, [columns, vectors]."""
@@ -216,20 +200,20 @@ class ChosenRows:
     def sweep(self, reward: FloatArray, x: FloatArray) -> tuple[FloatArray, float, float]:
         """``reward + rows @ x``, its greatest change from x, and its greatest size.
 
-        Compiled, gathered rows use new values at once, in their order, and overwrite x.
+        Compiled and gathered rows use new values at once (Gauss and Seidel) and overwrite x.
 
         Args:
             reward: [states, rewards].
             x: [states, rewards].
         """
-        if not self._is_compiled or self._order is None:
+        if not (self._is_compiled and self._is_gathered):
             ahead = reward + self @ x
             return ahead, float(np.abs(ahead - x).max()), float(np.abs(ahead).max())
         from ssp_lp.compiled import chains as compiled
 
         self.products += 1
         run = compiled.sweep_two if x.shape[1] == 2 else compiled.sweep
-        change, size = run(*unsigned_parts(self._order, self._transitions), reward, x)
+        change, size = run(*_parts(self._transitions), reward, x)
         return x, change, size
 
     def solve(self, residual: FloatArray, target: float, most_steps: int) -> FloatArray:
@@ -262,11 +246,10 @@ class ChosenRows:
         return int(share * self._transitions.nnz)
 
 
-def all_rows(chain: sp.csr_array) -> ChosenRows:
+def all_rows(chain: sp.csr_array, is_compiled: bool | None = None) -> ChosenRows:
     """A chain given as a matrix of its own."""
-    numbers = np.arange(chain.shape[0], dtype=np.int32)
-    rows = ChosenRows(chain, numbers)
-    rows._order = numbers
+    rows = ChosenRows(chain, np.arange(chain.shape[0], dtype=np.int32), is_compiled)
+    rows._is_gathered = True
     return rows
 
 

@@ -44,8 +44,8 @@ NOT_YET_RUN = Run("", "", 0, 0.0)
 class Solution:
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
 
-    ``objective`` is an exact evaluation of the policy on the augmented process. The other numbers
-    about the policy are evaluated on the model itself when they are first asked for.
+    ``objective`` and ``budget_used`` are exact measures of the policy on the augmented process. The
+    other numbers about the policy are evaluated on the model itself when they are first asked for.
     """
 
     problem: Problem
@@ -54,6 +54,7 @@ class Solution:
     lower_bound: float  # certified by value_function at the failure price
     failure_price: float | None  # lambda >= 0; None at least failure
     value_function: FloatArray | None  # sub-solution: [process states], or [layers, nodes]
+    budget_used: float  # failure of the policy (discounted, if that is limited), as measured
     run: Run
     note: str = ""
 

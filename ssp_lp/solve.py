@@ -95,6 +95,7 @@ def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> So
         lower_bound=min(least.objective_bound, objective),
         failure_price=None,
         value_function=None,
+        budget_used=least.column.failure,
         run=run,
     )
 
@@ -110,6 +111,9 @@ def _conclude(problem: Problem, outcome: Outcome) -> Solution:
         lower_bound=found.lower_bound,
         failure_price=price,
         value_function=read_only(found.proof.values),
+        budget_used=float(
+            sum(w * c.failure for w, c in zip(found.weights, found.columns, strict=True))
+        ),
         run=NOT_YET_RUN,
         note=_note(problem, outcome),
     )

@@ -16,8 +16,6 @@ def path(request, monkeypatch):
     chunk, compiled = PATHS[request.param]
     if compiled and not has_accelerator():
         pytest.skip("no accelerator")
-    if compiled:
-        monkeypatch.setattr("ssp_lp.compiled.graph.get_num_threads", lambda: 3)
     monkeypatch.setattr("ssp_lp.model.chunks.CHUNK", chunk)
     monkeypatch.setattr("ssp_lp.accelerator._WORTH_COMPILING", 0 if compiled else 1 << 62)
 

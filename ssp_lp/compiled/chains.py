@@ -14,22 +14,21 @@ Array = np.ndarray[Any, Any]
 
 @njit(cache=True)
 def sweep(
-    order: Array, indptr: Array, indices: Array, data: Array, reward: Array, x: Array
+    indptr: Array, indices: Array, data: Array, reward: Array, x: Array
 ) -> tuple[float, float]:
     """Set each x in turn to what the others imply (Gauss and Seidel), in place.
 
-    Row i of the matrix is that of state ``order[i]``. One core only: the result then does not
-    depend on timing, and two cores saved less than using new values at once does.
+    One core only: so the result does not depend on timing, and two cores would save less than
+    using new values at once does. Visiting states by increasing value takes as many sweeps.
 
     Returns:
         The greatest change and the greatest size.
     """
     change, size = 0.0, 0.0
-    for i in range(order.size):
-        s = order[i]
+    for s in range(x.shape[0]):
         for j in range(x.shape[1]):
             total = 0.0
-            for k in range(indptr[i], indptr[i + 1]):
+            for k in range(indptr[s], indptr[s + 1]):
                 total += data[k] * x[indices[k], j]
             total = reward[s, j] + total
             change = max(change, abs(total - x[s, j]))
@@ -40,14 +39,13 @@ def sweep(
 
 @njit(cache=True)
 def sweep_two(
-    order: Array, indptr: Array, indices: Array, data: Array, reward: Array, x: Array
+    indptr: Array, indices: Array, data: Array, reward: Array, x: Array
 ) -> tuple[float, float]:
     """The same for two rewards, reading each entry once."""
     change, size = 0.0, 0.0
-    for i in range(order.size):
-        s = order[i]
+    for s in range(x.shape[0]):
         first, second = 0.0, 0.0
-        for k in range(indptr[i], indptr[i + 1]):
+        for k in range(indptr[s], indptr[s + 1]):
             weight, column = data[k], indices[k]
             first += weight * x[column, 0]
             second += weight * x[column, 1]

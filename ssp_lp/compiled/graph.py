@@ -7,68 +7,47 @@ Sets and least elements only, so every result is the same, bit by bit, as that o
 from __future__ import annotations
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import njit
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.compiled.loops import one_or_all_cores
-
-_MOST_PARTS = 8  # the counts of each part take one number per state
 
 
 def transposed(
     n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Offsets, [states + 1], and pairs, [entries], by a counting sort of parts side by side."""
-    parts = min(get_num_threads(), _MOST_PARTS)
-    shares = np.linspace(0, outcome_offsets[-1], parts + 1)
-    bounds = np.searchsorted(outcome_offsets, shares[:-1])
-    bounds = np.append(bounds, len(outcome_offsets) - 1)
+    """Offsets, [states + 1], and pairs, [entries], by a counting sort."""
     columns = unsigned(successors)
-    counts = np.zeros((parts, n_states), dtype=np.int64)
-    _count(len(columns))(bounds, outcome_offsets, columns, probabilities, counts)
-    offsets = np.concatenate([[0], np.cumsum(counts.sum(axis=0))])
-    free = offsets[:-1]
-    for part in range(parts):  # counts become the first free place of each part
-        counts[part], free = free, free + counts[part]
+    counts = np.zeros(n_states, dtype=np.int64)
+    _count(columns, probabilities, counts)
+    offsets = np.concatenate([[0], np.cumsum(counts)])
     pairs = np.empty(offsets[-1], dtype=np.int32)
-    _place(len(columns))(bounds, outcome_offsets, columns, probabilities, counts, pairs)
+    _place(outcome_offsets, columns, probabilities, offsets[:-1].copy(), pairs)
     return offsets, pairs
 
 
-@one_or_all_cores
-def _count(
-    bounds: IntArray,
-    outcome_offsets: IntArray,
-    successors: IntArray,
-    probabilities: FloatArray,
-    counts: IntArray,
-) -> None:
-    """Count the possible outcomes that go to each state, part by part."""
-    for part in prange(len(bounds) - 1):
-        mine = counts[part]
-        for outcome in range(outcome_offsets[bounds[part]], outcome_offsets[bounds[part + 1]]):
-            if probabilities[outcome] > 0:
-                mine[successors[outcome]] += 1
+@njit(cache=True)
+def _count(successors: IntArray, probabilities: FloatArray, counts: IntArray) -> None:
+    """Count the possible outcomes that go to each state."""
+    for outcome in range(len(successors)):
+        if probabilities[outcome] > 0:
+            counts[successors[outcome]] += 1
 
 
-@one_or_all_cores
+@njit(cache=True)
 def _place(
-    bounds: IntArray,
     outcome_offsets: IntArray,
     successors: IntArray,
     probabilities: FloatArray,
     places: IntArray,
     pairs: IntArray,
 ) -> None:
-    """Write each pair to the next place of its successors, part by part."""
-    for part in prange(len(bounds) - 1):
-        mine = places[part]
-        for pair in range(bounds[part], bounds[part + 1]):
-            for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
-                if probabilities[outcome] > 0:
-                    successor = successors[outcome]
-                    pairs[mine[successor]] = pair
-                    mine[successor] += 1
+    """Write each pair to the next place of its successors."""
+    for pair in range(len(outcome_offsets) - 1):
+        for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
+            if probabilities[outcome] > 0:
+                successor = successors[outcome]
+                pairs[places[successor]] = pair
+                places[successor] += 1
 
 
 def reached(
@@ -265,21 +244,24 @@ def leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
 ) -> BoolArray:
     """Pairs that may lead to one of the states, [pairs]."""
-    run = _leading_into(len(successors))
-    return np.asarray(run(outcome_offsets, unsigned(successors), probabilities, states))
-
-
-@one_or_all_cores
-def _leading_into(
-    outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
-) -> BoolArray:
     leads = np.zeros(len(outcome_offsets) - 1, dtype=np.bool_)
-    for pair in prange(len(leads)):
+    _leading_into(outcome_offsets, unsigned(successors), probabilities, states, leads)
+    return leads
+
+
+@njit(cache=True)
+def _leading_into(
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    states: BoolArray,
+    leads: BoolArray,
+) -> None:
+    for pair in range(len(leads)):
         for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
             if states[successors[outcome]] and probabilities[outcome] > 0:
                 leads[pair] = True
                 break
-    return leads
 
 
 def unsigned(indices: IntArray) -> IntArray:

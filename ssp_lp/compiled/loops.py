@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from types import FunctionType
 from typing import Any, Final
 
 from numba import njit
 
-MANY_ENTRIES: Final = 10_000_000
+many_entries: Final = ContextVar("many_entries", default=10_000_000)
 """Entries from which waking other cores does not matter, even where they are busy otherwise."""
 
 Loop = Callable[..., Any]
@@ -23,4 +25,14 @@ def one_or_all_cores(function: Any) -> Callable[[int], Loop]:
     copy = FunctionType(function.__code__, function.__globals__, f"{function.__name__}_everywhere")
     copy.__qualname__ = copy.__name__  # numba caches by this name
     single, everywhere = njit(cache=True)(function), njit(parallel=True, cache=True)(copy)
-    return lambda entries: everywhere if entries >= MANY_ENTRIES else single
+    return lambda entries: everywhere if entries >= many_entries.get() else single
+
+
+@contextmanager
+def on_all_cores() -> Iterator[None]:
+    """Within it short loops run on all cores too: to compile what long ones will need."""
+    before = many_entries.set(0)
+    try:
+        yield
+    finally:
+        many_entries.reset(before)

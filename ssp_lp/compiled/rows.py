@@ -5,14 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
-
-from ssp_lp.compiled.loops import one_or_all_cores
+from numba import njit
 
 Array = np.ndarray[Any, Any]
 
 
-@one_or_all_cores
+@njit(cache=True)
 def count(
     outcome_offsets: Array,
     successors: Array,
@@ -25,7 +23,7 @@ def count(
 ) -> None:
     """Entries of each row, and the mass that departs where waiting in place is left out."""
     departing = home.size > 0
-    for row in prange(pair_at.size):
+    for row in range(pair_at.size):
         entries, loops, leak, away = 0, 0, 0.0, 0.0
         if pair_at[row] >= 0:
             pair = np.uint32(pair_at[row])
@@ -46,7 +44,7 @@ def count(
         departs[row] = mass if loops > 0 and mass > 0.0 else 1.0
 
 
-@one_or_all_cores
+@njit(cache=True)
 def fill(
     outcome_offsets: Array,
     successors: Array,
@@ -64,7 +62,7 @@ def fill(
 ) -> None:
     """Columns and probabilities of the entries that ``count`` counted."""
     departing, layered = home.size > 0, ahead.size > 0
-    for row in prange(pair_at.size):
+    for row in range(pair_at.size):
         place, end = indptr[row], indptr[row + 1]
         if place < end:
             pair = np.uint32(pair_at[row])

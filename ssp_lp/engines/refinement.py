@@ -103,7 +103,7 @@ def _attempt(
         deadline=effort.deadline,
         report=effort.progress,
     )
-    if optimum is not None:
+    if optimum is not None and found.finished:
         check_agreement(optimum, found.objective)
     if least is not None and row.budget <= least.column.failure:
         found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))

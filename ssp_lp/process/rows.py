@@ -55,7 +55,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> tuple[sp.csr_array, Flo
         from ssp_lp.compiled import rows as compiled
 
         model = rows.model
-        compiled.fill(model.n_outcomes)(
+        compiled.fill(
             model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
             _array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at, _array(rows.home),
             departs, survival,
@@ -77,7 +77,7 @@ def _count(rows: RowChoice) -> tuple[IntArray, FloatArray]:
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled import rows as compiled
 
-        compiled.count(model.n_outcomes)(
+        compiled.count(
             model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
             rows.node_of, rows.pair_at, _array(rows.home), counts, departs,
         )  # fmt: skip

@@ -45,8 +45,7 @@ def improve(
     A state changes its pair only for a gain above rounding. Started from a policy whose chain is
     transient, every later policy is transient too, provided that an end component either does not
     exist or costs something (DESIGN, section 4): then the fixed point reached is the optimum.
-    Evaluations are as exact as the last gain warrants; the last one is exact. They visit states in
-    the order of their values, since runs lead from high values to low ones.
+    Evaluations are as exact as the last gain warrants; the last one is exact.
 
     Args:
         pair_offsets: [states + 1].
@@ -85,8 +84,7 @@ def _settle(
     """
     pair_cost, rough = rewards @ weights, accuracy > _FINE
     products = 0
-    order = None if totals is None else np.argsort(totals @ weights)
-    chain = ChosenRows(transitions, choice).gathered(order)
+    chain = ChosenRows(transitions, choice).gathered()
     for backups in range(1, _ITERATIONS + 1):
         try:
             totals = accumulate(chain, rewards[choice], totals, accuracy=accuracy)
@@ -105,9 +103,8 @@ def _settle(
             gain = float((backup.here - backup.minima).max()) / scale
             choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
             accuracy = min(_FORCING * gain if gain > _LAST_GAINS else _FINE, accuracy)
-            order = np.argsort(values) if order is None else order
             products += chain.products
-            chain = ChosenRows(transitions, choice).gathered(order)
+            chain = ChosenRows(transitions, choice).gathered()
         elif accuracy > _FINE:
             accuracy = _FINE
         else:
