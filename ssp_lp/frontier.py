@@ -33,7 +33,7 @@ class Frontier:
     goal: FloatArray  # [points] 1 - failure
     cost: FloatArray  # [points] decreasing
     price: FloatArray  # [points - 1] price of failure on each segment, decreasing
-    gap: float  # no policy lies below the frontier by more than this share of the cost
+    gap: float  # no policy lies below a segment by more than this share of its safer end's cost
     ratio: bool  # case S
     complete: bool  # whether it begins at the least failure, not at the steepest price asked for
     oracle_calls: int
@@ -112,11 +112,12 @@ def trace_frontier(
 
     Args:
         problem: its failure budget does not matter.
-        gap: share of the cost by which a policy may lie below the traced frontier.
+        gap: how far a policy may lie below a segment, as a share of the cost at its safer end.
         steepest_price: begin with the policy that is best at this price of failure (kappa in case
             S) rather than at the least failure, near which the price grows without bound.
         point_limit: stop splitting after so many turning points; ``gap`` is then what was reached.
-        time_limit: seconds after which splitting stops, likewise.
+        time_limit: seconds after which splitting stops; segments that wait are still priced once,
+            so that ``gap`` is honest.
         progress: called after each oracle call with (calls, turning points so far).
 
     Raises:
@@ -125,6 +126,8 @@ def trace_frontier(
     """
     if not 0.0 < gap < 1.0:
         raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
+    if point_limit is not None and point_limit < 2:
+        raise ModelError(f"point_limit must be at least 2, not {point_limit!r}")
     if steepest_price is not None and not 0.0 < steepest_price < np.inf:
         raise ModelError(f"steepest_price must be a positive number, not {steepest_price!r}")
     deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
@@ -138,9 +141,9 @@ def trace_frontier(
     for _ in range(_REFINEMENTS):
         traced = _trace(instance, limits)
         calls, work = calls + traced.oracle_calls, work + traced.work
-        finer = None
-        if len(traced.price) and _truncated(instance, traced, gap):
-            finer = instance.refined(float(traced.price[0]))
+        lost = _share_lost(instance, traced)
+        finer = instance.refined(float(traced.price[0])) if lost > gap else None
+        traced = replace(traced, gap=max(traced.gap, lost))
         if finer is None or time.perf_counter() > deadline:
             break
         instance = finer
@@ -163,10 +166,12 @@ class _Limits:
         return not full and time.perf_counter() <= self.deadline
 
 
-def _truncated(instance: Instance, traced: Frontier, gap: float) -> bool:
-    """Whether the cap on accumulated cost may hide policies below the frontier."""
+def _share_lost(instance: Instance, traced: Frontier) -> float:
+    """How far below the frontier policies may lie that the cap on accumulated cost hides."""
+    if len(traced.price) == 0:
+        return 0.0
     lost = max(instance.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
-    return lost > gap * float(traced.cost.min(initial=np.inf))
+    return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
 
 
 def _trace(instance: Instance, limits: _Limits) -> Frontier:
@@ -180,7 +185,7 @@ def _trace(instance: Instance, limits: _Limits) -> Frontier:
                 f"at the price {limits.steepest_price:g} of failure it is best to fail: "
                 "steepest_price must lie above the least cost given success"
             )
-    free = search(oracle, Edge(row, first), tolerance=limits.gap)
+    free = search(oracle, Edge(row, first), tolerance=limits.gap, deadline=limits.deadline)
     last, calls, work = free.columns[-1], calls + free.rounds, first.work + free.work
     columns = [first] if last.failure <= first.failure else [first, last]
     waiting = [(first, last)] if len(columns) == 2 else []

@@ -68,10 +68,11 @@ def fill(
             pair = np.uint32(pair_at[row])
             begin, stop = outcome_offsets[pair], outcome_offsets[pair + np.uint32(1)]
             only_loops = departing
-            for k in range(begin, stop):
-                if probabilities[k] > 0.0 and node_of[successors[k]] != home[row]:
-                    only_loops = False
-                    break
+            if departing:
+                for k in range(begin, stop):
+                    if probabilities[k] > 0.0 and node_of[successors[k]] != home[row]:
+                        only_loops = False
+                        break
             for k in range(begin, stop):
                 node = node_of[successors[k]]
                 if node < 0 or probabilities[k] <= 0.0:

@@ -34,6 +34,9 @@ _MOST_ENTRIES = 800_000_000
 _FIRST_LAYERS = 2.5
 """Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
 
+_MOST_STEPS = 256
+"""Steps of a first attempt beyond which that policy is no guide but a long shot."""
+
 _MARGIN = 1.02
 """Layers beyond what a trial's price asks for: the price still moves a little."""
 
@@ -73,7 +76,22 @@ class CostInstance:
     @property
     def is_trial(self) -> bool:
         """Whether the cap is a guess."""
-        return self.cap is None and self.fixed_cap is None
+        return self.cap is None and self.fixed_cap is None and not self._has_exact_tails
+
+    @cached_property
+    def _directed(self) -> ReachPolicy:
+        return goal_directed(self.model, self.survival)
+
+    @cached_property
+    def _has_exact_tails(self) -> bool:
+        """Whether the tails are those of the least failure, asked for or needed."""
+        if self.exact_tails or bool(self.base.skeleton.merged.any()):
+            return True
+        cost = float(self.start @ self._directed.cost)
+        goal = float(self.start @ self._directed.goal)
+        steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
+        guessing = self.cap is None and self.fixed_cap is None
+        return guessing and steps > _MOST_STEPS
 
     @cached_property
     def safest(self) -> tuple[GoalReach, ReachPolicy]:
@@ -116,19 +134,20 @@ class CostInstance:
 
     def refined(self, price: float) -> CostInstance | None:
         """The same problem with more layers or better tails, unless nothing is left to improve."""
-        here, exact = self.process.cap, self.process.tails.exact
+        here, exact = self.process.cap, self._has_exact_tails
         lossless = int(np.ceil(_MARGIN * price / self.base.unit)) + 1
         if self.fixed_cap is not None:
             return None if exact else self._carry(replace(self, exact_tails=True))
         if self.is_trial and lossless <= _MOST_GROWTH * here:
             wanted = lossless
         elif not exact:
-            wanted = lossless if here < lossless <= _MOST_GROWTH * here else here
-            exact = wanted == here
+            wanted, exact = lossless if here < lossless <= _MOST_GROWTH * here else here, True
         else:
             wanted = lossless if here < lossless <= 2 * here else 2 * here
         if wanted * self.base.n_nodes > _MOST_ENTRIES:
-            return None
+            if self._has_exact_tails:
+                return None
+            wanted, exact = here, True
         return self._carry(replace(self, cap=wanted, exact_tails=exact))
 
     def matching(self, values: FloatArray) -> CostInstance:
@@ -143,7 +162,7 @@ class CostInstance:
 
     def for_program(self) -> CostInstance:
         """The same problem with the exact tails: a program can do no better than they beyond it."""
-        if self.exact_tails:
+        if self._has_exact_tails:
             return self
         exact = self._carry(replace(self, exact_tails=True))
         return self._carry(replace(exact, cap=exact.process.cap))
@@ -154,22 +173,22 @@ class CostInstance:
 
     def _carry(self, other: CostInstance) -> CostInstance:
         """Hand what does not depend on the cap to a copy of this instance."""
-        kept = {"base", "safest", "riskiest"}
-        if self.exact_tails == other.exact_tails:
-            kept.add("_tails")
+        kept = {"base", "safest", "riskiest", "_directed"}
         other.__dict__.update((name, self.__dict__[name]) for name in kept & self.__dict__.keys())
+        if "_tails" in self.__dict__ and self._has_exact_tails == other._has_exact_tails:
+            other.__dict__["_tails"] = self._tails
         return other
 
     @cached_property
     def _tails(self) -> Tails:
         at = self.base.skeleton.least_over_members
         least, riskiest = self.riskiest
-        exact = self.exact_tails or bool(self.base.skeleton.merged.any())
+        exact = self._has_exact_tails
         if exact:
             reach, first = self.safest
             greatest = -at(-reach.bound)
         else:
-            first = goal_directed(self.model, self.survival)
+            first = self._directed
             greatest = np.full(self.base.n_nodes, self.survival)
         both = (first, riskiest)
         return Tails(

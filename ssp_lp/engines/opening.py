@@ -12,6 +12,8 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from ssp_lp.engines.column_generation import Edge
 from ssp_lp.engines.instance import Instance, LeastFailure
 from ssp_lp.engines.oracles.oracle import Column, Oracle, Work
@@ -19,6 +21,7 @@ from ssp_lp.engines.row import Row
 
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
 _STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until both sides are known
+_LEAST_FACTOR = 1.5  # by which the price moves at least while it is a guess
 _HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # the same from a hint, in units of the hint's uncertainty
 
 
@@ -28,6 +31,7 @@ class Hint:
 
     price: float
     spread: float  # relative uncertainty
+    slack: bool = False  # whether the budget was slack there, so that one side is all there is
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,28 +74,41 @@ def open_by_pricing(
     last, price = _beginning(oracle, row, hint)
     if price is None:
         return None
-    steps = _STEPS if hint is None else [hint.spread * step for step in _HINTED_STEPS]
+    steps = _STEPS if hint is None else tuple(hint.spread * step for step in _HINTED_STEPS)
+    one_sided = price == 0.0 or (hint is not None and hint.slack)
     inside: Column | None = None
     outside: Column | None = None
-    calls, work = 0, Work()
-    for step in (*steps, None):
-        last, calls = oracle.minimise(price, last), calls + 1
-        work = work + last.work
-        if last.failure <= row.budget and row.objective(last.cost, last.goal) < float("inf"):
-            inside = last
-        elif last.failure > row.budget:
+    work = Work()
+    for calls, step in enumerate((*steps, None), start=1):
+        last = oracle.minimise(price, last)
+        work, value = work + last.work, row.objective(last.cost, last.goal)
+        if last.failure > row.budget:
             outside = last
+        elif value < np.inf:
+            inside = last
         if report is not None:
-            known = float("inf") if inside is None else row.objective(inside.cost, inside.goal)
-            report(calls, price, known)
-        both = inside is not None and outside is not None
-        late = inside is not None and time.perf_counter() > deadline
-        if step is None or both or late:
+            report(calls, price, value if last is inside else np.inf)
+        enough = one_sided or outside is not None or time.perf_counter() > deadline
+        if step is None or (inside is not None and enough):
             break
-        price = price / (1.0 + step) if inside is not None else price * (1.0 + step)
-    if inside is None:
-        return None
-    return Opening(Edge(row, inside, outside), last, calls, work)
+        price = _moved(price, step, last.failure, row.budget, is_hinted=hint is not None)
+    return None if inside is None else Opening(Edge(row, inside, outside), last, calls, work)
+
+
+def _moved(price: float, step: float, failure: float, budget: float, *, is_hinted: bool) -> float:
+    """A price towards the other side of the budget, at most the factor 1 + step away.
+
+    Failure falls about as fast as the price rises; the square of their ratio overshoots, so that
+    the columns found lie on both sides and not far apart.
+    """
+    most = 1.0 + step
+    if is_hinted or budget <= 0.0 or failure <= 0.0:
+        return price / most if failure <= budget else price * most
+    factor = (failure / budget) ** 2
+    least = min(_LEAST_FACTOR, most)
+    if failure <= budget:
+        return price * float(np.clip(factor, 1.0 / most, 1.0 / least))
+    return price * float(np.clip(factor, least, most))
 
 
 def _beginning(oracle: Oracle, row: Row, hint: Hint | None) -> tuple[Column, float | None]:

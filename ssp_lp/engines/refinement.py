@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import check_agreement, solve_program
@@ -19,6 +19,7 @@ _PATIENCE = 3
 _TRIAL_TOLERANCE = 1e-2
 """A trial only learns the price, from which the next instance's size follows."""
 
+_NEAR = 1e-9  # of the budget: then it may be the least failure, whose own bound is exact
 _SPREAD = 1e-6  # relative uncertainty of a price that a search or a program ended with
 
 
@@ -31,6 +32,13 @@ class Effort:
     tolerance: float
     deadline: float  # on the clock of time.perf_counter
     progress: Callable[[int, float, float], None] | None
+
+    def after(self, calls: int) -> Effort:
+        """The same, where so many oracle calls have been made before."""
+        progress = self.progress
+        if progress is None:
+            return self
+        return replace(self, progress=lambda more, *rest: progress(calls + more, *rest))
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,18 +72,38 @@ def optimise(instance: Instance, budget: float, effort: Effort) -> Outcome:
     while True:
         found, here = outcome.found, outcome.instance
         gaps.append(relative_gap(found.objective, found.lower_bound))
-        if gaps[-1] <= effort.tolerance or time.perf_counter() > effort.deadline:
+        if gaps[-1] <= effort.tolerance:
             return outcome
+        if time.perf_counter() > effort.deadline:
+            return replace(outcome, found=replace(found, finished=False))
+        if outcome.least is None and found.columns[0].failure >= outcome.row.budget - _NEAR:
+            outcome = _at_the_edge(outcome, effort)
+            if outcome.found is not found:
+                continue
         if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
             return outcome
         finer = here.refined(found.price)
         if finer is None:
             return outcome
-        hint = Hint(found.price, _TRIAL_TOLERANCE if here.is_trial else _SPREAD)
-        following = _attempt(finer, outcome.row, outcome.least, effort, hint)
+        spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
+        hint = Hint(found.price, spread, slack=len(found.columns) == 1)
+        later = effort.after(outcome.calls)
+        following = _attempt(finer, outcome.row, outcome.least, later, hint)
         outcome = replace(
             following, calls=outcome.calls + following.calls, work=outcome.work + following.work
         )
+
+
+def _at_the_edge(outcome: Outcome, effort: Effort) -> Outcome:
+    """Work out the least failure; where the budget is equal to it, its policy is the answer."""
+    least = checked_least_failure(outcome.instance, outcome.row.budget)
+    if outcome.row.budget > least.column.failure + MACHINE_EPSILON:
+        return replace(outcome, least=least)
+    row = replace(outcome.row, budget=least.column.failure)
+    following = _attempt(outcome.instance, row, least, effort.after(outcome.calls), None)
+    return replace(
+        following, calls=outcome.calls + following.calls, work=outcome.work + following.work
+    )
 
 
 def _attempt(
@@ -94,6 +122,7 @@ def _attempt(
             optimum = solve_program(instance, row, effort.backend, effort.deadline)
             hint = Hint(optimum.price, _SPREAD)
     opening = _opening(instance, row, least, effort, hint)
+    effort = effort.after(opening.calls)
     row, least = opening.edge.row, opening.least
     found = search(
         instance.oracle(),

@@ -45,7 +45,7 @@ class Column:
 
 def excess_failure(risky: Column, safe: Column) -> float:
     """How much more ``risky`` fails than ``safe``, without cancellation."""
-    if max(risky.goal, safe.goal) < 0.5:
+    if max(risky.goal, safe.goal) < 0.5 and safe.goal > risky.goal:
         return safe.goal - risky.goal
     return risky.failure - safe.failure
 

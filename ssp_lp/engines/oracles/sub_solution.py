@@ -16,9 +16,11 @@ from ssp_lp.errors import SolverError
 from ssp_lp.linear import accumulate
 
 _ROUNDS = 12
+_TIED = 1024.0  # lacks within which a pair may turn out to be the best after lowering
 _RUN_ACCURACY = 1e-3  # runs are used times 1.5 and checked
-_SLIGHT = (1e-13, 1e-12)  # shares that cost nothing worth a search for less
-_SHRINKAGES = (1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+_LARGE = 50_000  # states from which looking for the least that will do takes too long
+_SLIGHT = 1e-13  # share by which a large model's values are lowered throughout
+_SHRINKAGES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 
 
 def shortfall(
@@ -52,15 +54,21 @@ def sub_solution(
     if not lack.any():
         return values
 
-    def shrunk(share: float) -> FloatArray:
-        return np.asarray(floor + (1.0 - share) * (values - floor))
-
     def passes(lowered: FloatArray) -> bool:
         return not shortfall(pair_offsets, transitions, pair_cost, lowered).any()
 
-    for share in _SLIGHT:
-        if passes(shrunk(share)):
-            return shrunk(share)
+    def shrunk(share: float) -> FloatArray:
+        return np.asarray(floor + (1.0 - share) * (values - floor))
+
+    if floor == 0.0 and len(values) > _LARGE and passes(shrunk(_SLIGHT)):
+        return shrunk(_SLIGHT)
+    lowered = values
+    for _ in range(_ROUNDS):
+        lowered = np.maximum(lowered - lack, floor)
+        lack = shortfall(pair_offsets, transitions, pair_cost, lowered)
+        if not lack.any():
+            return lowered
+    lack = shortfall(pair_offsets, transitions, pair_cost, values)
     run = _longest_run(pair_offsets, transitions, pair_cost, values, lack)
     if run is not None:
         for factor in (1.5, 4.0, 16.0, 64.0, 1024.0):
@@ -90,6 +98,7 @@ def _longest_run(
     backup = best_pairs(pair_offsets, transitions, pair_cost, values)
     choice = backup.choice
     spare = ahead - np.repeat(backup.minima, np.diff(pair_offsets))
+    spare[spare <= _TIED * worst_lack] = 0.0
     run: FloatArray | None = None
     for _ in range(_ROUNDS):
         reward = np.where(met, worst_lack, 0.0)
