@@ -187,3 +187,22 @@ def test_the_switch_knows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ModelError, match="SSP_LP_ACCELERATOR"):
         accelerator.has_accelerator()
     accelerator.has_accelerator.cache_clear()
+
+
+def test_rows_are_filled_within_their_arrays() -> None:
+    """As plain Python, where reading beyond an array's end is an error rather than luck."""
+    from ssp_lp.compiled import rows
+
+    n, none = 5, np.zeros(0, dtype=np.int32)
+    numbers = np.arange(n + 1, dtype=np.int32)
+    departs, counts = np.empty(n), np.empty(n, dtype=np.int32)
+    outcomes = numbers, np.zeros(n, dtype=np.int32), np.ones(n)
+    node_of, pair_at = np.zeros(1, dtype=np.int32), numbers[:n]
+    indices, data = np.empty(n, dtype=np.int32), np.empty(n)
+    for home, kept in ((none, n), (np.ones(n, dtype=np.int32), n)):
+        rows.count.py_func(*outcomes, node_of, pair_at, home, counts, departs)
+        assert counts.sum() == kept
+        rows.fill.py_func(
+            *outcomes, none, node_of, 1, pair_at, home, departs, 1.0, numbers, indices, data
+        )
+        np.testing.assert_array_equal(data, np.ones(n))

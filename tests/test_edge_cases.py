@@ -245,3 +245,53 @@ def test_a_time_limit_returns_an_honest_gap() -> None:
     assert solution.failure_probability <= 0.05 + 1e-12
     assert solution.lower_bound <= solution.objective
     assert np.isfinite(solution.gap)
+
+
+def test_a_long_shot_is_no_guide_to_the_cap() -> None:
+    """The policy nearest to the goal in steps succeeds once in 10^10 runs."""
+    p = 1e-10
+    model = SSP.from_transitions(
+        {
+            "a": {
+                "long": [(p, "g", 1), (1 - 1.5 * p, "a", 1), (0.5 * p, "d", 1)],
+                "walk": [(1.0, "b", 1)],
+            },
+            "b": {"go": [(0.9, "g", 1), (0.1, "d", 1)]},
+            "d": {"stay": [(1.0, "d", 1)]},
+        },
+        goal={"g"},
+    )
+    solution = solve(S3P(model, "a", 0.2))
+    assert solution.objective == pytest.approx(2.0, rel=1e-12)
+    assert solution.gap <= 1e-9
+
+
+def test_a_budget_equal_to_the_least_failure_keeps_its_bound_under_a_small_cap() -> None:
+    model = SSP.from_transitions(
+        {
+            "a": {"u": [(1.0, "c", 1)], "die": [(1.0, "d", 0)]},
+            "c": {"u": [(1.0, "g", 1)]},
+            "d": {"stay": [(1.0, "d", 0)]},
+        },
+        goal={"g"},
+    )
+    solution = solve(S3P(model, "a", 0.0, cost_cap=1))
+    assert solution.objective == pytest.approx(2.0, rel=1e-12)
+    assert solution.gap <= 1e-9
+
+
+@pytest.mark.parametrize("budget", [0.9999, 0.999999, 1.0])
+def test_a_slack_budget_near_one_keeps_its_bound(budget: float) -> None:
+    """Values that are exactly 0 stay so when others are lowered."""
+    model = SSP.from_transitions(
+        {
+            "a": {"u": [(0.5, "c", 3), (0.25, "d", 3), (0.25, "a", 1)], "v": [(1.0, "b", 1)]},
+            "b": {"u": [(0.75, "g", 0), (0.25, "d", 1)], "loop": [(1.0, "b", 0)]},
+            "c": {"u": [(1.0, "g", 2)]},
+            "d": {"u": [(0.25, "g", 0), (0.75, "a", 1)], "w": [(0.5, "b", 0), (0.5, "b", 1)]},
+        },
+        goal={"g"},
+    )
+    solution = solve(S3P(model, "a", budget))
+    assert solution.objective == pytest.approx(1.0, rel=1e-9)
+    assert solution.gap <= 1e-9

@@ -1,0 +1,37 @@
+"""Checked lower bounds: never above the optimum, and near it even where many pairs tie."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from ssp_lp.engines.oracles.sub_solution import shortfall, sub_solution
+
+
+def test_ties_between_a_cost_and_a_free_step_do_not_drop_the_bound() -> None:
+    """The first state's pairs: step on for free, or pay what stepping on leads to."""
+    total = 35.863654166323165
+    transitions = sp.csr_array(np.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]))
+    cost = np.array([0.0, total - 5e-14, total - 5e-14])
+    offsets = np.array([0, 2, 3], dtype=np.int32)
+    lowered = sub_solution(offsets, transitions, cost, np.full(2, total))
+    assert lowered == pytest.approx([total, total], rel=1e-12)
+    assert not shortfall(offsets, transitions, cost, lowered).any()
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_what_passes_is_a_lower_bound(seed: int) -> None:
+    """Against value iteration to convergence, from values that are too high by chance."""
+    rng = np.random.default_rng(seed)
+    offsets = np.arange(0, 31, 3, dtype=np.int32)
+    dense = rng.random((30, 10)) * (rng.random((30, 10)) < 0.3)
+    dense /= np.maximum(dense.sum(axis=1, keepdims=True), 1e-12) / rng.uniform(0.5, 0.95, (30, 1))
+    cost = np.round(rng.random(30), 1)
+    optimum = np.zeros(10)
+    for _ in range(2_000):
+        optimum = (cost + dense @ optimum).reshape(10, 3).min(axis=1)
+    guess = optimum * (1.0 + rng.normal(scale=1e-8, size=10))
+    lowered = sub_solution(offsets, sp.csr_array(dense), cost, guess)
+    assert (lowered <= optimum * (1.0 + 1e-14) + 1e-14).all()
+    assert lowered == pytest.approx(optimum, rel=1e-5, abs=1e-6)
