@@ -53,6 +53,10 @@ class Outcome:
     work: Work = field(default_factory=Work)
     program: str = ""  # report of the last linear program
 
+    def followed_by(self, other: Outcome) -> Outcome:
+        """The other, with the work of both."""
+        return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
+
 
 def optimise(instance: Instance, budget: float, effort: Effort) -> Outcome:
     """Search on finer and finer instances until the gap is met, or refining does not help.
@@ -88,10 +92,7 @@ def optimise(instance: Instance, budget: float, effort: Effort) -> Outcome:
         spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
         hint = Hint(found.price, spread, slack=len(found.columns) == 1)
         later = effort.after(outcome.calls)
-        following = _attempt(finer, outcome.row, outcome.least, later, hint)
-        outcome = replace(
-            following, calls=outcome.calls + following.calls, work=outcome.work + following.work
-        )
+        outcome = outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, hint))
 
 
 def _at_the_edge(outcome: Outcome, effort: Effort) -> Outcome:
@@ -100,10 +101,8 @@ def _at_the_edge(outcome: Outcome, effort: Effort) -> Outcome:
     if outcome.row.budget > least.column.failure + MACHINE_EPSILON:
         return replace(outcome, least=least)
     row = replace(outcome.row, budget=least.column.failure)
-    following = _attempt(outcome.instance, row, least, effort.after(outcome.calls), None)
-    return replace(
-        following, calls=outcome.calls + following.calls, work=outcome.work + following.work
-    )
+    later = effort.after(outcome.calls)
+    return outcome.followed_by(_attempt(outcome.instance, row, least, later, None))
 
 
 def _attempt(
