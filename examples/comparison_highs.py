@@ -14,6 +14,7 @@ from comparison_explicit import describe, size_of, written_out
 from comparison_models import ReadyInstance
 from comparison_solvers import Order
 from ssp_lp.engines.lp.answer import LPAnswer, residuals
+from ssp_lp.engines.lp.highs import highs_lp
 from ssp_lp.program import LinearProgram, occupation_program
 
 
@@ -37,22 +38,6 @@ def prepare(ready: ReadyInstance, order: Order, *, method: str) -> Prepared:
         return _answer(solver, program)
 
     return Prepared(call, note=size_of(process), details=describe(process))
-
-
-def highs_lp(program: LinearProgram) -> highspy.HighsLp:
-    """Return a program in HiGHS' own form."""
-    n_rows, n_columns = program.matrix.shape
-    lp = highspy.HighsLp()
-    lp.num_col_, lp.num_row_ = n_columns, n_rows
-    lp.col_cost_ = program.cost
-    lp.col_lower_ = np.zeros(n_columns)
-    lp.col_upper_ = np.full(n_columns, highspy.kHighsInf)
-    lp.row_lower_, lp.row_upper_ = program.lower, program.upper
-    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    lp.a_matrix_.start_ = program.matrix.indptr
-    lp.a_matrix_.index_ = program.matrix.indices
-    lp.a_matrix_.value_ = program.matrix.data
-    return lp
 
 
 def _require(status: highspy.HighsStatus, what: str) -> None:

@@ -41,7 +41,7 @@ def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) ->
     for name, value in options.items():
         if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
             raise SolverError(f"HiGHS refuses the option {name}={value!r}")
-    if solver.passModel(_highs_lp(program)) == highspy.HighsStatus.kError:
+    if solver.passModel(highs_lp(program)) == highspy.HighsStatus.kError:
         raise SolverError("HiGHS refuses the linear program")
     solver.run()
     solution = solver.getSolution()
@@ -54,7 +54,8 @@ def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) ->
     )
 
 
-def _highs_lp(program: LinearProgram) -> highspy.HighsLp:
+def highs_lp(program: LinearProgram) -> highspy.HighsLp:
+    """A program in HiGHS' own form."""
     n_rows, n_columns = program.matrix.shape
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = n_columns, n_rows

@@ -63,7 +63,7 @@ class LayeredOracle:
     process: LayeredProcess
 
     def first(self) -> Column:
-        """The policy of least failure among the tails, followed from the start."""
+        """The first tail, which goes for the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
         cost, goal = float(base.start @ tails.cost[0]), float(base.start @ tails.goal[0])
         failure = float(base.start @ (1.0 - tails.goal[0])) + base.start_failure

@@ -60,15 +60,14 @@ def sub_solution(
     def shrunk(share: float) -> FloatArray:
         return np.asarray(floor + (1.0 - share) * (values - floor))
 
-    if floor == 0.0 and len(values) > _LARGE and passes(shrunk(_SLIGHT)):
-        return shrunk(_SLIGHT)
-    lowered = values
+    if floor == 0.0 and len(values) > _LARGE and passes(lowered := shrunk(_SLIGHT)):
+        return lowered
+    lowered, still = values, lack
     for _ in range(_ROUNDS):
-        lowered = np.maximum(lowered - lack, floor)
-        lack = shortfall(pair_offsets, transitions, pair_cost, lowered)
-        if not lack.any():
+        lowered = np.maximum(lowered - still, floor)
+        still = shortfall(pair_offsets, transitions, pair_cost, lowered)
+        if not still.any():
             return lowered
-    lack = shortfall(pair_offsets, transitions, pair_cost, values)
     run = _longest_run(pair_offsets, transitions, pair_cost, values, lack)
     if run is not None:
         for factor in (1.5, 4.0, 16.0, 64.0, 1024.0):
@@ -76,8 +75,8 @@ def sub_solution(
             if passes(lowered):
                 return lowered
     for share in _SHRINKAGES:
-        if passes(shrunk(share)):
-            return shrunk(share)
+        if passes(lowered := shrunk(share)):
+            return lowered
     return np.full_like(values, floor)
 
 
