@@ -18,7 +18,7 @@ from ssp_lp.problem import Problem
 class Run:
     """Which engine ran, why, and what it did."""
 
-    engine: str  # "columns" or "lp"
+    engine: str  # "columns", "lp" or "game"
     reason: str  # why this engine, and what it had to do
     oracle_calls: int
     seconds: float

@@ -9,8 +9,12 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.arrays import RELATIVE_GAP, read_only
-from ssp_lp.engines.instance import LeastFailure, checked_least_failure
+from ssp_lp.crosscheck import stationary_game
+from ssp_lp.crosscheck.threshold import Patience
+from ssp_lp.engines.cost_instance import CostInstance
+from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import BACKENDS
+from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.refinement import Effort, Outcome, optimise
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError
@@ -18,7 +22,7 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
-ENGINES = ("auto", "columns", "lp")
+ENGINES = ("auto", "columns", "lp", "game")
 
 _REASONS = {
     "auto": "column generation, which scales best for one failure row",
@@ -42,7 +46,9 @@ def solve(
 
     Args:
         problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
-        engine: "columns" (column generation), "lp" (the full linear program), or "auto".
+        engine: "columns" (column generation), "lp" (the full linear program), "game" (the paper's
+            value iteration and zero-sum game, section 3.5; needs a discount and a budget above 0),
+            or "auto".
         backend: the LP engine's solver: "highs", "highs-simplex", "highs-ipx", "clarabel" or
             "cvxpy"; None: chosen by the size of the program.
         tolerance: relative gap to reach.
@@ -65,13 +71,16 @@ def solve(
     if not 0.0 < tolerance < 1.0:
         raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
     instance = problem.instance()
+    deadline = np.inf if time_limit is None else began + time_limit
+    if engine == "game":
+        return _by_game(problem, instance, tolerance, Patience(deadline, progress), began)
     if problem.failure_budget is None:
         return _at_least_failure(problem, checked_least_failure(instance, None), began)
     effort = Effort(
         engine="columns" if engine == "auto" else engine,
         backend=backend,
         tolerance=tolerance,
-        deadline=np.inf if time_limit is None else began + time_limit,
+        deadline=deadline,
         progress=progress,
     )
     outcome = optimise(instance, problem.failure_budget, effort)
@@ -80,6 +89,29 @@ def solve(
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)
+
+
+def _by_game(
+    problem: Problem, instance: Instance, tolerance: float, patience: Patience, began: float
+) -> Solution:
+    """The paper's own construction, which knows neither columns nor programs."""
+    if isinstance(instance, CostInstance) and instance.fixed_cap is not None:
+        raise ModelError("engine='game' chooses its own cap M: leave cost_cap out")
+    found = stationary_game(problem, tolerance=tolerance, patience=patience)
+    replies = found.threshold.replies
+    reason = f"the paper's game, {len(found.threshold.trials)} values of c"
+    work = Work(backups=sum(r.sweeps for r in replies))
+    run = Run("game", reason, len(replies), time.perf_counter() - began, work)
+    return Solution(
+        problem=problem,
+        policy=found.policy,
+        objective=found.objective,
+        lower_bound=min(found.lower_bound, found.objective),
+        failure_price=max(found.price - found.objective, 0.0) if problem.ratio else found.price,
+        value_function=read_only(found.values),
+        budget_used=found.threshold.condition,
+        run=run,
+    )
 
 
 def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> Solution:

@@ -1,0 +1,164 @@
+"""The two-person zero-sum game at a fixed c (paper, section 3.2).
+
+The adversary mixes the objective MDP, with weight alpha, and the failure MDP; the player chooses a
+policy. The payoff ``alpha * J_obj + (1 - alpha) * (eta / epsilon) * J_cond`` is linear in alpha for
+each policy, so the least payoff ``J*(alpha)`` is concave and piecewise linear: its maximum lies
+where the line of a policy that fails less crosses that of a policy that costs less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.crosscheck.reply import Player, Reply
+
+_MOST_ROUNDS = 1_000
+_LEVEL = 1e-12
+"""Slopes this small, as a share of eta, are rounding: such a line is level and counts as rising,
+so that of all alpha that attain a flat maximum the greatest is found, which bounds c* best."""
+
+
+@dataclass(frozen=True)
+class Game:
+    """The game of eq. j_c_gamma_def with its two parameters."""
+
+    stake: float  # eta(epsilon; c): c in case M, c * (1 - epsilon) in case S
+    budget: float  # epsilon
+
+    @property
+    def scale(self) -> float:
+        """eta(epsilon; c) / epsilon, the worth of a unit of failure."""
+        return self.stake / self.budget
+
+    def payoff(self, alpha: float, reply: Reply) -> float:
+        """J_{c,gamma,epsilon}(x', alpha, pi) of a policy."""
+        return reply.payoff(alpha, (1.0 - alpha) * self.scale)
+
+    def excess(self, reply: Reply) -> float:
+        """Slope of a policy's payoff in alpha: J_obj less what failure is worth."""
+        return reply.objective - self.scale * reply.condition
+
+    def rises(self, reply: Reply) -> bool:
+        """Whether a policy's payoff rises with alpha (or is level)."""
+        return self.excess(reply) >= -_LEVEL * self.stake
+
+    def best_reply(self, player: Player, alpha: float, accuracy: float) -> Reply:
+        """The player's best reply to alpha; its bound is one of J*(x', alpha)."""
+        return player.reply(alpha, (1.0 - alpha) * self.scale, accuracy)
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """The value of a game, between two bounds, and the two policies that meet there."""
+
+    game: Game
+    alpha: float  # alpha*: the adversary's weight of the objective MDP
+    lower: float  # J*(alpha) is at least this: no policy, mixed or not, guarantees less
+    upper: float  # what the mixture of the two policies pays at most
+    minus: Reply  # optimal just below alpha*: it fails less and costs more
+    plus: Reply  # optimal just above alpha*
+    replies: tuple[Reply, ...]  # every policy met on the way
+
+    @property
+    def weight(self) -> float:
+        """Weight of ``plus`` in the mixture."""
+        return matrix_game(self.game, self.minus, self.plus)
+
+
+def matrix_game(game: Game, minus: Reply, plus: Reply) -> float:
+    """The player's optimal weight of ``plus`` in the 2 x 2 game of section 3.4, in closed form.
+
+    Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
+    J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs are
+    equal: it is least there, or at one of the two policies alone.
+    """
+    low, high = game.excess(minus), game.excess(plus)
+    weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
+
+    def worst(weight: float) -> float:
+        objective = (1.0 - weight) * minus.objective + weight * plus.objective
+        condition = (1.0 - weight) * minus.condition + weight * plus.condition
+        return max(objective, game.scale * condition)
+
+    return min(weights, key=worst)
+
+
+def crossing(game: Game, minus: Reply, plus: Reply) -> float:
+    """The alpha at which two policies pay the same."""
+    spared = minus.objective - plus.objective
+    risked = game.scale * (plus.condition - minus.condition)
+    return risked / (spared + risked)
+
+
+def play(
+    player: Player, game: Game, known: Sequence[Reply] = (), *, accuracy: float = 1e-11
+) -> Equilibrium:
+    """Solve the game: the adversary's alpha* and the policies that meet there.
+
+    Args:
+        player: finds best replies.
+        game: its parameters.
+        known: policies met before; they are strategies of every game, whatever c.
+        accuracy: relative distance between the two bounds of the value to reach.
+    """
+    replies = list(known)
+    minus, plus = _closest(game, replies)
+    if minus is None:
+        minus = game.best_reply(player, 0.0, accuracy)
+        replies.append(minus)
+        if not game.rises(minus):
+            return _pure(game, 0.0, minus, replies)
+    if plus is None:
+        plus = game.best_reply(player, 1.0, accuracy)
+        replies.append(plus)
+        if game.rises(plus):
+            return _pure(game, 1.0, plus, replies)
+    return _narrow(player, game, minus, plus, replies, accuracy)
+
+
+def _narrow(
+    player: Player, game: Game, minus: Reply, plus: Reply, replies: list[Reply], accuracy: float
+) -> Equilibrium:
+    """Cut off the peak between two lines until no reply lies below it."""
+    while True:
+        alpha = crossing(game, minus, plus)
+        upper = game.payoff(alpha, plus)
+        reply = game.best_reply(player, alpha, accuracy)
+        replies.append(reply)
+        done = upper - reply.bound <= accuracy * upper
+        stalled = game.payoff(alpha, reply) >= upper * (1.0 - 1e-15) or len(replies) > _MOST_ROUNDS
+        if done or stalled:
+            return Equilibrium(game, alpha, min(reply.bound, upper), upper, minus, plus,
+                               tuple(replies))  # fmt: skip
+        if game.rises(reply):
+            minus = reply
+        else:
+            plus = reply
+
+
+def _pure(game: Game, alpha: float, reply: Reply, replies: list[Reply]) -> Equilibrium:
+    """One policy is optimal and the adversary plays one MDP for sure."""
+    upper = game.payoff(alpha, reply)
+    return Equilibrium(game, alpha, min(reply.bound, upper), upper, reply, reply, tuple(replies))
+
+
+def _closest(game: Game, replies: Sequence[Reply]) -> tuple[Reply | None, Reply | None]:
+    """The policies on the two sides of the diagonal whose mixture pays least; None: no such side.
+
+    A point is (J_obj, (eta / epsilon) J_cond); the mixture that pays equally against both MDPs
+    lies where the segment between two points meets the diagonal.
+    """
+    excess = np.array([game.excess(r) for r in replies])
+    rising = np.array([game.rises(r) for r in replies], dtype=np.bool_)
+    left, right = np.flatnonzero(rising), np.flatnonzero(~rising)
+    if not left.size or not right.size:
+        at = replies[left[0]] if left.size else None
+        return at, (replies[right[0]] if right.size else None)
+    objective = np.array([r.objective for r in replies])
+    share = excess[left][:, None] / (excess[left][:, None] - excess[right][None, :])
+    pays = (1.0 - share) * objective[left][:, None] + share * objective[right][None, :]
+    i, j = np.unravel_index(int(np.argmin(pays)), pays.shape)
+    return replies[left[i]], replies[right[j]]

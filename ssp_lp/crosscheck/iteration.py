@@ -1,0 +1,86 @@
+"""Value iteration from below with a stopping rule that is a bound (paper, sections 3.3 and 3.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.bellman import ChosenRows, best_pairs
+from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.linear import accumulate
+
+_FIRST_SWEEPS = 16
+_MOST_SWEEPS = 1 << 22
+_ROUNDED = 64.0 * MACHINE_EPSILON
+"""Relative rounding of one backup; over a run it adds up to this share of 1 / (1 - gamma)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Discounted:
+    """A discounted decision process with two costs per pair: the operator T_alpha of section 3.5.
+
+    Every row of ``transitions`` is scaled by gamma, so that T is a contraction.
+    """
+
+    pair_offsets: IntArray  # [nodes + 1]
+    transitions: sp.csr_array  # [pairs, nodes]
+    costs: FloatArray  # [pairs, costs] non-negative
+    discount: float  # gamma
+
+
+@dataclass(frozen=True, eq=False)
+class Iterated:
+    """Where value iteration stopped: a policy, its exact costs, and a bound below all policies."""
+
+    values: FloatArray  # [nodes] checked: at most the optimal value everywhere
+    choice: IntArray  # [nodes] greedy pairs
+    totals: FloatArray  # [nodes, costs] exact expected costs of that policy
+    sweeps: int
+
+
+def iterate_values(
+    process: Discounted,
+    weights: FloatArray,
+    watched: FloatArray,
+    first: FloatArray | None = None,
+    *,
+    accuracy: float,
+) -> Iterated:
+    """Minimise ``weights @ costs`` by value iteration.
+
+    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``, or from any function that is
+    nowhere above its own backup. The greedy policy's exact value bounds the optimum from above,
+    the iterate, once a backup with its rounding has confirmed it, from below. The iteration ends
+    when the two meet where a run may begin; it is lifted to the policy's own value, lowered as
+    far as that backup demands, so that slow loops do not hold it up. Where rounding keeps the two
+    apart it ends too, with the distance that is left.
+
+    Args:
+        process: the process.
+        weights: of the costs, non-negative, [costs].
+        watched: how much each node counts when bounds are compared, [nodes].
+        first: values to start from in place of 0; they must be nowhere above their backup.
+        accuracy: relative distance of the two bounds to reach.
+    """
+    offsets, transitions = process.pair_offsets, process.transitions
+    pair_cost = process.costs @ weights
+    values = np.zeros(len(offsets) - 1) if first is None else first
+    best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
+    rounding = _ROUNDED / (1.0 - process.discount)
+    while True:
+        for _ in range(block):
+            backup = best_pairs(offsets, transitions, pair_cost, values)
+            values = np.maximum(values, backup.minima)
+        sweeps += block
+        totals = accumulate(ChosenRows(transitions, backup.choice), process.costs[backup.choice])
+        attained = totals @ weights
+        lifted = sub_solution(offsets, transitions, pair_cost, attained)
+        values = np.maximum(lifted, sub_solution(offsets, transitions, pair_cost, values))
+        below, above = float(watched @ values), float(watched @ attained)
+        stuck = below <= best and above - below <= rounding * above
+        if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
+            return Iterated(values, backup.choice, totals, sweeps)
+        best, block = below, sweeps

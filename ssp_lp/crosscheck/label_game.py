@@ -1,0 +1,58 @@
+"""The player of case M: value iteration on the label of section 3.1.2 (paper, section 3.5.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.crosscheck.iteration import Discounted, Iterated, iterate_values
+from ssp_lp.crosscheck.models import LabelModels
+from ssp_lp.crosscheck.reply import Reply
+from ssp_lp.policies.deterministic import DeterministicPolicy
+
+
+@dataclass(frozen=True, eq=False)
+class LabelPlayer:
+    """Best replies among stationary policies of the state alone, by the operator T_alpha."""
+
+    models: LabelModels
+
+    @cached_property
+    def process(self) -> Discounted:
+        """M_{o,gamma}^(M) and M_{d,gamma}^(M), whose transitions agree under discounting."""
+        models = self.models
+        return Discounted(
+            pair_offsets=models.pair_offsets,
+            transitions=sp.csr_array(models.discount * models.transitions),
+            costs=np.stack([models.discounted_objective, models.condition], axis=1),
+            discount=models.discount,
+        )
+
+    def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
+        """A stationary policy of least weighted cost."""
+        models, weights = self.models, np.array([objective_weight, condition_weight])
+        found = iterate_values(self.process, weights, models.start, accuracy=accuracy)
+        fixed = np.array([models.start_objective, models.start_condition])
+        objective, condition = (models.start @ found.totals + fixed).tolist()
+        bound = float(models.start @ found.values + fixed @ weights)
+        return Reply(objective, condition, bound, found, found.sweeps)
+
+    def values(self, reply: Reply, price: float) -> FloatArray:
+        """A checked lower bound of ``J_obj + price * J_cond``, from a reply to weights (1, price).
+
+        Returns:
+            [nodes], and at the end that of the start, where it is not live with certainty.
+        """
+        found: Iterated = reply.strategy
+        live = float(self.models.start.sum())
+        return found.values if live == 1.0 else np.append(found.values, reply.bound)
+
+    def policy(self, reply: Reply) -> DeterministicPolicy:
+        """The reply's policy on the model's states."""
+        found: Iterated = reply.strategy
+        skeleton = self.models.skeleton
+        return DeterministicPolicy(skeleton.model, skeleton.pull_back(found.choice))

@@ -1,0 +1,41 @@
+"""What the player answers to the adversary's weights: a policy, its two costs, and a bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from ssp_lp.policies.policy import Policy
+
+
+@dataclass(frozen=True, eq=False)
+class Reply:
+    """A deterministic policy that minimises a weighted sum of the game's two costs."""
+
+    objective: float  # J_obj(x'; pi), exact for the policy
+    condition: float  # J_cond(x'; pi), exact for the policy
+    bound: float  # no policy has less of weight * J_obj + weight * J_cond, at the weights asked
+    strategy: Any = None  # the policy in the player's own form
+    sweeps: int = 0  # Bellman backups that it took
+
+    def payoff(self, objective_weight: float, condition_weight: float) -> float:
+        """What the policy pays at other weights."""
+        return objective_weight * self.objective + condition_weight * self.condition
+
+
+class Player(Protocol):
+    """Finds best replies by dynamic programming; one implementation per construction."""
+
+    def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
+        """A policy of least ``objective_weight * J_obj + condition_weight * J_cond``.
+
+        Args:
+            objective_weight: alpha(M_o) of section 3.2 of the paper, not negative.
+            condition_weight: alpha(M_d) * eta / epsilon, not negative.
+            accuracy: largest relative distance between the policy's payoff and its bound.
+        """
+        ...
+
+    def policy(self, reply: Reply) -> Policy:
+        """The reply's policy on the original states."""
+        ...

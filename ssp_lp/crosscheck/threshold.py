@@ -1,0 +1,176 @@
+"""The least c whose game the player can hold at eta: c* of eq. def_c* and c-hat of section 3.5."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.crosscheck.game import Equilibrium, Game, play
+from ssp_lp.crosscheck.reply import Player, Reply
+from ssp_lp.errors import InfeasibleError
+
+_STEEP = (1e3, 1e6, 1e9)
+"""Prices of failure at which cheap policies among those of least failure are looked for."""
+
+_MOST_GAMES = 100
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a search may take and whom it tells."""
+
+    deadline: float = np.inf  # on the clock of time.perf_counter
+    progress: Callable[[int, float, float], None] | None = None  # replies, price, upper end
+
+
+ENDLESS = Patience()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One game of the search: whether its value exceeds eta decides on which side c* lies."""
+
+    c: float
+    alpha: float
+    value: float  # of the game at c
+    eta: float
+
+
+@dataclass(frozen=True, eq=False)
+class Threshold:
+    """c* of one epsilon between two bounds, and the mixed policy that attains the upper one."""
+
+    budget: float  # epsilon
+    low: float  # no policy within the budget is cheaper
+    high: float  # what the mixture costs; low and high differ by the tolerance at most
+    game: Equilibrium  # the game at c = high, with alpha*
+    members: tuple[Reply, ...]  # one or two policies
+    weights: tuple[float, ...]
+    trials: tuple[Trial, ...]
+    replies: tuple[Reply, ...]
+
+    @property
+    def failure_price(self) -> float:
+        """What a unit of failure is worth in units of J_obj: (eta / epsilon) (1 - alpha) / alpha.
+
+        lambda in case M, kappa in case S.
+        """
+        alpha = self.game.alpha
+        return self.game.game.scale * (1.0 - alpha) / alpha if alpha > 0.0 else float("inf")
+
+    @property
+    def condition(self) -> float:
+        """J_cond of the mixture."""
+        return sum(w * r.condition for w, r in zip(self.weights, self.members, strict=True))
+
+
+def find_threshold(
+    player: Player,
+    budget: float,
+    share: float,
+    known: Sequence[Reply],
+    *,
+    tolerance: float,
+    patience: Patience = ENDLESS,
+) -> Threshold:
+    """Bracket ``min{c : game value <= eta(epsilon; c) = share * c}`` and close the bracket.
+
+    Each game moves an end of the bracket. Its value at alpha*, a bound for every policy, gives
+    ``J_obj >= (value - (1 - alpha*) eta) / alpha*`` for all that keep to the budget: the lower end.
+    Its policies, mixed so as to spend the budget, give the upper end. The next game is played at
+    the upper end, every second one halfway, so that the bracket shrinks whatever happens.
+
+    Args:
+        player: finds best replies.
+        budget: epsilon.
+        share: 1 in case M, 1 - epsilon in case S.
+        known: replies met before, ``extremes`` at least.
+        tolerance: relative width of the bracket to reach.
+        patience: when to stop before that, with the bracket as it is.
+
+    Raises:
+        InfeasibleError: every policy's J_cond exceeds the budget; the error carries J_cond.
+    """
+    replies, accuracy = list(known), 0.1 * tolerance
+    budget = _feasible(budget, replies)
+    low, high = 0.0, cheapest_mixture(replies, budget)[2] / share
+    trials: list[Trial] = []
+    while True:
+        at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
+        found = play(player, Game(share * at, budget), replies, accuracy=accuracy)
+        replies = list(found.replies)
+        trials.append(Trial(at, found.alpha, found.upper, share * at))
+        low = max(low, _implied(found) / share)
+        members, weights, cost = cheapest_mixture(replies, budget)
+        high = cost / share
+        answer = Threshold(
+            budget, min(low, high), high, found, members, weights, tuple(trials), tuple(replies)
+        )
+        if patience.progress is not None:
+            patience.progress(len(replies), answer.failure_price, high)
+        late = len(trials) >= _MOST_GAMES or time.perf_counter() > patience.deadline
+        if late or (high - low <= tolerance * high and at == high):
+            return answer
+
+
+def extremes(player: Player, accuracy: float) -> tuple[Reply, ...]:
+    """The policy that fails least, the cheapest one, and cheap ones that fail (almost) least.
+
+    The latter matter where the budget is the least failure: of all policies that fail so little
+    the cheapest is wanted.
+    """
+    steep = (player.reply(1.0, price, accuracy) for price in _STEEP)
+    return (player.reply(0.0, 1.0, accuracy), player.reply(1.0, 0.0, accuracy), *steep)
+
+
+def _feasible(budget: float, replies: Sequence[Reply]) -> float:
+    """The budget, or the least failure where that is the same number up to rounding."""
+    least = min(r.condition for r in replies)
+    if least > budget + LEAST_BUDGET:
+        raise InfeasibleError(
+            f"the discounted failure of every policy is at least {least:.12g}, above the budget "
+            f"{budget:g}",
+            failure_budget=budget,
+            least_failure=least,
+            least_discounted_failure=least,
+        )
+    return max(budget, least)
+
+
+def _implied(found: Equilibrium) -> float:
+    """What the value of a game at alpha* says about the cost of policies within the budget."""
+    if found.alpha == 0.0:
+        return 0.0
+    return (found.lower - (1.0 - found.alpha) * found.game.stake) / found.alpha
+
+
+def cheapest_mixture(
+    replies: Sequence[Reply], budget: float
+) -> tuple[tuple[Reply, ...], tuple[float, ...], float]:
+    """The cheapest lottery over one or two policies whose failure keeps to the budget.
+
+    Returns:
+        The members, their weights, and the lottery's J_obj.
+    """
+    condition = np.array([r.condition for r in replies])
+    objective = np.array([r.objective for r in replies])
+    safe = np.flatnonzero(condition <= budget)
+    risky = np.flatnonzero(condition > budget)
+    alone = safe[np.argmin(objective[safe])]
+    best: tuple[tuple[Reply, ...], tuple[float, ...], float] = (
+        (replies[alone],), (1.0,), float(objective[alone]),
+    )  # fmt: skip
+    if not risky.size:
+        return best
+    room = budget - condition[safe][:, None]
+    weight = room / (condition[risky][None, :] - condition[safe][:, None])
+    cost = (1.0 - weight) * objective[safe][:, None] + weight * objective[risky][None, :]
+    i, j = np.unravel_index(int(np.argmin(cost)), cost.shape)
+    if not cost[i, j] < best[2]:
+        return best
+    share = float(weight[i, j])
+    return (replies[safe[i]], replies[risky[j]]), (1.0 - share, share), float(cost[i, j])
