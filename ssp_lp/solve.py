@@ -98,18 +98,21 @@ def _by_game(
     if isinstance(instance, CostInstance) and instance.fixed_cap is not None:
         raise ModelError("engine='game' chooses its own cap M: leave cost_cap out")
     found = stationary_game(problem, tolerance=tolerance, patience=patience)
-    replies = found.threshold.replies
-    reason = f"the paper's game, {len(found.threshold.trials)} values of c"
+    optimum = found.optimum
+    replies = optimum.threshold.replies
+    reason = f"the paper's game, {len(optimum.threshold.trials)} values of c"
     work = Work(backups=sum(r.sweeps for r in replies))
     run = Run("game", reason, len(replies), time.perf_counter() - began, work)
     return Solution(
         problem=problem,
         policy=found.policy,
-        objective=found.objective,
-        lower_bound=min(found.lower_bound, found.objective),
-        failure_price=max(found.price - found.objective, 0.0) if problem.ratio else found.price,
+        objective=optimum.objective,
+        lower_bound=min(optimum.lower_bound, optimum.objective),
+        failure_price=max(optimum.price - optimum.objective, 0.0)
+        if problem.ratio
+        else optimum.price,
         value_function=read_only(found.values),
-        budget_used=found.threshold.condition,
+        budget_used=optimum.threshold.condition,
         run=run,
     )
 

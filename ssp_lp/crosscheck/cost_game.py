@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -54,21 +55,22 @@ class CostPlayer:
         """A policy of (state, accumulated cost) of least weighted cost.
 
         M is first put where failing at attention states has become optimal, ``w_o r = w_d``, as
-        far as that is near; then it grows by half until the bound that holds for every policy
-        comes within the accuracy.
+        far as that is near; then it grows until the bound that holds for every policy comes
+        within the accuracy. What the cap costs falls geometrically, so two caps foretell a third.
 
         Raises:
             ModelError: the table of decisions would be too large.
         """
         weights = np.array([objective_weight, condition_weight])
-        cap, sweeps = self._first_cap(weights), 0
+        cap, sweeps, gaps = self._first_cap(weights), 0, dict[int, float]()
         while True:
             reply = self._reply(weights, cap)
             sweeps += reply.sweeps
             pays = reply.payoff(objective_weight, condition_weight)
-            if pays - reply.bound <= accuracy * pays:
-                return Reply(reply.objective, reply.condition, reply.bound, reply.strategy, sweeps)
-            cap += max(cap // 2, self.base.width)
+            gaps[cap] = pays - reply.bound
+            if gaps[cap] <= accuracy * pays:
+                return replace(reply, sweeps=sweeps)
+            cap = _larger_cap(gaps, accuracy * pays) + self.base.width
             if cap * self.base.n_nodes > _MOST_ENTRIES:
                 raise ModelError(
                     f"{cap:,} layers of accumulated cost on {self.base.n_nodes:,} states are too "
@@ -78,16 +80,8 @@ class CostPlayer:
     def policy(self, reply: Reply) -> CostAwarePolicy:
         """The reply's policy on the model's states, with the cost paid as its memory."""
         strategy: LayeredStrategy = reply.strategy
-        base, skeleton = self.base, self.base.skeleton
-        model, first = skeleton.model, skeleton.model.pair_offsets[:-1]
-        pairs = [skeleton.pull_back(base.pair_offsets[:-1] + row) for row in strategy.choice]
-        return CostAwarePolicy(
-            model=model,
-            unit=base.unit,
-            decision=np.stack([np.where(p < 0, p, p - first) for p in pairs]),
-            tails=self.tail.decision[None, :],
-            tail_threshold=np.full(model.n_states, -np.inf),
-        )
+        tail = self.base.skeleton.pull_back(self.tail.choice)
+        return cost_aware(self.base, strategy.choice, tail)
 
     def _first_cap(self, weights: FloatArray) -> int:
         """Layers after which it is best to fail where that can be done for sure, if they are few.
@@ -108,11 +102,12 @@ class CostPlayer:
         totals, lowest = np.zeros((base.n_nodes, 2)), np.zeros(base.n_nodes)
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((cap, base.n_nodes), dtype=least_integer_type(most))
+        chosen, boldest = None, None
         for layer in reversed(range(cap)):
             costs = self._costs(layer)
-            chosen = self._best(costs @ weights, measured.flat @ weights)
+            chosen = self._best(costs @ weights, measured.flat @ weights, chosen)
             totals = self._measured(costs, chosen, measured.flat)
-            lowest = self._lowest(costs @ weights, bounds.flat)
+            lowest, boldest = self._lowest(costs @ weights, bounds.flat, boldest)
             choice[layer] = chosen - base.pair_offsets[:-1]
             measured.push(totals)
             bounds.push(lowest)
@@ -127,19 +122,24 @@ class CostPlayer:
         objective = base.gain * (layer * base.unit) + base.gain_cost
         return np.stack([objective, base.failure], axis=1)
 
-    def _best(self, pair_cost: FloatArray, ahead: FloatArray) -> IntArray:
+    def _best(self, pair_cost: FloatArray, ahead: FloatArray, guess: IntArray | None) -> IntArray:
         """The pairs of least value in a layer, given the values of later layers, [nodes]."""
         base = self.base
         if base.instant.nnz == 0:
             return best_pairs(base.pair_offsets, base.later, pair_cost, ahead).choice
-        return self._within(pair_cost + base.later @ ahead).choice
+        return self._within(pair_cost + base.later @ ahead, guess).choice
 
-    def _within(self, onward: FloatArray) -> Iterated:
-        """Value iteration within a layer, whose free steps may form cycles."""
+    def _within(self, onward: FloatArray, guess: IntArray | None) -> Iterated:
+        """Value iteration within a layer, whose free steps may form cycles.
+
+        Args:
+            onward: cost of each pair with all that follows it in later layers, [pairs].
+            guess: the best pairs of the layer after this one, [nodes].
+        """
         base = self.base
         process = Discounted(base.pair_offsets, base.instant, onward[:, None], base.survival)
         watched = np.full(base.n_nodes, 1.0 / base.n_nodes)
-        return iterate_values(process, np.ones(1), watched, accuracy=_INNER_ACCURACY)
+        return iterate_values(process, np.ones(1), watched, guess, accuracy=_INNER_ACCURACY)
 
     def _measured(self, costs: FloatArray, chosen: IntArray, ahead: FloatArray) -> FloatArray:
         """(J_obj, J_cond) from each node of a layer under its chosen pairs, [nodes, 2]."""
@@ -148,11 +148,45 @@ class CostPlayer:
             return totals
         return accumulate(ChosenRows(self.base.instant, chosen), totals)
 
-    def _lowest(self, pair_cost: FloatArray, ahead: FloatArray) -> FloatArray:
-        """Lower bounds of every policy's value in a layer, rounding counted, [nodes]."""
+    def _lowest(
+        self, pair_cost: FloatArray, ahead: FloatArray, guess: IntArray | None
+    ) -> tuple[FloatArray, IntArray | None]:
+        """Lower bounds of every policy's value in a layer, rounding counted, and their pairs."""
         base = self.base
         if base.instant.nnz == 0:
             cost = PairCost(pair_cost)
-            return safe_minima(base.pair_offsets, base.later, cost, pair_cost, pair_cost, ahead)
+            safe = safe_minima(base.pair_offsets, base.later, cost, pair_cost, pair_cost, ahead)
+            return safe, None
         onward = (pair_cost + base.later @ ahead) * (1.0 - backup_rounding(base.later))
-        return self._within(onward).values
+        found = self._within(onward, guess)
+        return found.values, found.choice
+
+
+def _larger_cap(gaps: Mapping[int, float], wanted: float) -> int:
+    """A cap at which the gap should be as small as wanted, from 1.25 to 4 times the last one."""
+    cap = max(gaps)
+    needed = 2.0 * cap
+    smaller = max((c for c in gaps if c < cap), default=cap)
+    if gaps[cap] < gaps[smaller] and wanted > 0.0:
+        rate = np.log(gaps[smaller] / gaps[cap]) / (cap - smaller)
+        needed = cap + 1.1 * np.log(gaps[cap] / wanted) / rate
+    return int(np.ceil(min(max(needed, 1.25 * cap), 4.0 * cap)))
+
+
+def cost_aware(base: AccumulatedCost, choice: IntArray, tail: IntArray) -> CostAwarePolicy:
+    """Pull a choice for each (layer, node) back to the model, followed by one tail policy.
+
+    Args:
+        base: the process.
+        choice: position among the pairs of the node, [cap, nodes].
+        tail: decision of the tail policy, [states].
+    """
+    skeleton, model = base.skeleton, base.skeleton.model
+    pairs = [skeleton.pull_back(base.pair_offsets[:-1] + row) for row in choice]
+    return CostAwarePolicy(
+        model=model,
+        unit=base.unit,
+        decision=np.stack([np.where(p < 0, p, p - model.pair_offsets[:-1]) for p in pairs]),
+        tails=tail[None, :],
+        tail_threshold=np.full(model.n_states, -np.inf),
+    )

@@ -45,42 +45,50 @@ def iterate_values(
     process: Discounted,
     weights: FloatArray,
     watched: FloatArray,
-    first: FloatArray | None = None,
+    guess: IntArray | None = None,
     *,
     accuracy: float,
 ) -> Iterated:
     """Minimise ``weights @ costs`` by value iteration.
 
-    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``, or from any function that is
-    nowhere above its own backup. The greedy policy's exact value bounds the optimum from above,
-    the iterate, once a backup with its rounding has confirmed it, from below. The iteration ends
-    when the two meet where a run may begin; it is lifted to the policy's own value, lowered as
-    far as that backup demands, so that slow loops do not hold it up. Where rounding keeps the two
+    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy's exact
+    value bounds the optimum from above, the iterate, once a backup with its rounding has confirmed
+    it, from below. The iteration ends when the two meet where a run may begin; it is lifted to the
+    policy's own value, lowered as far as that backup demands, so that slow loops do not hold it up. Where rounding keeps the two
     apart it ends too, with the distance that is left.
 
     Args:
         process: the process.
         weights: of the costs, non-negative, [costs].
         watched: how much each node counts when bounds are compared, [nodes].
-        first: values to start from in place of 0; they must be nowhere above their backup.
+        guess: a policy that may be optimal, and is tried before the first sweep, [nodes].
         accuracy: relative distance of the two bounds to reach.
     """
     offsets, transitions = process.pair_offsets, process.transitions
     pair_cost = process.costs @ weights
-    values = np.zeros(len(offsets) - 1) if first is None else first
-    best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
+    values, choice, sweeps, best = np.zeros(len(offsets) - 1), guess, 0, -np.inf
     rounding = _ROUNDED / (1.0 - process.discount)
     while True:
-        for _ in range(block):
-            backup = best_pairs(offsets, transitions, pair_cost, values)
-            values = np.maximum(values, backup.minima)
-        sweeps += block
-        totals = accumulate(ChosenRows(transitions, backup.choice), process.costs[backup.choice])
+        if choice is None or sweeps > 0:
+            block = max(sweeps, _FIRST_SWEEPS)
+            values, choice = _swept(process, pair_cost, values, block)
+            sweeps += block
+        totals = accumulate(ChosenRows(transitions, choice), process.costs[choice])
         attained = totals @ weights
         lifted = sub_solution(offsets, transitions, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(offsets, transitions, pair_cost, values))
         below, above = float(watched @ values), float(watched @ attained)
         stuck = below <= best and above - below <= rounding * above
         if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
-            return Iterated(values, backup.choice, totals, sweeps)
-        best, block = below, sweeps
+            return Iterated(values, choice, totals, sweeps)
+        best, sweeps = below, max(sweeps, 1)
+
+
+def _swept(
+    process: Discounted, pair_cost: FloatArray, values: FloatArray, times: int
+) -> tuple[FloatArray, IntArray]:
+    """So many backups of values that are nowhere above their backup, and the greedy pairs."""
+    for _ in range(times):
+        backup = best_pairs(process.pair_offsets, process.transitions, pair_cost, values)
+        values = np.maximum(values, backup.minima)
+    return values, backup.choice

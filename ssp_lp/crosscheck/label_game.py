@@ -41,7 +41,7 @@ class LabelPlayer:
         bound = float(models.start @ found.values + fixed @ weights)
         return Reply(objective, condition, bound, found, found.sweeps)
 
-    def values(self, reply: Reply, price: float) -> FloatArray:
+    def values(self, reply: Reply) -> FloatArray:
         """A checked lower bound of ``J_obj + price * J_cond``, from a reply to weights (1, price).
 
         Returns:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.goal_probability import max_goal_probability
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.problem import Problem
 from ssp_lp.process.semantics import start_distribution
 
@@ -42,11 +43,18 @@ def infeasible(problem: Problem, budget: float, discounted: float) -> Infeasible
     )
 
 
-def unreachable(budget: float) -> InfeasibleError:
-    """No cost given success exists."""
-    return InfeasibleError(
+def check_reachable(problem: Problem) -> None:
+    """Check that a cost given success exists.
+
+    Raises:
+        InfeasibleError: the goal cannot be reached from the start.
+    """
+    start = start_distribution(problem.model, problem.start)
+    if (start[~dead_ends(problem.model)] > 0.0).any():
+        return
+    raise InfeasibleError(
         "the goal cannot be reached from the start: no cost given success exists",
-        failure_budget=budget,
+        failure_budget=problem.failure_budget,
         least_failure=1.0,
         least_discounted_failure=1.0,
     )

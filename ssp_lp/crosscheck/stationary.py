@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.arrays import FloatArray
 from ssp_lp.crosscheck.cost_game import CostPlayer
 from ssp_lp.crosscheck.label_game import LabelPlayer
 from ssp_lp.crosscheck.models import label_models
+from ssp_lp.crosscheck.optimum import Optimum, find_optimum
 from ssp_lp.crosscheck.reply import Reply
-from ssp_lp.crosscheck.setting import checked_setting, infeasible, unreachable
+from ssp_lp.crosscheck.setting import check_reachable, checked_setting
 from ssp_lp.crosscheck.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
-from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.problem import Problem
 from ssp_lp.process.accumulated_cost import accumulate_cost
 from ssp_lp.process.semantics import start_distribution
-
-_MOST_STEPS = 100
-_SURE_FAILURE = 1.0 - 1e-12
-"""J_cond from which a policy's success is rounding and no cost given success can be told."""
 
 StationaryPlayer = LabelPlayer | CostPlayer
 
@@ -32,18 +29,27 @@ class StationaryGame:
 
     problem: Problem
     player: StationaryPlayer
-    threshold: Threshold  # the games at epsilon*
-    spent: float  # epsilon*: the budget; in case S the epsilon' in (0, epsilon] of least c*
-    objective: float  # c-hat, attained by the policy
-    lower_bound: float  # no policy within the budget has less
-    alpha: float  # alpha* at epsilon*
-    price: float  # weight of J_cond against J_obj at alpha*: lambda in case M, kappa in case S
+    optimum: Optimum
+
+    @property
+    def objective(self) -> float:
+        """c-hat, attained by the policy."""
+        return self.optimum.objective
+
+    @property
+    def lower_bound(self) -> float:
+        """No policy within the budget has less."""
+        return self.optimum.lower_bound
+
+    @property
+    def alpha(self) -> float:
+        """alpha*: the adversary's weight of the objective MDP at epsilon*."""
+        return self.optimum.alpha
 
     @property
     def policy(self) -> MixedPolicy:
         """P_{gamma,epsilon}: a lottery over one or two deterministic stationary policies."""
-        members = tuple(self.player.policy(r) for r in self.threshold.members)
-        return MixedPolicy(members, np.array(self.threshold.weights))
+        return lottery(self.player.policy, self.optimum.threshold)
 
     @property
     def values(self) -> FloatArray:
@@ -51,29 +57,38 @@ class StationaryGame:
 
         Case S: infinite, [layers, nodes], which asks ``certify`` for the best it can prove.
         """
-        best = self.player.reply(1.0, self.price, 1e-12)
+        price = self.optimum.price
+        best = self.player.reply(1.0, price, 1e-12)
         if isinstance(self.player, CostPlayer):
             return np.broadcast_to(np.inf, best.strategy.choice.shape)
-        return self.player.values(best, self.price)
+        return self.player.values(best)
+
+
+def lottery(policy_of: Callable[[Reply], Policy], threshold: Threshold) -> MixedPolicy:
+    """The mixture of a threshold on the original states."""
+    members = tuple(policy_of(r) for r in threshold.members)
+    return MixedPolicy(members, np.array(threshold.weights))
 
 
 def stationary_player(problem: Problem) -> StationaryPlayer:
-    """The operator T_alpha of the problem's case."""
+    """The operator T_alpha of the problem's case.
+
+    Raises:
+        ModelError: no discount, or a budget that is not above 0.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
     discount = checked_setting(problem)[1]
     start = start_distribution(problem.model, problem.start)
-    if problem.ratio:
-        return CostPlayer(accumulate_cost(problem.model, start, discount))
-    return LabelPlayer(label_models(problem.model, start, problem.semantics, discount))
+    if not problem.ratio:
+        return LabelPlayer(label_models(problem.model, start, problem.semantics, discount))
+    check_reachable(problem)
+    return CostPlayer(accumulate_cost(problem.model, start, discount))
 
 
 def stationary_game(
     problem: Problem, *, tolerance: float = 1e-9, patience: Patience = ENDLESS
 ) -> StationaryGame:
-    """Solve a problem by the paper's game and value iteration.
-
-    Case M: c-hat is the least c whose game value is at most c. Case S: c-hat is the least such
-    value over all epsilon' in (0, epsilon] (Theorem 3-1). Where failing is worth more than c at
-    epsilon itself, that is where it lies; otherwise it lies where failing is worth exactly c.
+    """Solve a problem by the paper's game and value iteration over stationary policies.
 
     Args:
         problem: with a discount and a failure budget above 0.
@@ -84,20 +99,9 @@ def stationary_game(
         ModelError: no discount, no budget, or a budget of 0.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
-    budget, _ = checked_setting(problem)
     player = stationary_player(problem)
-    if isinstance(player, CostPlayer) and not player.base.start_goal + player.base.start.sum():
-        raise unreachable(budget)
-    known = extremes(player, 0.1 * tolerance)
-    if known[0].bound > budget + LEAST_BUDGET:
-        raise infeasible(problem, budget, known[0].condition)
-    if problem.ratio:
-        return _ratio_game(problem, player, budget, known, tolerance, patience)
-    found = find_threshold(player, budget, 1.0, known, tolerance=tolerance, patience=patience)
-    return StationaryGame(
-        problem, player, found, found.budget, found.high, found.low, found.game.alpha,
-        found.failure_price,
-    )  # fmt: skip
+    optimum = find_optimum(problem, player, tolerance=tolerance, patience=patience)
+    return StationaryGame(problem, player, optimum)
 
 
 def thresholds(
@@ -117,58 +121,3 @@ def thresholds(
         found.append(find_threshold(player, budget, share, known, tolerance=tolerance))
         known = found[-1].replies
     return found
-
-
-def _ratio_game(
-    problem: Problem,
-    player: StationaryPlayer,
-    budget: float,
-    known: tuple[Reply, ...],
-    tolerance: float,
-    patience: Patience,
-) -> StationaryGame:
-    """Theorem 3-1: the least c* over epsilon' in (0, epsilon].
-
-    c* = F(e) / (1 - e), with F the convex least J_obj at J_cond = e, falls while ``-F'(e) > c*``
-    and rises after: either it still falls at the budget, or its minimum is where failing is worth
-    exactly c*, at a single policy.
-    """
-    best, replies = _least_ratio(player, known, tolerance)
-    spent = min(best.condition, budget)
-    found = find_threshold(
-        player, spent, 1.0 - spent, replies, tolerance=tolerance, patience=patience
-    )
-    if best.condition > budget:
-        price, alpha = found.failure_price, found.game.alpha
-        return StationaryGame(problem, player, found, found.budget, found.high, found.low,
-                              alpha, price)  # fmt: skip
-    c = found.high
-    below = c * (1.0 - 0.25 * tolerance)  # where it is strictly best to fail: no rounding enters
-    value = player.reply(1.0, below, tolerance).bound
-    room = max(1.0 - budget, 1.0 - _SURE_FAILURE)
-    lower = below if value >= below else max(value - below * budget, 0.0) / room
-    return StationaryGame(problem, player, found, spent, c, lower, 1.0 - spent, c)
-
-
-def _least_ratio(
-    player: StationaryPlayer, known: tuple[Reply, ...], tolerance: float
-) -> tuple[Reply, tuple[Reply, ...]]:
-    """A policy of least J_obj / (1 - J_cond), whatever it fails, and all replies so far.
-
-    A ratio c is least if no policy has less than c of ``J_obj + c J_cond``: a policy that has less
-    has a smaller ratio, which is tried next.
-    """
-    replies = list(known)
-    best = min((r for r in replies if r.condition < _SURE_FAILURE), key=_ratio)
-    for _ in range(_MOST_STEPS):
-        c = _ratio(best)
-        reply = player.reply(1.0, c, 0.1 * tolerance)
-        if reply.condition >= _SURE_FAILURE or _ratio(reply) >= c * (1.0 - 1e-15):
-            break
-        replies.append(reply)
-        best = reply
-    return best, tuple(replies)
-
-
-def _ratio(reply: Reply) -> float:
-    return reply.objective / (1.0 - reply.condition)

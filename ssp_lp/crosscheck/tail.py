@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.bellman import ChosenRows
@@ -20,24 +21,25 @@ _ACCURACY = 1e-13
 class Tail:
     """pi'_or in Pi_{d,or}, which fails most, and how much any policy may succeed, per node."""
 
-    decision: IntArray  # [states]
+    choice: IntArray  # [nodes] pairs of pi'_or
     early: FloatArray  # [nodes] E[gamma^(T-1); goal] under pi'_or
     cost: FloatArray  # [nodes] E[gamma^(T-1) * cost; goal] under pi'_or
+    condition: FloatArray  # [nodes] J_cond of it, 1 - E[gamma^T; goal]
     least_goal: FloatArray  # [nodes] checked lower bound of E[gamma^T; goal]
     greatest_goal: FloatArray  # [nodes] checked upper bound of it
-    survival: float  # gamma
+    survival: float  # gamma, or 1 where J_obj is not discounted
 
     def attained(self, paid: FloatArray) -> FloatArray:
         """(J_obj, J_cond) of following pi'_or where so much has been paid, [..., nodes, 2].
 
-        The paper leaves the tail's J_obj undiscounted; it is discounted here like what comes
-        before M, so that c-hat does not depend on M once M is large.
+        Section 3.5.1 leaves the tail's J_obj undiscounted; under discounting it is discounted here
+        like what comes before M, so that c-hat does not depend on M once M is large.
 
         Args:
             paid: accumulated cost, [...].
         """
         objective = paid[..., None] * self.early + self.cost
-        condition = np.broadcast_to(1.0 - self.survival * self.early, objective.shape)
+        condition = np.broadcast_to(self.condition, objective.shape)
         return np.stack([objective, condition], axis=-1)
 
     def bound(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
@@ -66,15 +68,35 @@ def worst_tail(base: AccumulatedCost) -> Tail:
         return iterate_values(process, np.ones(1), watched, accuracy=_ACCURACY)
 
     riskiest, safest = least(success), least(base.failure)
-    chain = ChosenRows(transitions, riskiest.choice)
-    early = accumulate(chain, base.gain[riskiest.choice])
-    weight = np.where(skeleton.model.goal_mask, 1.0, gamma * skeleton.lift(early))
-    cost = skeleton.at_pairs(cost_means(skeleton.model, weight))
+    early, cost = _success(base, transitions, riskiest.choice, gamma)
     return Tail(
-        decision=skeleton.pull_back(riskiest.choice),
+        choice=riskiest.choice,
         early=early,
-        cost=accumulate(chain, cost[riskiest.choice]),
+        cost=cost,
+        condition=1.0 - gamma * early,
         least_goal=riskiest.values,
         greatest_goal=1.0 - safest.values,
         survival=gamma,
     )
+
+
+def undiscounted(base: AccumulatedCost, tail: Tail) -> Tail:
+    """The same policy with its undiscounted J_obj; J_cond stays discounted (section 3.3).
+
+    The bounds of the goal's probability are those of its discounted weight, and 1.
+    """
+    transitions = base.skeleton.transitions(1.0, departing=False)[0]
+    goal, cost = _success(base, transitions, tail.choice, 1.0)
+    everything = np.ones(base.n_nodes)
+    return replace(tail, early=goal, cost=cost, greatest_goal=everything, survival=1.0)
+
+
+def _success(
+    base: AccumulatedCost, transitions: sp.csr_array, choice: IntArray, survival: float
+) -> tuple[FloatArray, FloatArray]:
+    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] of a policy, [nodes] each."""
+    skeleton, chain = base.skeleton, ChosenRows(transitions, choice)
+    early = accumulate(chain, base.gain[choice])
+    weight = np.where(skeleton.model.goal_mask, 1.0, survival * skeleton.lift(early))
+    cost = skeleton.at_pairs(cost_means(skeleton.model, weight))
+    return early, accumulate(chain, cost[choice])

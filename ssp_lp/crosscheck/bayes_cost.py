@@ -1,0 +1,155 @@
+"""Bayes-adaptive value iteration of case S (paper, section 3.3): the unapproximated game.
+
+States are (node, accumulated cost) as in section 3.1.1 and the belief makes time a third
+coordinate, as in case M. J_obj is the undiscounted E[total cost; goal].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.crosscheck.cost_game import cost_aware
+from ssp_lp.crosscheck.reply import Reply
+from ssp_lp.crosscheck.tail import Tail, undiscounted, worst_tail
+from ssp_lp.errors import ModelError
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.timed import TimedPolicy
+from ssp_lp.process.accumulated_cost import AccumulatedCost
+
+_FIRST_LAYERS = 16
+_MOST_ENTRIES = 100_000_000
+"""Largest table of decisions, nodes x layers x time."""
+
+_SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
+
+
+@dataclass(frozen=True, eq=False)
+class TimedLayers:
+    """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
+
+    choice: IntArray  # [horizon, cap, nodes] position among the pairs of the node
+
+
+@dataclass(frozen=True, eq=False)
+class BayesCostPlayer:
+    """Best replies among all policies, by backward induction over time and accumulated cost."""
+
+    base: AccumulatedCost
+
+    @cached_property
+    def tail(self) -> Tail:
+        """pi'_or, which is followed beyond cap and horizon."""
+        return undiscounted(self.base, worst_tail(self.base))
+
+    def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
+        """A policy of (time, state, accumulated cost) of least weighted cost.
+
+        Cap and horizon are doubled until the bound meets what the policy pays.
+
+        Raises:
+            ModelError: the table of decisions would be too large.
+        """
+        weights = np.array([objective_weight, condition_weight])
+        cap, horizon, sweeps = _FIRST_LAYERS * self.base.width, _FIRST_LAYERS, 0
+        while True:
+            reply = self._reply(weights, cap, horizon)
+            sweeps += reply.sweeps
+            pays = reply.payoff(objective_weight, condition_weight)
+            if pays - reply.bound <= max(accuracy, _SMALLEST_ERROR) * pays:
+                return replace(reply, sweeps=sweeps)
+            cap, horizon = 2 * cap, 2 * horizon
+            if cap * horizon * self.base.n_nodes > _MOST_ENTRIES:
+                raise ModelError(
+                    f"{horizon:,} steps x {cap:,} layers of accumulated cost on "
+                    f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
+                )
+
+    def policy(self, reply: Reply) -> TimedPolicy:
+        """The reply's policy on the model's states; it remembers the time and the cost paid."""
+        strategy: TimedLayers = reply.strategy
+        last = np.broadcast_to(self._after, strategy.choice.shape[1:])
+        return TimedPolicy(tuple(self._stage(rows) for rows in [*strategy.choice, last]))
+
+    def _stage(self, choice: IntArray) -> CostAwarePolicy:
+        base, tail = self.base, self.base.skeleton.pull_back(self.tail.choice)
+        return cost_aware(base, choice, tail)
+
+    @property
+    def _after(self) -> IntArray:
+        """Position of pi'_or's pair among those of its node, [nodes]."""
+        return np.asarray(self.tail.choice - self.base.pair_offsets[:-1])
+
+    @cached_property
+    def _blocks(self) -> list[sp.csr_array]:
+        """Real probabilities of the steps that lead 0, 1, ... layers ahead, each [pairs, nodes]."""
+        base, n = self.base, self.base.n_nodes
+        steps = sp.csc_array(base.steps / base.survival)
+        return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
+
+    def _ahead(self, values: FloatArray, cap: int) -> FloatArray:
+        """E[value after the step] of each pair in each layer below the cap, [pairs, cap].
+
+        Args:
+            values: [nodes, cap + width - 1].
+        """
+        parts = (b @ values[:, k : k + cap] for k, b in enumerate(self._blocks) if b.nnz)
+        return np.asarray(sum(parts, np.zeros((len(self.base.gain), cap))))
+
+    def _reply(self, weights: FloatArray, cap: int, horizon: int) -> Reply:
+        """Backward induction from the horizon, where pi'_or takes over for good."""
+        base, gamma = self.base, self.base.survival
+        paid = np.arange(cap + base.width - 1, dtype=np.float64) * base.unit
+        objective, condition = np.moveaxis(self.tail.attained(paid), -1, 0).transpose(0, 2, 1)
+        beyond = objective[:, cap:], condition[:, cap:]
+        lowest = self.tail.bound(paid, weights * [1.0, gamma**horizon]).T
+        stage = base.gain[:, None] * paid[:cap] + base.gain_cost[:, None]
+        most = int(np.diff(base.pair_offsets).max(initial=1))
+        choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
+        for time in reversed(range(horizon)):
+            now = weights * [1.0, gamma**time]
+            priced = now[0] * stage + now[1] * base.failure[:, None]
+            best, below = self._least(priced + self._ahead(lowest, cap))
+            choice[time] = (best - base.pair_offsets[:-1, None]).T
+            on_objective = np.take_along_axis(stage + self._ahead(objective, cap), best, 0)
+            on_condition = np.take_along_axis(
+                base.failure[:, None] + gamma * self._ahead(condition, cap), best, 0
+            )
+            objective = np.hstack([on_objective, beyond[0]])
+            condition = np.hstack([on_condition, beyond[1]])
+            lowest = np.hstack([below, self.tail.bound(paid[cap:], now).T])
+        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice))
+
+    def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The first best pair of each (node, layer) and its value, [nodes, cap] each."""
+        first = self.base.pair_offsets[:-1]
+        least = np.minimum.reduceat(priced, first, axis=0)
+        attains = priced == np.repeat(least, np.diff(self.base.pair_offsets), axis=0)
+        number = np.where(attains, np.arange(len(priced))[:, None], len(priced))
+        return np.minimum.reduceat(number, first, axis=0), least
+
+    def _at_start(
+        self,
+        weights: FloatArray,
+        objective: FloatArray,
+        condition: FloatArray,
+        lowest: FloatArray,
+        strategy: TimedLayers,
+    ) -> Reply:
+        """The reply's numbers at the start; rounding of non-negative sums counts against it."""
+        start, failed = self.base.start, self.base.start_failure
+        horizon = len(strategy.choice)
+        longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
+        rounding = (horizon + 1) * (longest + 4) * MACHINE_EPSILON
+        bound = float(start @ lowest[:, 0] + weights[1] * failed) * (1.0 - rounding)
+        return Reply(
+            objective=float(start @ objective[:, 0]),
+            condition=float(start @ condition[:, 0] + failed),
+            bound=bound,
+            strategy=strategy,
+            sweeps=horizon * strategy.choice.shape[1],
+        )

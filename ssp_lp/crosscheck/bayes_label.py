@@ -1,0 +1,139 @@
+"""Bayes-adaptive value iteration of case M (paper, section 3.3): the unapproximated game.
+
+J_obj is not discounted here and J_cond is, so the two MDPs move alike at different speeds and the
+best action depends on the belief, that is on time. Weighed by how likely a run is to go on, the
+operator T of section 3.3 along the trajectory of the belief is a backward induction:
+
+    W_t(x) = min_u w_o G_o(x, u) + gamma^t w_d G_d(x, u) + sum_y p(y | x, u) W_{t+1}(y),
+
+with W_t = (w_o + gamma^t w_d) J(x, alpha_t). (T as printed weighs G-bar by probabilities twice.)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.bellman import ChosenRows, best_pairs, chosen_product
+from ssp_lp.crosscheck.belief import horizon_of
+from ssp_lp.crosscheck.iteration import Discounted, iterate_values
+from ssp_lp.crosscheck.models import LabelModels
+from ssp_lp.crosscheck.reply import Reply
+from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.linear import accumulate
+from ssp_lp.model.graph import pairs_into
+from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.policies.timed import TimedPolicy
+
+_FIRST_HORIZON = 32
+_GAIN = 1e-12  # relative improvement below which a pair is kept
+_ACCURACY = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class TimedStrategy:
+    """A pair for each (time, node) up to the horizon, and one for each node from there on."""
+
+    choice: IntArray  # [horizon, nodes]
+    after: IntArray  # [nodes]
+
+
+@dataclass(frozen=True, eq=False)
+class Cheapest:
+    """The policy of least undiscounted J_obj, which is followed beyond the horizon."""
+
+    choice: IntArray  # [nodes]
+    totals: FloatArray  # [nodes, 2] (J_obj, J_cond) of it
+    least_objective: FloatArray  # [nodes] checked lower bound of every policy's J_obj
+    least_condition: FloatArray  # [nodes] checked lower bound of every policy's J_cond
+
+
+@dataclass(frozen=True, eq=False)
+class BayesLabelPlayer:
+    """Best replies among all policies, by backward induction over time."""
+
+    models: LabelModels
+
+    def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
+        """A non-stationary policy of least weighted cost.
+
+        The horizon is doubled until the bound meets what the policy pays; at the horizon that
+        gamma prescribes (``horizon_of``) it does so whatever the model.
+        """
+        horizon, sweeps = _FIRST_HORIZON, 0
+        while True:
+            reply = self._reply(objective_weight, condition_weight, horizon)
+            sweeps += reply.sweeps
+            pays = reply.payoff(objective_weight, condition_weight)
+            error = max(accuracy, _ACCURACY) * pays
+            enough = horizon_of(self.models.discount, condition_weight, error) if error else 0
+            if pays - reply.bound <= error or horizon >= enough:
+                return replace(reply, sweeps=sweeps)
+            horizon = min(2 * horizon, enough)
+
+    def policy(self, reply: Reply) -> TimedPolicy:
+        """The reply's policy on the model's states, with the time as its memory."""
+        strategy: TimedStrategy = reply.strategy
+        skeleton = self.models.skeleton
+        rows = [*strategy.choice, strategy.after]
+        return TimedPolicy(
+            tuple(DeterministicPolicy(skeleton.model, skeleton.pull_back(r)) for r in rows)
+        )
+
+    @cached_property
+    def cheapest(self) -> Cheapest:
+        """Least J_obj by policy iteration from a policy that goes for the goal.
+
+        Only strict gains are taken, so that every policy on the way leaves for good.
+        """
+        models, offsets = self.models, self.models.pair_offsets
+        model, cost = models.skeleton.model, models.objective
+        choice = models.skeleton.nearer(pairs_into(model, model.goal_mask))
+        choice = offsets[:-1].copy() if choice is None else choice.astype(np.int32)
+        while True:
+            values = accumulate(ChosenRows(models.transitions, choice), cost[choice])
+            backup = best_pairs(offsets, models.transitions, cost, values, choice)
+            better = backup.minima < backup.here * (1.0 - _GAIN)
+            if not better.any():
+                break
+            choice = np.where(better, backup.choice, choice)
+        discounted = sp.csr_array(models.discount * models.transitions)
+        failing = Discounted(offsets, discounted, models.condition[:, None], models.discount)
+        watched = np.full(models.n_nodes, 1.0 / max(models.n_nodes, 1))
+        safest = iterate_values(failing, np.ones(1), watched, accuracy=_ACCURACY)
+        condition = accumulate(ChosenRows(discounted, choice), models.condition[choice])
+        return Cheapest(
+            choice=choice,
+            totals=np.stack([values, condition], axis=1),
+            least_objective=sub_solution(offsets, models.transitions, cost, values),
+            least_condition=safest.values,
+        )
+
+    def _reply(self, objective_weight: float, condition_weight: float, horizon: int) -> Reply:
+        """Backward induction from the horizon, where the cheapest policy takes over for good."""
+        models, last = self.models, self.cheapest
+        costs = np.stack([models.objective, models.condition], axis=1)
+        gamma, offsets = models.discount, models.pair_offsets
+        weights = np.array([objective_weight, condition_weight])
+        fading = weights * [1.0, gamma**horizon]
+        lowest = fading[0] * last.least_objective + fading[1] * last.least_condition
+        totals, choice = last.totals, np.empty((horizon, models.n_nodes), dtype=np.int32)
+        for time in reversed(range(horizon)):
+            priced = costs @ (weights * [1.0, gamma**time])
+            backup = best_pairs(offsets, models.transitions, priced, lowest)
+            choice[time], lowest = backup.choice, backup.minima
+            onward = chosen_product(models.transitions, backup.choice, totals * [1.0, gamma])
+            totals = costs[backup.choice] + onward
+        fixed = np.array([models.start_objective, models.start_condition])
+        objective, condition = (models.start @ totals + fixed).tolist()
+        bound = float(models.start @ lowest + fixed @ weights) * (1.0 - self._rounding(horizon))
+        return Reply(objective, condition, bound, TimedStrategy(choice, last.choice), horizon)
+
+    def _rounding(self, horizon: int) -> float:
+        """Relative rounding of so many backups of non-negative numbers."""
+        longest = int(np.diff(self.models.transitions.indptr).max(initial=0))
+        return (horizon + 1) * (longest + 4) * MACHINE_EPSILON

@@ -1,0 +1,114 @@
+"""c* of a problem: the threshold at its budget, or in case S at the best epsilon' below it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.crosscheck.reply import Player, Reply
+from ssp_lp.crosscheck.setting import infeasible
+from ssp_lp.crosscheck.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
+from ssp_lp.problem import Problem
+
+_MOST_STEPS = 100
+_SURE_FAILURE = 1.0 - 1e-12
+"""J_cond from which a policy's success is rounding and no cost given success can be told."""
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """The least c, with its proof, and where the adversary and the budget stand there."""
+
+    threshold: Threshold  # the games at epsilon*, with the mixed policy
+    spent: float  # epsilon*: the budget; in case S the epsilon' in (0, epsilon] of least c*
+    objective: float  # c*, attained by the mixed policy
+    lower_bound: float  # no policy within the budget has less
+    alpha: float  # alpha* at epsilon*
+    price: float  # weight of J_cond against J_obj at alpha*: lambda in case M, kappa in case S
+
+
+def find_optimum(
+    problem: Problem, player: Player, *, tolerance: float, patience: Patience = ENDLESS
+) -> Optimum:
+    """Find c* of a problem by its player's best replies.
+
+    Case M: the least c whose game value is at most c. Case S: the least such value over all
+    epsilon' in (0, epsilon] (Theorem 3-1). Where failing is worth more than c at epsilon itself,
+    that is where it lies; otherwise it lies where failing is worth exactly c.
+
+    Args:
+        problem: says the case and the budget.
+        player: of the same case.
+        tolerance: relative distance between c* and its lower bound to reach.
+        patience: when to stop before that, with the bounds as they are.
+
+    Raises:
+        InfeasibleError: the discounted failure of every policy exceeds the budget.
+    """
+    budget = float(problem.failure_budget or 0.0)
+    known = extremes(player, 0.1 * tolerance)
+    if known[0].bound > budget + LEAST_BUDGET:
+        raise infeasible(problem, budget, known[0].condition)
+    if problem.ratio:
+        return _ratio_optimum(player, budget, known, tolerance, patience)
+    return _at_budget(
+        find_threshold(player, budget, 1.0, known, tolerance=tolerance, patience=patience)
+    )
+
+
+def _at_budget(found: Threshold) -> Optimum:
+    return Optimum(
+        found, found.budget, found.high, found.low, found.game.alpha, found.failure_price
+    )
+
+
+def _ratio_optimum(
+    player: Player,
+    budget: float,
+    known: tuple[Reply, ...],
+    tolerance: float,
+    patience: Patience,
+) -> Optimum:
+    """Theorem 3-1: the least c* over epsilon' in (0, epsilon].
+
+    c* = F(e) / (1 - e), with F the convex least J_obj at J_cond = e, falls while ``-F'(e) > c*``
+    and rises after: either it still falls at the budget, or its minimum is where failing is worth
+    exactly c*, at a single policy.
+    """
+    best, replies = _least_ratio(player, known, tolerance)
+    spent = min(best.condition, budget)
+    found = find_threshold(
+        player, spent, 1.0 - spent, replies, tolerance=tolerance, patience=patience
+    )
+    if best.condition > budget:
+        return _at_budget(found)
+    c = found.high
+    below = c * (1.0 - 0.25 * tolerance)  # where it is strictly best to fail: no rounding enters
+    value = player.reply(1.0, below, tolerance).bound
+    room = max(1.0 - budget, 1.0 - _SURE_FAILURE)
+    lower = below if value >= below else max(value - below * budget, 0.0) / room
+    return Optimum(found, spent, c, lower, 1.0 - spent, c)
+
+
+def _least_ratio(
+    player: Player, known: tuple[Reply, ...], tolerance: float
+) -> tuple[Reply, tuple[Reply, ...]]:
+    """A policy of least J_obj / (1 - J_cond), whatever it fails, and all replies so far.
+
+    A ratio c is least if no policy has less than c of ``J_obj + c J_cond``: a policy that has less
+    has a smaller ratio, which is tried next.
+    """
+    replies = list(known)
+    best = min((r for r in replies if r.condition < _SURE_FAILURE), key=_ratio)
+    for _ in range(_MOST_STEPS):
+        c = _ratio(best)
+        reply = player.reply(1.0, c, 0.1 * tolerance)
+        if reply.condition >= _SURE_FAILURE or _ratio(reply) >= c * (1.0 - 1e-15):
+            break
+        replies.append(reply)
+        best = reply
+    return best, tuple(replies)
+
+
+def _ratio(reply: Reply) -> float:
+    return reply.objective / (1.0 - reply.condition)
