@@ -19,6 +19,7 @@ BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cv
 
 _SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
 _AGREEMENT = 1e-6
+_REMEDY = "engine='columns' needs no LP solver"
 
 _Attempt = tuple[str, PolicyBasis | None]
 
@@ -58,9 +59,8 @@ def solve_program(
     small = program.matrix.shape[1] <= _SIMPLEX_COLUMNS
     preferred = "highs-simplex" if small else "highs-ipx"
     chosen = preferred if backend in (None, "highs") else str(backend)
-    attempts: list[_Attempt] = [
-        (chosen, None), ("clarabel" if chosen == "highs-ipx" else "highs-ipx", None)
-    ]  # fmt: skip
+    spare = "clarabel" if chosen == "highs-ipx" else "highs-ipx"
+    attempts: list[_Attempt] = [(chosen, None), (spare, None)]
     if chosen == "highs-warm":
         start = policy_basis(instance, process, row, deadline)
         attempts = [(chosen, start), (chosen, start.stabler), (preferred, None)]
@@ -71,10 +71,8 @@ def solve_program(
         if worst <= RESIDUAL:
             return _optimum(program, row, answer, worst)
         tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")
-    raise SolverError(
-        "no LP backend gave an answer that passes its check (" + "; ".join(tried) + "); "
-        "engine='columns' needs no LP solver"
-    )
+    failures = "; ".join(tried)
+    raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
 
 def check_agreement(optimum: ProgramOptimum, objective: float) -> None:

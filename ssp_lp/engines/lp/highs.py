@@ -35,21 +35,7 @@ def solve_with_highs(
         SolverError: HiGHS refuses an option, the model or the basis.
     """
     began = time.perf_counter()
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
-    options: dict[str, bool | int | float | str] = {
-        "output_flag": False,
-        "solver": _SOLVERS[backend],
-        "primal_feasibility_tolerance": 1e-9,
-        "dual_feasibility_tolerance": 1e-9,
-        "threads": 1,
-    }
-    if basis is not None:
-        options |= {"presolve": "off", "factor_pivot_threshold": basis.pivot_threshold}
-    if np.isfinite(time_limit):
-        options["time_limit"] = max(time_limit, 1e-3)
-    for name, value in options.items():
-        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
-            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    solver = _solver(backend, time_limit, basis)
     if solver.passModel(highs_lp(program)) == highspy.HighsStatus.kError:
         raise SolverError("HiGHS refuses the linear program")
     if basis is not None:
@@ -80,6 +66,26 @@ def highs_basis(program: LinearProgram, basis: PolicyBasis) -> highspy.HighsBasi
     given = highspy.HighsBasis()
     given.col_status, given.row_status, given.valid = columns, rows, True
     return given
+
+
+def _solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highspy.Highs:
+    """A solver with its options set."""
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    options: dict[str, bool | int | float | str] = {
+        "output_flag": False,
+        "solver": _SOLVERS[backend],
+        "primal_feasibility_tolerance": 1e-9,
+        "dual_feasibility_tolerance": 1e-9,
+        "threads": 1,
+    }
+    if basis is not None:
+        options |= {"presolve": "off", "factor_pivot_threshold": basis.pivot_threshold}
+    if np.isfinite(time_limit):
+        options["time_limit"] = max(time_limit, 1e-3)
+    for name, value in options.items():
+        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
+            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    return solver
 
 
 def _start_at(solver: highspy.Highs, basis: highspy.HighsBasis) -> None:
