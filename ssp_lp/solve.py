@@ -50,7 +50,9 @@ def solve(
             value iteration and zero-sum game, section 3.5; needs a discount and a budget above 0),
             or "auto".
         backend: the LP engine's solver: "highs", "highs-simplex", "highs-ipx", "clarabel" or
-            "cvxpy"; None: chosen by the size of the program.
+            "cvxpy"; None: chosen by the size of the program. "highs-warm" is a check of optimality
+            by HiGHS's simplex method, started at column generation's policies, not a cold solve;
+            ``run.program`` tells how many iterations it took from there.
         tolerance: relative gap to reach.
         time_limit: seconds after which the best policy so far is returned with its honest gap.
         progress: called after each oracle call with (calls, failure price, objective).

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.engines.instance import LeastFailure
 from ssp_lp.engines.oracles.goal_reach import (
     GoalReach,
@@ -18,14 +18,14 @@ from ssp_lp.engines.oracles.goal_reach import (
     least_goal_reach,
 )
 from ssp_lp.engines.oracles.layered import LayeredOracle
-from ssp_lp.engines.oracles.oracle import Column
+from ssp_lp.engines.oracles.oracle import Column, required
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess, Tails
-from ssp_lp.process.materialise import materialise
+from ssp_lp.process.materialise import chosen_pairs, materialise
 from ssp_lp.process.semantics import survival_of
 
 _MOST_ENTRIES = 800_000_000
@@ -131,6 +131,10 @@ class CostInstance:
     def explicit(self) -> ExplicitProcess:
         """All layers below the cap, written out."""
         return materialise(self.process)
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The column's pairs in all layers, its tails beyond them and the source's only pair."""
+        return chosen_pairs(self.process, required(column.choice), column.tail_price)
 
     def refined(self, price: float) -> CostInstance | None:
         """The same problem with more layers or better tails, unless nothing is left to improve."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.engines.oracles.oracle import Column, Oracle
 from ssp_lp.errors import InfeasibleError
@@ -65,6 +65,14 @@ class Instance(Protocol):
 
     def explicit(self) -> ExplicitProcess:
         """The process written out, for the linear program."""
+        ...
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The pair of ``explicit()`` that a column of the oracle takes in each state, [states].
+
+        Raises:
+            ModelError: the oracle did not make the column.
+        """
         ...
 
     def refined(self, price: float) -> Instance | None:

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.engines.instance import LeastFailure
 from ssp_lp.engines.oracles.explicit import ExplicitOracle
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
+from ssp_lp.engines.oracles.oracle import Column, required
 from ssp_lp.model import SSP
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import label_failure
@@ -49,6 +50,10 @@ class LabelInstance:
     def explicit(self) -> ExplicitProcess:
         """The labelled process."""
         return self._oracle.process
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The column's own choice."""
+        return required(column.choice)
 
     def refined(self, price: float) -> None:
         """Nothing is truncated: there is nothing to refine."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess
 
@@ -47,6 +47,23 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
             [np.tile(base.survival * base.gain, cap), tails_goal.ravel(), [base.start_goal]]
         ),
     )
+
+
+def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -> IntArray:
+    """The pair that a policy takes in each state of the written-out process, [states].
+
+    Args:
+        process: the layered process.
+        choice: position among the pairs of its node, [cap, nodes].
+        tail_price: the price of failure by which tails are chosen beyond the cap.
+    """
+    base, cap, n_tails = process.base, process.cap, len(process.tails.goal)
+    within = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1] + choice
+    layer = cap + np.arange(base.width - 1)[:, None]
+    last = (layer >= process.threshold(tail_price)).ravel()
+    beyond = cap * len(base.gain) + np.arange(last.size) * n_tails + last * (n_tails - 1)
+    source = cap * len(base.gain) + last.size * n_tails
+    return np.concatenate([within.ravel(), beyond, [source]])
 
 
 def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:

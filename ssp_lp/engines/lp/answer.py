@@ -19,6 +19,7 @@ class LPAnswer:
     dual: FloatArray  # [rows]
     status: str
     seconds: float
+    iterations: int | None = None  # of a simplex method that was given a basis to start from
 
 
 @dataclass(frozen=True)

@@ -8,41 +8,38 @@ import highspy
 import numpy as np
 
 from ssp_lp.engines.lp.answer import LPAnswer
+from ssp_lp.engines.lp.warm_start import PolicyBasis
 from ssp_lp.errors import SolverError
 from ssp_lp.program import LinearProgram
 
-_SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx"}
+_SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx", "highs-warm": "simplex"}
 
 
-def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
+def solve_with_highs(
+    program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
+) -> LPAnswer:
     """Solve with HiGHS' dual simplex or its interior point IPX (with crossover).
+
+    "highs-warm" is the simplex method started at a given basis: at an optimal one it takes no
+    iteration and says so, after a factorisation and its own test of feasibility.
 
     IPX ignores the time limit. The name ``ipm`` is avoided: it means another solver where
     ``highspy-extras`` is installed.
 
     Args:
-        backend: "highs-simplex" or "highs-ipx".
+        backend: "highs-simplex", "highs-ipx" or "highs-warm".
         time_limit: seconds.
+        basis: where the simplex method starts, without presolving, in "highs-warm".
 
     Raises:
-        SolverError: HiGHS refuses an option or the model.
+        SolverError: HiGHS refuses an option, the model or the basis.
     """
     began = time.perf_counter()
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
-    options: dict[str, bool | int | float | str] = {
-        "output_flag": False,
-        "solver": _SOLVERS[backend],
-        "primal_feasibility_tolerance": 1e-9,
-        "dual_feasibility_tolerance": 1e-9,
-        "threads": 1,
-    }
-    if np.isfinite(time_limit):
-        options["time_limit"] = max(time_limit, 1e-3)
-    for name, value in options.items():
-        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
-            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    solver = _solver(backend, time_limit, basis)
     if solver.passModel(highs_lp(program)) == highspy.HighsStatus.kError:
         raise SolverError("HiGHS refuses the linear program")
+    if basis is not None:
+        _start_at(solver, highs_basis(program, basis))
     solver.run()
     solution = solver.getSolution()
     return LPAnswer(
@@ -51,7 +48,49 @@ def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) ->
         dual=np.asarray(solution.row_dual, dtype=np.float64),
         status=solver.modelStatusToString(solver.getModelStatus()),
         seconds=time.perf_counter() - began,
+        iterations=None if basis is None else int(solver.getInfo().simplex_iteration_count),
     )
+
+
+def highs_basis(program: LinearProgram, basis: PolicyBasis) -> highspy.HighsBasis:
+    """A basis in HiGHS' own form; what is not basic lies at the bound that holds it."""
+    n_rows, n_columns = program.matrix.shape
+    basic, lower = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kLower
+    columns, rows = [lower] * n_columns, [lower] * n_rows
+    for pair in basis.pairs.tolist():
+        columns[pair] = basic
+    if "normaliser" in program.rows:
+        columns[-1] = basic  # the scale t
+    failure = program.rows["failure"].start
+    rows[failure] = basic if basis.slack else highspy.HighsBasisStatus.kUpper
+    given = highspy.HighsBasis()
+    given.col_status, given.row_status, given.valid = columns, rows, True
+    return given
+
+
+def _solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highspy.Highs:
+    """A solver with its options set."""
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    options: dict[str, bool | int | float | str] = {
+        "output_flag": False,
+        "solver": _SOLVERS[backend],
+        "primal_feasibility_tolerance": 1e-9,
+        "dual_feasibility_tolerance": 1e-9,
+        "threads": 1,
+    }
+    if basis is not None:
+        options |= {"presolve": "off", "factor_pivot_threshold": basis.pivot_threshold}
+    if np.isfinite(time_limit):
+        options["time_limit"] = max(time_limit, 1e-3)
+    for name, value in options.items():
+        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
+            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    return solver
+
+
+def _start_at(solver: highspy.Highs, basis: highspy.HighsBasis) -> None:
+    if solver.setBasis(basis) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the basis")
 
 
 def highs_lp(program: LinearProgram) -> highspy.HighsLp:
