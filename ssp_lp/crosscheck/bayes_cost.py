@@ -13,15 +13,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
-from ssp_lp.crosscheck.cost_game import cost_aware
+from ssp_lp.crosscheck.cost_game import CostPlayer, cost_aware
 from ssp_lp.crosscheck.reply import Reply
-from ssp_lp.crosscheck.tail import Tail, undiscounted, worst_tail
+from ssp_lp.crosscheck.tail import Tail, undiscounted
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.timed import TimedPolicy
 from ssp_lp.process.accumulated_cost import AccumulatedCost
 
-_FIRST_LAYERS = 16
+_FIRST_HORIZON = 32
+_SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
 _MOST_ENTRIES = 100_000_000
 """Largest table of decisions, nodes x layers x time."""
 
@@ -44,25 +45,34 @@ class BayesCostPlayer:
     @cached_property
     def tail(self) -> Tail:
         """pi'_or, which is followed beyond cap and horizon."""
-        return undiscounted(self.base, worst_tail(self.base))
+        return undiscounted(self.base, self.stationary.tail)
+
+    @cached_property
+    def stationary(self) -> CostPlayer:
+        """The player of section 3.5.1, whose game is a lower bound of this one."""
+        return CostPlayer(self.base)
 
     def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
         """A policy of (time, state, accumulated cost) of least weighted cost.
 
-        Cap and horizon are doubled until the bound meets what the policy pays.
+        The cap is the stationary player's. The horizon is doubled until the bound meets what the
+        policy pays; where that no longer helps, so is the cap.
 
         Raises:
             ModelError: the table of decisions would be too large.
         """
         weights = np.array([objective_weight, condition_weight])
-        cap, horizon, sweeps = _FIRST_LAYERS * self.base.width, _FIRST_LAYERS, 0
+        first = self.stationary.reply(objective_weight, condition_weight, accuracy)
+        cap, horizon, sweeps, gap = len(first.strategy.choice), _FIRST_HORIZON, first.sweeps, np.inf
         while True:
             reply = self._reply(weights, cap, horizon)
             sweeps += reply.sweeps
             pays = reply.payoff(objective_weight, condition_weight)
-            if pays - reply.bound <= max(accuracy, _SMALLEST_ERROR) * pays:
+            before, gap = gap, pays - reply.bound
+            if gap <= max(accuracy, _SMALLEST_ERROR) * pays:
                 return replace(reply, sweeps=sweeps)
-            cap, horizon = 2 * cap, 2 * horizon
+            horizon *= 2
+            cap *= 2 if gap > _SLOW * before else 1
             if cap * horizon * self.base.n_nodes > _MOST_ENTRIES:
                 raise ModelError(
                     f"{horizon:,} steps x {cap:,} layers of accumulated cost on "
@@ -72,12 +82,15 @@ class BayesCostPlayer:
     def policy(self, reply: Reply) -> TimedPolicy:
         """The reply's policy on the model's states; it remembers the time and the cost paid."""
         strategy: TimedLayers = reply.strategy
+        tail = self.base.skeleton.pull_back(self.tail.choice)
         last = np.broadcast_to(self._after, strategy.choice.shape[1:])
-        return TimedPolicy(tuple(self._stage(rows) for rows in [*strategy.choice, last]))
-
-    def _stage(self, choice: IntArray) -> CostAwarePolicy:
-        base, tail = self.base, self.base.skeleton.pull_back(self.tail.choice)
-        return cost_aware(base, choice, tail)
+        stages: list[CostAwarePolicy] = []
+        before = None
+        for rows in [*strategy.choice, last.astype(strategy.choice.dtype)]:
+            same = before is not None and np.array_equal(rows, before)
+            stages.append(stages[-1] if same else cost_aware(self.base, rows, tail))
+            before = rows
+        return TimedPolicy(tuple(stages))
 
     @property
     def _after(self) -> IntArray:
@@ -106,7 +119,7 @@ class BayesCostPlayer:
         paid = np.arange(cap + base.width - 1, dtype=np.float64) * base.unit
         objective, condition = np.moveaxis(self.tail.attained(paid), -1, 0).transpose(0, 2, 1)
         beyond = objective[:, cap:], condition[:, cap:]
-        lowest = self.tail.bound(paid, weights * [1.0, gamma**horizon]).T
+        lowest = self._beyond(paid, weights * [1.0, gamma**horizon], cap)
         stage = base.gain[:, None] * paid[:cap] + base.gain_cost[:, None]
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
@@ -123,6 +136,20 @@ class BayesCostPlayer:
             condition = np.hstack([on_condition, beyond[1]])
             lowest = np.hstack([below, self.tail.bound(paid[cap:], now).T])
         return self._at_start(weights, objective, condition, lowest, TimedLayers(choice))
+
+    def _beyond(self, paid: FloatArray, weights: FloatArray, cap: int) -> FloatArray:
+        """Lower bound of every policy's weighted cost from the horizon on, [nodes, layers].
+
+        Discounting the objective too can only lower it, so the stationary game bounds this one.
+
+        Args:
+            paid: accumulated cost of each layer, [layers].
+            weights: with that of J_cond as it has faded by then.
+            cap: layers below the cap.
+        """
+        bound = self.tail.bound(paid, weights)
+        bound[:cap] = np.maximum(bound[:cap], self.stationary.lowest(weights, cap))
+        return np.asarray(bound.T)
 
     def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
         """The first best pair of each (node, layer) and its value, [nodes, cap] each."""

@@ -15,12 +15,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.bellman import ChosenRows, best_pairs, chosen_product
 from ssp_lp.crosscheck.belief import horizon_of
-from ssp_lp.crosscheck.iteration import Discounted, iterate_values
+from ssp_lp.crosscheck.iteration import iterate_values
+from ssp_lp.crosscheck.label_game import LabelPlayer
 from ssp_lp.crosscheck.models import LabelModels
 from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.engines.oracles.sub_solution import sub_solution
@@ -32,6 +32,8 @@ from ssp_lp.policies.timed import TimedPolicy
 _FIRST_HORIZON = 32
 _GAIN = 1e-12  # relative improvement below which a pair is kept
 _ACCURACY = 1e-13
+_ROUGH = 1e-6
+"""Accuracy of a bound that only counts as far as a run lasts until the horizon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,6 @@ class Cheapest:
     choice: IntArray  # [nodes]
     totals: FloatArray  # [nodes, 2] (J_obj, J_cond) of it
     least_objective: FloatArray  # [nodes] checked lower bound of every policy's J_obj
-    least_condition: FloatArray  # [nodes] checked lower bound of every policy's J_cond
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,11 @@ class BayesLabelPlayer:
         )
 
     @cached_property
+    def stationary(self) -> LabelPlayer:
+        """The player of section 3.5.2, whose game is a lower bound of this one."""
+        return LabelPlayer(self.models)
+
+    @cached_property
     def cheapest(self) -> Cheapest:
         """Least J_obj by policy iteration from a policy that goes for the goal.
 
@@ -101,17 +107,25 @@ class BayesLabelPlayer:
             if not better.any():
                 break
             choice = np.where(better, backup.choice, choice)
-        discounted = sp.csr_array(models.discount * models.transitions)
-        failing = Discounted(offsets, discounted, models.condition[:, None], models.discount)
-        watched = np.full(models.n_nodes, 1.0 / max(models.n_nodes, 1))
-        safest = iterate_values(failing, np.ones(1), watched, accuracy=_ACCURACY)
-        condition = accumulate(ChosenRows(discounted, choice), models.condition[choice])
+        discounted = ChosenRows(self.stationary.process.transitions, choice)
+        condition = accumulate(discounted, models.condition[choice])
         return Cheapest(
             choice=choice,
             totals=np.stack([values, condition], axis=1),
             least_objective=sub_solution(offsets, models.transitions, cost, values),
-            least_condition=safest.values,
         )
+
+    def _beyond(self, weights: FloatArray) -> FloatArray:
+        """Lower bound of every policy's weighted cost from the horizon on, [nodes].
+
+        Discounting the objective too can only lower it, so the stationary game bounds this one.
+
+        Args:
+            weights: with that of J_cond as it has faded by then.
+        """
+        everywhere = np.full(self.models.n_nodes, 1.0 / max(self.models.n_nodes, 1))
+        found = iterate_values(self.stationary.process, weights, everywhere, accuracy=_ROUGH)
+        return np.asarray(np.maximum(found.values, weights[0] * self.cheapest.least_objective))
 
     def _reply(self, objective_weight: float, condition_weight: float, horizon: int) -> Reply:
         """Backward induction from the horizon, where the cheapest policy takes over for good."""
@@ -119,8 +133,7 @@ class BayesLabelPlayer:
         costs = np.stack([models.objective, models.condition], axis=1)
         gamma, offsets = models.discount, models.pair_offsets
         weights = np.array([objective_weight, condition_weight])
-        fading = weights * [1.0, gamma**horizon]
-        lowest = fading[0] * last.least_objective + fading[1] * last.least_condition
+        lowest = self._beyond(weights * [1.0, gamma**horizon])
         totals, choice = last.totals, np.empty((horizon, models.n_nodes), dtype=np.int32)
         for time in reversed(range(horizon)):
             priced = costs @ (weights * [1.0, gamma**time])

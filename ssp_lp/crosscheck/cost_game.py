@@ -24,6 +24,7 @@ from ssp_lp.engines.oracles.window import Window
 from ssp_lp.errors import ModelError
 from ssp_lp.linear import accumulate
 from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.process.accumulated_cost import AccumulatedCost
 
 _MOST_ENTRIES = 200_000_000
@@ -96,25 +97,41 @@ class CostPlayer:
 
     def _reply(self, weights: FloatArray, cap: int) -> Reply:
         """The best reply in Pi_{M, pi'_or} at M = cap layers, and a bound for every policy."""
-        base = self.base
-        paid = np.arange(cap, cap + base.width - 1, dtype=np.float64) * base.unit
-        measured, bounds = Window(self.tail.attained(paid)), Window(self.tail.bound(paid, weights))
-        totals, lowest = np.zeros((base.n_nodes, 2)), np.zeros(base.n_nodes)
+        base, chosen = self.base, None
+        measured, totals = (
+            Window(self.tail.attained(self._beyond(cap))),
+            np.zeros((base.n_nodes, 2)),
+        )
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((cap, base.n_nodes), dtype=least_integer_type(most))
-        chosen, boldest = None, None
         for layer in reversed(range(cap)):
             costs = self._costs(layer)
             chosen = self._best(costs @ weights, measured.flat @ weights, chosen)
             totals = self._measured(costs, chosen, measured.flat)
-            lowest, boldest = self._lowest(costs @ weights, bounds.flat, boldest)
             choice[layer] = chosen - base.pair_offsets[:-1]
             measured.push(totals)
-            bounds.push(lowest)
         failed = np.array([0.0, base.start_failure])
         objective, condition = (base.start @ totals + failed).tolist()
-        bound = float(base.start @ lowest + failed @ weights)
+        bound = float(base.start @ self.lowest(weights, cap)[0] + failed @ weights)
         return Reply(objective, condition, bound, LayeredStrategy(choice), 2 * cap)
+
+    def lowest(self, weights: FloatArray, cap: int) -> FloatArray:
+        """Lower bounds of every policy's weighted cost below the cap, [cap, nodes].
+
+        Args:
+            weights: of J_obj and J_cond, [2].
+            cap: layers.
+        """
+        values, best = np.empty((cap, self.base.n_nodes)), None
+        ahead = Window(self.tail.bound(self._beyond(cap), weights))
+        for layer in reversed(range(cap)):
+            values[layer], best = self._lowest(self._costs(layer) @ weights, ahead.flat, best)
+            ahead.push(values[layer])
+        return values
+
+    def _beyond(self, cap: int) -> FloatArray:
+        """Accumulated cost in the layers beyond the cap that a step can reach, [width - 1]."""
+        return np.arange(cap, cap + self.base.width - 1, dtype=np.float64) * self.base.unit
 
     def _costs(self, layer: int) -> FloatArray:
         """E[G_o] and E[G_{d,gamma}] of each pair at an accumulated cost, [pairs, 2]."""
@@ -182,11 +199,14 @@ def cost_aware(base: AccumulatedCost, choice: IntArray, tail: IntArray) -> CostA
         tail: decision of the tail policy, [states].
     """
     skeleton, model = base.skeleton, base.skeleton.model
-    pairs = [skeleton.pull_back(base.pair_offsets[:-1] + row) for row in choice]
+    live = np.flatnonzero(skeleton.node_of >= 0)  # in the order of the nodes: none are merged
+    pair = skeleton.pair_at[base.pair_offsets[:-1] + choice]
+    decision = np.full((len(choice), model.n_states), UNDECIDED, dtype=choice.dtype)
+    decision[:, live] = np.where(pair < 0, pair, pair - model.pair_offsets[live])
     return CostAwarePolicy(
         model=model,
         unit=base.unit,
-        decision=np.stack([np.where(p < 0, p, p - model.pair_offsets[:-1]) for p in pairs]),
+        decision=decision,
         tails=tail[None, :],
         tail_threshold=np.full(model.n_states, -np.inf),
     )

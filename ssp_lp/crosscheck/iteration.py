@@ -53,9 +53,9 @@ def iterate_values(
 
     The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy's exact
     value bounds the optimum from above, the iterate, once a backup with its rounding has confirmed
-    it, from below. The iteration ends when the two meet where a run may begin; it is lifted to the
-    policy's own value, lowered as far as that backup demands, so that slow loops do not hold it up. Where rounding keeps the two
-    apart it ends too, with the distance that is left.
+    it, from below. The iteration ends when the two meet where a run may begin, or where rounding
+    keeps them apart. It is lifted to the policy's own value, lowered as far as that backup demands,
+    so that slow loops do not hold it up.
 
     Args:
         process: the process.

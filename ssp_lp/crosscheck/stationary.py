@@ -115,7 +115,8 @@ def thresholds(
         tolerance: relative distance between each c* and its lower bound to reach.
     """
     player = stationary_player(problem)
-    known, found = extremes(player, 0.1 * tolerance), []
+    known: tuple[Reply, ...] = extremes(player, 0.1 * tolerance)
+    found: list[Threshold] = []
     for budget in budgets:
         share = 1.0 - budget if problem.ratio else 1.0
         found.append(find_threshold(player, budget, share, known, tolerance=tolerance))

@@ -16,7 +16,12 @@ from ssp_lp.errors import InfeasibleError
 _STEEP = (1e3, 1e6, 1e9)
 """Prices of failure at which cheap policies among those of least failure are looked for."""
 
+_ROOM = 1.0 + 1e-6
+"""A budget below the least failure times this counts as tight."""
+
 _MOST_GAMES = 100
+
+Replies = tuple[Reply, ...]
 
 
 @dataclass(frozen=True)
@@ -95,8 +100,9 @@ def find_threshold(
     Raises:
         InfeasibleError: every policy's J_cond exceeds the budget; the error carries J_cond.
     """
-    replies, accuracy = list(known), 0.1 * tolerance
-    budget = _feasible(budget, replies)
+    accuracy = 0.1 * tolerance
+    budget = _feasible(budget, known)
+    replies = [*known, *_near_least(player, budget, known, accuracy)]
     low, high = 0.0, cheapest_mixture(replies, budget)[2] / share
     trials: list[Trial] = []
     while True:
@@ -117,14 +123,20 @@ def find_threshold(
             return answer
 
 
-def extremes(player: Player, accuracy: float) -> tuple[Reply, ...]:
-    """The policy that fails least, the cheapest one, and cheap ones that fail (almost) least.
+def extremes(player: Player, accuracy: float) -> tuple[Reply, Reply]:
+    """The policy that fails least and the cheapest one."""
+    return player.reply(0.0, 1.0, accuracy), player.reply(1.0, 0.0, accuracy)
 
-    The latter matter where the budget is the least failure: of all policies that fail so little
-    the cheapest is wanted.
+
+def _near_least(player: Player, budget: float, known: Sequence[Reply], accuracy: float) -> Replies:
+    """Cheap policies among those that fail (almost) least, if the budget leaves no room.
+
+    The least failure alone does not ask what its policy costs.
     """
-    steep = (player.reply(1.0, price, accuracy) for price in _STEEP)
-    return (player.reply(0.0, 1.0, accuracy), player.reply(1.0, 0.0, accuracy), *steep)
+    least = min(r.condition for r in known)
+    if budget > least * _ROOM + LEAST_BUDGET:
+        return ()
+    return tuple(player.reply(1.0, price, accuracy) for price in _STEEP)
 
 
 def _feasible(budget: float, replies: Sequence[Reply]) -> float:
