@@ -57,6 +57,12 @@ def drawn_problem(criterion: Any, drawn: Draw, share: float, gamma: float) -> An
     return problem
 
 
+def without_dead_choices(drawn: Draw) -> Draw:
+    """The same problem, whose dead-ends offer nothing; in case S what they offer is immaterial."""
+    choices = {s: {} if s.startswith("d") else a for s, a in drawn.choices.items()}
+    return Draw(choices, drawn.goals, drawn.start)
+
+
 def hand_problem(criterion: Any, choices: Any, budget: float, gamma: float | None) -> Any:
     """A hand model with start "x"."""
     return criterion(model_of(choices), start="x", failure_budget=budget, discount=gamma)

@@ -1,5 +1,7 @@
 """The theorems of section 3 of the paper, on closed forms, on random models and on the robot."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -16,20 +18,23 @@ from games import (
     matrix_game_value,
     max_min,
     stake,
+    without_dead_choices,
 )
 from plain_policies import stationary_policies
 from references import mcmp, s3p
 from references.chain import mean, start_distribution
 from references.frontier import constrained_ratio
-from small_models import TWO_MOVES
+from small_models import TWO_MOVES, model_of
 from ssp_lp import evaluate, solve
 from ssp_lp.crosscheck import Game, play, stationary_game, thresholds
+from ssp_lp.crosscheck.game import crossing
+from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.crosscheck.stationary import stationary_player
 from strategies import Draw, acyclic_problems, problems
 from test_theorems import library_policy
 
-few = settings(max_examples=40, deadline=None, derandomize=True)
-some = settings(max_examples=80, deadline=None, derandomize=True)
+few = settings(max_examples=30, deadline=None, derandomize=True)
+some = settings(max_examples=50, deadline=None, derandomize=True)
 gammas = st.sampled_from([0.9, 0.5, 0.99])
 shares = st.sampled_from([0.25, 0.1, 0.5, 0.02, 0.8])
 criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
@@ -97,11 +102,11 @@ def test_t3_1_the_least_c_over_smaller_budgets_is_the_optimum_of_case_s(drawn, g
 
 
 @few
-@given(acyclic_problems(), gammas, shares)
+@given(acyclic_problems(most_live=2), gammas, shares)
 def test_t3_1_against_all_policies_of_state_and_cost(drawn, gamma, share):
     """t3-1 under a discount: every policy of (state, accumulated cost) is enumerated."""
     problem = drawn_problem(S3P, drawn, share, gamma)
-    points = s3p.product_points(plain(drawn), drawn.start, 100, gamma)
+    points = s3p.product_points(plain(without_dead_choices(drawn)), drawn.start, 100, gamma)
     brute = constrained_ratio(points, problem.failure_budget)
     assert stationary_game(problem).objective == pytest.approx(brute, rel=1e-7, abs=1e-9)
 
@@ -174,22 +179,28 @@ def test_t3_2_on_a_closed_form():
 def _all_points(problem, drawn):
     """(J_cond, J_obj) of every stationary policy of the augmented process."""
     if problem.ratio:
-        return s3p.product_points(plain(drawn), drawn.start, 100, problem.discount)
+        return s3p.product_points(
+            plain(without_dead_choices(drawn)), drawn.start, 100, problem.discount
+        )
     return mcmp.points(plain(drawn), drawn.start, discount=problem.discount)
 
 
 @criteria
 @few
 @given(
-    acyclic_problems(), gammas, shares, st.sampled_from([0.5, 1.0, 2.0]), st.sampled_from([1, 3])
+    acyclic_problems(most_live=2),
+    gammas,
+    shares,
+    st.sampled_from([0.5, 1.0, 2.0]),
+    st.sampled_from([1, 3]),
 )
-def test_t3_3_min_max_is_max_min(criterion, drawn, gamma, share, c, factor):
+def test_t3_3_min_max_is_max_min(criterion, drawn, gamma, share, c):
     """t3-3: with lotteries among the policies the two orders agree, below c* as well.
 
     Min max is a linear program over all policies, max min the peak of their least payoff.
     """
     problem = drawn_problem(criterion, drawn, share, gamma)
-    points, game = _all_points(problem, drawn), game_at(problem, factor * c)
+    points, game = _all_points(problem, drawn), game_at(problem, c)
     found = play(stationary_player(problem), game)
     value = matrix_game_value(points, game)
     assert found.lower <= found.upper
@@ -269,7 +280,7 @@ def _real_cost(problem, lottery):
 
 
 def _steps(values):
-    return list(zip(values, values[1:], strict=False))
+    return list(pairwise(values))
 
 
 @criteria
@@ -335,8 +346,23 @@ def test_the_robot_has_one_optimum_by_game_and_by_columns(criterion, robot):
 
 
 def test_a_game_is_told_by_its_stake_and_its_budget():
-    """eq. j_c_gamma_def: eta is c in case M and c (1 - epsilon) in case S."""
+    """Eq. j_c_gamma_def: eta is c in case M and c (1 - epsilon) in case S."""
     for criterion, eta in ((MCMP, 3.0), (S3P, 3.0 * 0.75)):
         problem = hand_problem(criterion, TWO_MOVES, 0.25, 0.9)
         assert game_at(problem, 3.0) == Game(eta, 0.25)
         assert game_at(problem, 3.0).scale == pytest.approx(eta / 0.25)
+
+
+def test_policies_that_differ_by_rounding_do_not_cross_outside():
+    """The least failing policies of a tight budget: equal to eight digits, and one dominates."""
+    game = Game(2.0, 1e-6)
+    minus, plus = Reply(2.0, 1e-6, 0.0), Reply(2.0 + 1e-11, 1e-6 * (1 + 1e-11), 0.0)
+    assert crossing(game, minus, plus) == 1.0
+    assert 0.0 < crossing(game, minus, Reply(1.0, 0.5, 0.0)) < 1.0
+    choices = {
+        "x": {"a": [(0.9, "x", 2), (0.1, "g", 2)], "b": [(0.25, "g", 2), (0.75, "x", 3)]},
+    }
+    model = model_of(choices)
+    problem = S3P(model, start={"x": 0.25, "g": 0.75}, failure_budget=0.1, discount=1 - 1e-6)
+    optimum = solve(problem, "columns").objective
+    assert stationary_game(problem).objective == pytest.approx(optimum, rel=1e-7)
