@@ -115,12 +115,12 @@ def test_the_operators_of_case_s(alpha):
     weights = alpha, (1 - alpha) * scale
     reply = stationary_player(problem).reply(*weights, 1e-12)
     tails = [cost_tail(model, rush, gamma, scale, discounted=d) for d in (True, False)]
-    for cap, error in ((5, 1.0), (20, 1e-1), (80, 1e-4), (300, 1e-9)):
+    for cap, error in ((5, 1.0), (20, 1e-1), (80, 1e-4), (120, 1e-9)):
         ours, printed = (
             cost_game(model, "x", gamma, alpha, scale, cap, tail, bayes=False) for tail in tails
         )
         assert reply.bound - 1e-10 <= ours <= printed + 1e-12
         assert printed == pytest.approx(reply.bound, abs=error)
     reply = bayes_player(problem).reply(*weights, 1e-11)
-    exact = cost_game(model, "x", gamma, alpha, scale, 300, tails[1], bayes=True)
+    exact = cost_game(model, "x", gamma, alpha, scale, 150, tails[1], bayes=True)
     assert reply.payoff(*weights) == pytest.approx(exact, rel=1e-9)
