@@ -50,7 +50,7 @@ def test_t3_4_the_lottery_tends_to_the_optimum(criterion, drawn, gamma, share):
 @criteria
 def test_t3_4_for_the_unapproximated_game(criterion):
     """t3-4 as stated: the members depend on time, and the lottery attains c* within the budget."""
-    problem = hand_problem(criterion, RETRY, 0.2, 0.95)
+    problem = hand_problem(criterion, RETRY, 0.3, 0.95)
     found = bayes_adaptive(problem, tolerance=1e-10)
     lottery = _check_limit(found.player, found)
     spent = found.optimum.spent

@@ -37,21 +37,21 @@ def test_t3_m1_above_c_the_game_can_be_held_and_its_policy_keeps_to_the_budget(
     """
     problem = drawn_problem(criterion, drawn, share, gamma)
     player = stationary_player(problem)
-    known = extremes(player, 1e-12)
+    known = extremes(player, 1e-10)
     room = 1.0 - problem.failure_budget if problem.ratio else 1.0
-    least = find_threshold(player, problem.failure_budget, room, known, tolerance=1e-9).high
+    least = find_threshold(player, problem.failure_budget, room, known, tolerance=1e-8).high
     if least < 1e-6:
         return
-    for factor in (1.0 + 1e-7, 1.1, 2.0, 10.0):
+    for factor in (1.0 + 1e-6, 1.1, 5.0):
         game = game_at(problem, factor * least)
-        found = play(player, game, known)
+        found = play(player, game, known, accuracy=1e-9)
         assert found.upper <= game.stake * (1.0 + 1e-9)
         objective, condition = mixture(found)
         assert objective <= found.upper * (1.0 + 1e-9)
         assert condition <= problem.failure_budget * (1.0 + 1e-9)
-    for factor in (0.5, 0.9, 0.999):
+    for factor in (0.5, 0.999):
         game = game_at(problem, factor * least)
-        assert play(player, game, known).lower > game.stake
+        assert play(player, game, known, accuracy=1e-9).lower > game.stake
 
 
 def _capped_thresholds(problem, budget, caps):
@@ -67,10 +67,14 @@ def test_t3_5_the_threshold_of_a_cap_falls_to_that_of_none():
 
     This needs J_obj to be discounted beyond M as before it, which is how the library reads it.
     """
-    problem = hand_problem(S3P, RETRY, 0.12, 0.99)
+    choices = {
+        "x": {**RETRY["x"], "dear": [(0.1, "g", 3), (0.6, "x", 3), (0.3, "d", 3)]},
+        "d": RETRY["d"],
+    }
+    problem = hand_problem(S3P, choices, 0.2, 0.99)
     found = stationary_game(problem)
     spent = found.optimum.spent
-    values = list(_capped_thresholds(problem, spent, (8, 12, 16, 24, 32, 48, 96)))
+    values = list(_capped_thresholds(problem, spent, (6, 8, 12, 16, 24, 32, 48, 96)))
     assert all(later <= earlier * (1 + 1e-9) for earlier, later in pairwise(values))
     assert values[0] > found.objective * (1 + 1e-4)
     assert values[-1] == pytest.approx(found.objective, rel=1e-8)
@@ -138,19 +142,19 @@ def test_l3_9_and_l3_12_the_approximate_value_tends_to_the_true_one(criterion, l
     """l3-9 (M beyond all need) and l3-12: at fixed c, the two values approach as gamma -> 1."""
     for c in (2.0, 5.0):
         gaps = []
-        for gamma in (0.9, 0.99, 0.999, 1 - 1e-4):
-            problem = hand_problem(criterion, RETRY, 0.12, gamma)
+        for gamma in (0.99, 0.999, 1 - 1e-4):
+            problem = hand_problem(criterion, RETRY, 0.2, gamma)
             approximate, true, _, _ = _values(problem, c)
             gaps.append(true.upper - approximate.upper)
             assert gaps[-1] >= -1e-8, lemma
         assert all(later <= 0.5 * earlier for earlier, later in pairwise(gaps))
-        assert gaps[-1] <= 1e-2 * max(gaps[0], 1e-2)
+        assert gaps[-1] <= 1e-3
 
 
 def test_l3_9_at_a_fixed_cap():
     """l3-9 as stated, M = 20: T_alpha over T of section 3.3, both with pi'_or from M on."""
     model, gaps = plain_model(RETRY, {"g"}), []
-    for gamma in (0.9, 0.99, 0.999, 1 - 1e-4, 1 - 1e-6):
+    for gamma in (0.99, 0.999, 1 - 1e-4, 1 - 1e-6):
         scale = 5.0 * (1 - 0.12) / 0.12
         tail = cost_tail(model, {"x": "rush"}, gamma, scale, discounted=False)
         peaks = [
