@@ -17,6 +17,7 @@ from ssp_lp.policies import (
     DeterministicPolicy,
     MixedPolicy,
     StochasticPolicy,
+    TimedPolicy,
 )
 from ssp_lp.process.semantics import GiveUp
 from ssp_lp.simulation import simulate
@@ -42,6 +43,7 @@ __all__ = [
     "Solution",
     "SolverError",
     "StochasticPolicy",
+    "TimedPolicy",
     "certify",
     "evaluate",
     "simulate",

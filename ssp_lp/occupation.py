@@ -9,6 +9,7 @@ from ssp_lp.chain import Chain, policy_chain, reaching
 from ssp_lp.errors import ModelError
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy, Policy, StochasticPolicy
 from ssp_lp.policies.policy import Branches
+from ssp_lp.policies.timed import TimedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.process.semantics import start_distribution, survival_of
 
@@ -32,17 +33,16 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
     the lottery's expected visits. Under a discount visits are discounted, so that the discounted
     cost and failure are kept: a stationary policy cannot keep both those and the real ones.
-    Members of the state alone are carried along the accumulated cost where another needs it.
+    Members of the state alone are carried along the memory that another needs, the accumulated
+    cost or the time. Where time is remembered (section 3.4), every visit of a situation has one
+    time, and the distribution over situations is the lottery's at each time, not only in total.
 
     Raises:
-        ModelError: a member may wander for ever, or members follow different tails.
+        ModelError: a member may wander for ever, or the memories of two members differ.
     """
     model, start = problem.model, start_distribution(problem.model, problem.start)
     survival = survival_of(problem.discount)
-    aware = [p for p in policy.policies if isinstance(p, CostAwarePolicy)]
-    carrier = aware[0] if aware else None
-    if any(not np.array_equal(p.tail_threshold, aware[0].tail_threshold) for p in aware):
-        raise ModelError("members of the lottery leave the table of costs by different tails")
+    carrier = _common_memory(policy)
     keys, pairs, flows = [], [], []
     for member, weight in zip(policy.policies, policy.weights, strict=True):
         lifted = member if carrier is None else _Carried(member, carrier)
@@ -76,10 +76,36 @@ def _shares(
     return StochasticPolicy(policy.model, situation, offsets, pair - 1, share, carrier)
 
 
+def _common_memory(policy: MixedPolicy) -> CostAwarePolicy | TimedPolicy | None:
+    """A member whose memory serves all of them; None where none remembers anything.
+
+    Raises:
+        ModelError: two members remember different things.
+    """
+    carrier: CostAwarePolicy | TimedPolicy | None = None
+    for member in policy.policies:
+        if not isinstance(member, (CostAwarePolicy, TimedPolicy)):
+            continue
+        if carrier is None:
+            carrier = member
+        elif _meaning(member) != _meaning(carrier):
+            raise ModelError("members of the lottery have memories of different meaning")
+    return carrier
+
+
+def _meaning(policy: Policy) -> tuple[object, ...]:
+    """What a memory means: equal for policies of which each understands the other's memory."""
+    if isinstance(policy, TimedPolicy):
+        return len(policy.stages), *_meaning(policy.stages[0])
+    if isinstance(policy, CostAwarePolicy):
+        return policy.cap, policy.unit, len(policy.tails), policy.tail_threshold.tobytes()
+    return ()
+
+
 class _Carried(Policy):
     """A policy that decides as one policy does, with the memory of another."""
 
-    def __init__(self, decider: Policy, carrier: CostAwarePolicy) -> None:
+    def __init__(self, decider: Policy, carrier: Policy) -> None:
         self.model = decider.model
         self._decider, self._carrier = decider, carrier
 

@@ -49,7 +49,7 @@ class BayesAdaptive:
     @property
     def policy(self) -> MixedPolicy:
         """A lottery over one or two deterministic policies that depend on time."""
-        return lottery(self.player.policy, self.optimum.threshold)
+        return lottery(self.player, self.optimum.threshold)
 
 
 def bayes_player(problem: Problem) -> BayesPlayer:

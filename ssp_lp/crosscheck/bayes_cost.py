@@ -6,6 +6,7 @@ coordinate, as in case M. J_obj is the undiscounted E[total cost; goal].
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -79,23 +80,22 @@ class BayesCostPlayer:
                     f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
                 )
 
-    def policy(self, reply: Reply) -> TimedPolicy:
-        """The reply's policy on the model's states; it remembers the time and the cost paid."""
-        strategy: TimedLayers = reply.strategy
-        tail = self.base.skeleton.pull_back(self.tail.choice)
-        last = np.broadcast_to(self._after, strategy.choice.shape[1:])
-        stages: list[CostAwarePolicy] = []
-        before = None
-        for rows in [*strategy.choice, last.astype(strategy.choice.dtype)]:
-            same = before is not None and np.array_equal(rows, before)
-            stages.append(stages[-1] if same else cost_aware(self.base, rows, tail))
-            before = rows
-        return TimedPolicy(tuple(stages))
+    def policies(self, replies: Sequence[Reply]) -> tuple[TimedPolicy, ...]:
+        """The replies' policies on the model's states; they remember the time and the cost paid."""
+        strategies: list[TimedLayers] = [r.strategy for r in replies]
+        horizon = max(s.choice.shape[0] for s in strategies)
+        cap = max(s.choice.shape[1] for s in strategies)
+        return tuple(self._timed(s.choice, horizon, cap) for s in strategies)
 
-    @property
-    def _after(self) -> IntArray:
-        """Position of pi'_or's pair among those of its node, [nodes]."""
-        return np.asarray(self.tail.choice - self.base.pair_offsets[:-1])
+    def _timed(self, choice: IntArray, horizon: int, cap: int) -> TimedPolicy:
+        """One stage for each time, the same object where the decisions are the same."""
+        stages: list[CostAwarePolicy] = []
+        for time, rows in enumerate(choice):
+            if time == 0 or not np.array_equal(rows, choice[time - 1]):
+                stage = cost_aware(self.base, self.tail, rows, cap)
+            stages.append(stage)
+        after = cost_aware(self.base, self.tail, choice[0, :0], cap)
+        return TimedPolicy((*stages, *[after] * (horizon + 1 - len(stages))))
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -78,11 +78,11 @@ class CostPlayer:
                     "many for the game; round the costs to a coarser grid"
                 )
 
-    def policy(self, reply: Reply) -> CostAwarePolicy:
-        """The reply's policy on the model's states, with the cost paid as its memory."""
-        strategy: LayeredStrategy = reply.strategy
-        tail = self.base.skeleton.pull_back(self.tail.choice)
-        return cost_aware(self.base, strategy.choice, tail)
+    def policies(self, replies: Sequence[Reply]) -> tuple[CostAwarePolicy, ...]:
+        """The replies' policies on the model's states; they remember the cost paid."""
+        strategies: list[LayeredStrategy] = [r.strategy for r in replies]
+        cap = max(len(s.choice) for s in strategies)
+        return tuple(cost_aware(self.base, self.tail, s.choice, cap) for s in strategies)
 
     def _first_cap(self, weights: FloatArray) -> int:
         """Layers after which it is best to fail where that can be done for sure, if they are few.
@@ -190,23 +190,26 @@ def _larger_cap(gaps: Mapping[int, float], wanted: float) -> int:
     return int(np.ceil(min(max(needed, 1.25 * cap), 4.0 * cap)))
 
 
-def cost_aware(base: AccumulatedCost, choice: IntArray, tail: IntArray) -> CostAwarePolicy:
-    """Pull a choice for each (layer, node) back to the model, followed by one tail policy.
+def cost_aware(base: AccumulatedCost, tail: Tail, choice: IntArray, cap: int) -> CostAwarePolicy:
+    """Pull a choice for each (layer, node) back to the model, followed by pi'_or.
 
     Args:
         base: the process.
-        choice: position among the pairs of the node, [cap, nodes].
-        tail: decision of the tail policy, [states].
+        tail: pi'_or.
+        choice: position among the pairs of the node, [layers, nodes].
+        cap: layers of the policy's table; those beyond the choice follow pi'_or.
     """
     skeleton, model = base.skeleton, base.skeleton.model
     live = np.flatnonzero(skeleton.node_of >= 0)  # in the order of the nodes: none are merged
-    pair = skeleton.pair_at[base.pair_offsets[:-1] + choice]
-    decision = np.full((len(choice), model.n_states), UNDECIDED, dtype=choice.dtype)
+    chosen = np.broadcast_to(tail.choice, (cap, base.n_nodes)).copy()
+    chosen[: len(choice)] = base.pair_offsets[:-1] + choice
+    pair = skeleton.pair_at[chosen]
+    decision = np.full((cap, model.n_states), UNDECIDED, dtype=choice.dtype)
     decision[:, live] = np.where(pair < 0, pair, pair - model.pair_offsets[live])
     return CostAwarePolicy(
         model=model,
         unit=base.unit,
         decision=decision,
-        tails=tail[None, :],
+        tails=skeleton.pull_back(tail.choice)[None, :],
         tail_threshold=np.full(model.n_states, -np.inf),
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -51,8 +52,10 @@ class LabelPlayer:
         live = float(self.models.start.sum())
         return found.values if live == 1.0 else np.append(found.values, reply.bound)
 
-    def policy(self, reply: Reply) -> DeterministicPolicy:
-        """The reply's policy on the model's states."""
-        found: Iterated = reply.strategy
+    def policies(self, replies: Sequence[Reply]) -> tuple[DeterministicPolicy, ...]:
+        """The replies' policies on the model's states; they need no memory."""
         skeleton = self.models.skeleton
-        return DeterministicPolicy(skeleton.model, skeleton.pull_back(found.choice))
+        found: list[Iterated] = [r.strategy for r in replies]
+        return tuple(
+            DeterministicPolicy(skeleton.model, skeleton.pull_back(f.choice)) for f in found
+        )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -36,6 +37,6 @@ class Player(Protocol):
         """
         ...
 
-    def policy(self, reply: Reply) -> Policy:
-        """The reply's policy on the original states."""
+    def policies(self, replies: Sequence[Reply]) -> tuple[Policy, ...]:
+        """The replies' policies on the original states, with one memory that serves them all."""
         ...

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,10 +12,10 @@ from ssp_lp.crosscheck.cost_game import CostPlayer
 from ssp_lp.crosscheck.label_game import LabelPlayer
 from ssp_lp.crosscheck.models import label_models
 from ssp_lp.crosscheck.optimum import Optimum, find_optimum
-from ssp_lp.crosscheck.reply import Reply
+from ssp_lp.crosscheck.reply import Player, Reply
 from ssp_lp.crosscheck.setting import check_reachable, checked_setting
 from ssp_lp.crosscheck.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
-from ssp_lp.policies import MixedPolicy, Policy
+from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.process.accumulated_cost import accumulate_cost
 from ssp_lp.process.semantics import start_distribution
@@ -49,7 +49,7 @@ class StationaryGame:
     @property
     def policy(self) -> MixedPolicy:
         """P_{gamma,epsilon}: a lottery over one or two deterministic stationary policies."""
-        return lottery(self.player.policy, self.optimum.threshold)
+        return lottery(self.player, self.optimum.threshold)
 
     @property
     def values(self) -> FloatArray:
@@ -64,10 +64,9 @@ class StationaryGame:
         return self.player.values(best)
 
 
-def lottery(policy_of: Callable[[Reply], Policy], threshold: Threshold) -> MixedPolicy:
+def lottery(player: Player, threshold: Threshold) -> MixedPolicy:
     """The mixture of a threshold on the original states."""
-    members = tuple(policy_of(r) for r in threshold.members)
-    return MixedPolicy(members, np.array(threshold.weights))
+    return MixedPolicy(player.policies(threshold.members), np.array(threshold.weights))
 
 
 def stationary_player(problem: Problem) -> StationaryPlayer:
