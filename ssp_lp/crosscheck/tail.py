@@ -83,12 +83,12 @@ def worst_tail(base: AccumulatedCost) -> Tail:
 def undiscounted(base: AccumulatedCost, tail: Tail) -> Tail:
     """The same policy with its undiscounted J_obj; J_cond stays discounted (section 3.3).
 
-    The bounds of the goal's probability are those of its discounted weight, and 1.
+    Whoever succeeds with weight E[gamma^T; goal] succeeds with at least that probability and pays
+    for it undiscounted, so that the bounds of the weight serve here too.
     """
     transitions = base.skeleton.transitions(1.0, departing=False)[0]
     goal, cost = _success(base, transitions, tail.choice, 1.0)
-    everything = np.ones(base.n_nodes)
-    return replace(tail, early=goal, cost=cost, greatest_goal=everything, survival=1.0)
+    return replace(tail, early=goal, cost=cost, survival=1.0)
 
 
 def _success(
