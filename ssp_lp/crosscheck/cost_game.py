@@ -7,21 +7,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.bellman import (
-    ChosenRows,
     PairCost,
     backup_rounding,
     best_pairs,
     chosen_product,
     safe_minima,
 )
-from ssp_lp.crosscheck.iteration import Discounted, Iterated, iterate_values
+from ssp_lp.crosscheck.iteration import Discounted, improved
 from ssp_lp.crosscheck.reply import Reply
-from ssp_lp.crosscheck.tail import Tail, worst_tail
+from ssp_lp.crosscheck.tail import Tail, outer_tail
+from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.engines.oracles.window import Window
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.process.accumulated_cost import AccumulatedCost
 
@@ -29,26 +28,26 @@ _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""
 
 _FIRST_LAYERS = 16
-_INNER_ACCURACY = 1e-14
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredStrategy:
-    """A decision for each (layer, node), followed by pi'_or from the cap on."""
+    """A decision for each (layer, node), followed by a tail from the cap on."""
 
     choice: IntArray  # [cap, nodes] position among the pairs of the node
+    threshold: FloatArray  # [nodes] layer from which the tail is pi'_or
 
 
 @dataclass(frozen=True, eq=False)
 class CostPlayer:
-    """Best replies in Pi_{M, pi'_or}, by the operator T_alpha; M grows until nothing is lost."""
+    """Best replies below M, by the operator T_alpha; M grows until nothing is lost beyond it."""
 
     base: AccumulatedCost
 
     @cached_property
     def tail(self) -> Tail:
         """What follows beyond M."""
-        return worst_tail(self.base)
+        return outer_tail(self.base)
 
     def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
         """A policy of (state, accumulated cost) of least weighted cost.
@@ -75,6 +74,25 @@ class CostPlayer:
                     "many for the game; round the costs to a coarser grid"
                 )
 
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+
+        Sure failure counts 0 here, so that a policy that is a little worse than it is not lost in
+        the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
+        """
+        base, weights = self.base, np.array([1.0, price])
+        cap = len(self.reply(1.0, price, accuracy).strategy.choice)
+        paid = np.arange(cap, cap + base.width - 1, dtype=np.float64) * base.unit
+        bounds, lowest = Window(self.tail.surplus(paid, weights)), np.zeros(base.n_nodes)
+        chosen: IntArray = base.pair_offsets[:-1]
+        worth = price * base.survival * base.gain
+        for layer in reversed(range(cap)):
+            spent = self._costs(layer)[:, 0]
+            lowest, chosen = self._lowest(spent - worth, spent + worth, bounds.flat, chosen)
+            bounds.push(lowest)
+        terms = np.append(base.start * lowest, -price * base.start_goal)
+        return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
+
     def policy(self, reply: Reply) -> CostAwarePolicy:
         """The reply's policy on the model's states, with the cost paid as its memory."""
         strategy: LayeredStrategy = reply.strategy
@@ -85,8 +103,8 @@ class CostPlayer:
             model=model,
             unit=base.unit,
             decision=np.stack([np.where(p < 0, p, p - first) for p in pairs]),
-            tails=self.tail.decision[None, :],
-            tail_threshold=np.full(model.n_states, -np.inf),
+            tails=self.tail.decisions,
+            tail_threshold=skeleton.lift(strategy.threshold),
         )
 
     def _first_cap(self, weights: FloatArray) -> int:
@@ -101,25 +119,30 @@ class CostPlayer:
         return int(np.ceil(lossless)) + 1 if lossless <= 8 * cap else cap
 
     def _reply(self, weights: FloatArray, cap: int) -> Reply:
-        """The best reply in Pi_{M, pi'_or} at M = cap layers, and a bound for every policy."""
+        """The best reply that follows the tail from M = cap layers on, and a bound for all."""
         base = self.base
-        paid = np.arange(cap, cap + base.width - 1, dtype=np.float64) * base.unit
-        measured, bounds = Window(self.tail.attained(paid)), Window(self.tail.bound(paid, weights))
+        layers = np.arange(cap, cap + base.width - 1)
+        threshold = self.tail.threshold(weights, base.unit)
+        measured = Window(self.tail.attained(layers, threshold, base.unit))
+        paid = layers.astype(np.float64) * base.unit
+        bounds = Window(self.tail.bound(paid, weights))
         totals, lowest = np.zeros((base.n_nodes, 2)), np.zeros(base.n_nodes)
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((cap, base.n_nodes), dtype=least_integer_type(most))
+        chosen: IntArray = base.pair_offsets[:-1]
         for layer in reversed(range(cap)):
             costs = self._costs(layer)
-            chosen = self._best(costs @ weights, measured.flat @ weights)
-            totals = self._measured(costs, chosen, measured.flat)
-            lowest = self._lowest(costs @ weights, bounds.flat)
+            chosen, totals = self._best(costs, weights, measured.flat, chosen)
+            priced = costs @ weights
+            lowest, _ = self._lowest(priced, priced, bounds.flat, chosen)
             choice[layer] = chosen - base.pair_offsets[:-1]
             measured.push(totals)
             bounds.push(lowest)
         failed = np.array([0.0, base.start_failure])
+        threshold = np.where(threshold <= cap, -np.inf, threshold)
         objective, condition = (base.start @ totals + failed).tolist()
         bound = float(base.start @ lowest + failed @ weights)
-        return Reply(objective, condition, bound, LayeredStrategy(choice), 2 * cap)
+        return Reply(objective, condition, bound, LayeredStrategy(choice, threshold), 2 * cap)
 
     def _costs(self, layer: int) -> FloatArray:
         """E[G_o] and E[G_{d,gamma}] of each pair at an accumulated cost, [pairs, 2]."""
@@ -127,32 +150,45 @@ class CostPlayer:
         objective = base.gain * (layer * base.unit) + base.gain_cost
         return np.stack([objective, base.failure], axis=1)
 
-    def _best(self, pair_cost: FloatArray, ahead: FloatArray) -> IntArray:
-        """The pairs of least value in a layer, given the values of later layers, [nodes]."""
+    def _best(
+        self, costs: FloatArray, weights: FloatArray, ahead: FloatArray, later: IntArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The pairs of least value in a layer and (J_obj, J_cond) under them, [nodes, 2].
+
+        Free steps may form cycles within the layer: there the choice of the layer after it is
+        improved until it is the best.
+        """
         base = self.base
         if base.instant.nnz == 0:
-            return best_pairs(base.pair_offsets, base.later, pair_cost, ahead).choice
-        return self._within(pair_cost + base.later @ ahead).choice
+            onward = costs @ weights
+            chosen = best_pairs(base.pair_offsets, base.later, onward, ahead @ weights).choice
+            return chosen, costs[chosen] + chosen_product(base.later, chosen, ahead)
+        chosen, totals, _ = improved(self._layer(costs + base.later @ ahead), weights, later)
+        return chosen, totals
 
-    def _within(self, onward: FloatArray) -> Iterated:
-        """Value iteration within a layer, whose free steps may form cycles."""
+    def _layer(self, onward: FloatArray) -> Discounted:
+        """The free steps of a layer, with all that follows them among the costs."""
         base = self.base
-        process = Discounted(base.pair_offsets, base.instant, onward[:, None], base.survival)
-        watched = np.full(base.n_nodes, 1.0 / base.n_nodes)
-        return iterate_values(process, np.ones(1), watched, accuracy=_INNER_ACCURACY)
+        return Discounted(base.pair_offsets, base.instant, onward, base.survival)
 
-    def _measured(self, costs: FloatArray, chosen: IntArray, ahead: FloatArray) -> FloatArray:
-        """(J_obj, J_cond) from each node of a layer under its chosen pairs, [nodes, 2]."""
-        totals = costs[chosen] + chosen_product(self.base.later, chosen, ahead)
-        if self.base.instant.nnz == 0:
-            return totals
-        return accumulate(ChosenRows(self.base.instant, chosen), totals)
+    def _lowest(
+        self, pair_cost: FloatArray, size: FloatArray, ahead: FloatArray, guess: IntArray
+    ) -> tuple[FloatArray, IntArray]:
+        """Lower bounds of every policy's value in a layer, rounding counted, and pairs, [nodes].
 
-    def _lowest(self, pair_cost: FloatArray, ahead: FloatArray) -> FloatArray:
-        """Lower bounds of every policy's value in a layer, rounding counted, [nodes]."""
+        Args:
+            pair_cost: [pairs].
+            size: of its parts, none of them negative, [pairs].
+            ahead: bounds in later layers.
+            guess: near-optimal pairs, [nodes].
+        """
         base = self.base
         if base.instant.nnz == 0:
-            cost = PairCost(pair_cost)
-            return safe_minima(base.pair_offsets, base.later, cost, pair_cost, pair_cost, ahead)
-        onward = (pair_cost + base.later @ ahead) * (1.0 - backup_rounding(base.later))
-        return self._within(onward).values
+            cost, exact = PairCost(pair_cost), np.zeros_like(size)
+            return safe_minima(base.pair_offsets, base.later, cost, size, exact, ahead), guess
+        size = size + base.later @ np.abs(ahead)
+        onward = pair_cost + base.later @ ahead - backup_rounding(base.later) * size
+        chosen, totals, _ = improved(self._layer(onward[:, None]), np.ones(1), guess)
+        floor = min(float((onward / (1.0 - base.survival)).min(initial=0.0)), 0.0)
+        values = sub_solution(base.pair_offsets, base.instant, onward, totals[:, 0], floor)
+        return values, chosen

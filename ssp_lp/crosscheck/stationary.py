@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -14,12 +15,16 @@ from ssp_lp.crosscheck.models import label_models
 from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.crosscheck.setting import checked_setting, infeasible, unreachable
 from ssp_lp.crosscheck.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
+from ssp_lp.errors import SolverError
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.process.accumulated_cost import accumulate_cost
 from ssp_lp.process.semantics import start_distribution
 
 _MOST_STEPS = 100
+_MARGINS = (0.25, 4.0, 64.0, 1024.0)
+"""Multiples of the tolerance by which a bound of the least ratio is put below it."""
+
 _SURE_FAILURE = 1.0 - 1e-12
 """J_cond from which a policy's success is rounding and no cost given success can be told."""
 
@@ -88,10 +93,10 @@ def stationary_game(
     player = stationary_player(problem)
     if isinstance(player, CostPlayer) and not player.base.start_goal + player.base.start.sum():
         raise unreachable(budget)
-    known = extremes(player, 0.1 * tolerance)
-    if known[0].bound > budget + LEAST_BUDGET:
+    known = extremes(player, 0.1 * tolerance, patience)
+    if known[0].condition > budget + LEAST_BUDGET:
         raise infeasible(problem, budget, known[0].condition)
-    if problem.ratio:
+    if isinstance(player, CostPlayer):
         return _ratio_game(problem, player, budget, known, tolerance, patience)
     found = find_threshold(player, budget, 1.0, known, tolerance=tolerance, patience=patience)
     return StationaryGame(
@@ -121,7 +126,7 @@ def thresholds(
 
 def _ratio_game(
     problem: Problem,
-    player: StationaryPlayer,
+    player: CostPlayer,
     budget: float,
     known: tuple[Reply, ...],
     tolerance: float,
@@ -133,7 +138,7 @@ def _ratio_game(
     and rises after: either it still falls at the budget, or its minimum is where failing is worth
     exactly c*, at a single policy.
     """
-    best, replies = _least_ratio(player, known, tolerance)
+    best, replies = _least_ratio(player, known, tolerance, patience)
     spent = min(best.condition, budget)
     found = find_threshold(
         player, spent, 1.0 - spent, replies, tolerance=tolerance, patience=patience
@@ -142,26 +147,45 @@ def _ratio_game(
         price, alpha = found.failure_price, found.game.alpha
         return StationaryGame(problem, player, found, found.budget, found.high, found.low,
                               alpha, price)  # fmt: skip
-    c = found.high
-    below = c * (1.0 - 0.25 * tolerance)  # where it is strictly best to fail: no rounding enters
-    value = player.reply(1.0, below, tolerance).bound
-    room = max(1.0 - budget, 1.0 - _SURE_FAILURE)
-    lower = below if value >= below else max(value - below * budget, 0.0) / room
-    return StationaryGame(problem, player, found, spent, c, lower, 1.0 - spent, c)
+    lower = _slack_bound(player, found.high, tolerance)
+    return StationaryGame(problem, player, found, spent, found.high, lower, 1.0 - spent, found.high)
+
+
+def _slack_bound(player: CostPlayer, ratio: float, tolerance: float) -> float:
+    """A ratio a little below the least one, such that every policy is seen to have more.
+
+    There it is strictly best to fail, by a margin that no rounding reaches.
+    """
+    for share in _MARGINS:
+        below = ratio * (1.0 - share * tolerance)
+        if player.surplus(below, 0.1 * tolerance) >= 0.0:
+            return below
+    return 0.0
 
 
 def _least_ratio(
-    player: StationaryPlayer, known: tuple[Reply, ...], tolerance: float
+    player: CostPlayer, known: tuple[Reply, ...], tolerance: float, patience: Patience
 ) -> tuple[Reply, tuple[Reply, ...]]:
     """A policy of least J_obj / (1 - J_cond), whatever it fails, and all replies so far.
 
     A ratio c is least if no policy has less than c of ``J_obj + c J_cond``: a policy that has less
     has a smaller ratio, which is tried next.
+
+    Raises:
+        SolverError: every policy fails but for rounding.
     """
     replies = list(known)
-    best = min((r for r in replies if r.condition < _SURE_FAILURE), key=_ratio)
+    hopeful = [r for r in replies if r.condition < _SURE_FAILURE]
+    if not hopeful:
+        raise SolverError(
+            f"the game cannot tell costs given success: the goal is reached with a (discounted) "
+            f"probability of at most {1.0 - known[0].condition:.1e}"
+        )
+    best = min(hopeful, key=_ratio)
     for _ in range(_MOST_STEPS):
         c = _ratio(best)
+        if time.perf_counter() > patience.deadline:
+            break
         reply = player.reply(1.0, c, 0.1 * tolerance)
         if reply.condition >= _SURE_FAILURE or _ratio(reply) >= c * (1.0 - 1e-15):
             break

@@ -1,4 +1,4 @@
-"""What follows beyond the cap M of case S: the policy pi'_or (paper, section 3.5.1), and bounds."""
+"""What follows beyond the cap M of case S (paper, section 3.5.1), and bounds of what may."""
 
 from __future__ import annotations
 
@@ -18,41 +18,57 @@ _ACCURACY = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """pi'_or in Pi_{d,or}, which fails most, and how much any policy may succeed, per node."""
+    """Two stationary policies for what lies beyond M, and how much any policy may succeed.
 
-    decision: IntArray  # [states]
-    early: FloatArray  # [nodes] E[gamma^(T-1); goal] under pi'_or
-    cost: FloatArray  # [nodes] E[gamma^(T-1) * cost; goal] under pi'_or
+    The paper follows pi'_or there, which fails most. Where failing is dear, M would have to be very
+    large for that: there the policy that fails least is followed until as much has been paid that
+    pi'_or is no worse.
+    """
+
+    decisions: IntArray  # [2, states] the policy that fails least, pi'_or
+    early: FloatArray  # [2, nodes] E[gamma^(T-1); goal]
+    cost: FloatArray  # [2, nodes] E[gamma^(T-1) * cost; goal]
     least_goal: FloatArray  # [nodes] checked lower bound of E[gamma^T; goal]
     greatest_goal: FloatArray  # [nodes] checked upper bound of it
     survival: float  # gamma
 
-    def attained(self, paid: FloatArray) -> FloatArray:
-        """(J_obj, J_cond) of following pi'_or where so much has been paid, [..., nodes, 2].
+    def threshold(self, weights: FloatArray, unit: float) -> FloatArray:
+        """Layer of accumulated cost from which pi'_or is no worse than the other, [nodes]."""
+        saved = weights[0] * (self.early[0] - self.early[1])
+        owed = weights[1] * self.survival * (self.early[0] - self.early[1])
+        owed += weights[0] * (self.cost[1] - self.cost[0])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            layer = np.ceil(owed / (saved * unit) - 1e-9)
+        return np.where(saved > 0.0, layer, np.where(owed <= 0.0, -np.inf, np.inf))
+
+    def attained(self, layers: IntArray, threshold: FloatArray, unit: float) -> FloatArray:
+        """(J_obj, J_cond) of going on where so much has been paid, [layers, nodes, 2].
 
         The paper leaves the tail's J_obj undiscounted; it is discounted here like what comes
         before M, so that c-hat does not depend on M once M is large.
-
-        Args:
-            paid: accumulated cost, [...].
         """
-        objective = paid[..., None] * self.early + self.cost
-        condition = np.broadcast_to(1.0 - self.survival * self.early, objective.shape)
-        return np.stack([objective, condition], axis=-1)
+        last = layers[:, None] >= threshold
+        early, cost = (np.where(last, v[1], v[0]) for v in (self.early, self.cost))
+        objective = (layers[:, None] * unit) * early + cost
+        return np.stack([objective, 1.0 - self.survival * early], axis=-1)
 
     def bound(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
-        """Lower bound of every policy's weighted cost where so much has been paid, [..., nodes].
+        """Lower bound of every policy's weighted cost where so much has been paid, [..., nodes]."""
+        return np.asarray(weights[1] + self.surplus(paid, weights))
 
-        Whoever succeeds pays at least what has been paid: ``w_o r E[gamma^(T-1); goal] + w_d (1 -
-        E[gamma^T; goal])`` is linear in the success, which lies between two bounds.
+    def surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
+        """The same, less the weighted cost of sure failure, [..., nodes].
+
+        Whoever succeeds pays at least what has been paid: ``w_o r E[gamma^(T-1); goal] - w_d
+        E[gamma^T; goal]`` is linear in the success, which lies between two bounds.
         """
         per_success = weights[0] * paid[..., None] / self.survival - weights[1]
         goal = np.where(per_success < 0.0, self.greatest_goal, self.least_goal)
-        return np.asarray(weights[1] + per_success * goal)
+        return np.asarray(per_success * goal)
 
 
-def worst_tail(base: AccumulatedCost) -> Tail:
-    """Find pi'_or by MINPROB, and the greatest success by MAXPROB (paper, section 2.3).
+def outer_tail(base: AccumulatedCost) -> Tail:
+    """Find the policies that fail least and most, by MAXPROB and MINPROB (paper, section 2.3).
 
     Both are value iterations on the discounted process without accumulated cost.
     """
@@ -65,15 +81,19 @@ def worst_tail(base: AccumulatedCost) -> Tail:
         process = Discounted(skeleton.pair_offsets, transitions, costs[:, None], gamma)
         return iterate_values(process, np.ones(1), watched, accuracy=_ACCURACY)
 
-    riskiest, safest = least(success), least(base.failure)
-    chain = ChosenRows(transitions, riskiest.choice)
-    early = accumulate(chain, base.gain[riskiest.choice])
-    weight = np.where(skeleton.model.goal_mask, 1.0, gamma * skeleton.lift(early))
-    cost = skeleton.at_pairs(cost_means(skeleton.model, weight))
+    def followed(choice: IntArray) -> tuple[FloatArray, FloatArray]:
+        chain = ChosenRows(transitions, choice)
+        early = accumulate(chain, base.gain[choice])
+        weight = np.where(skeleton.model.goal_mask, 1.0, gamma * skeleton.lift(early))
+        cost = skeleton.at_pairs(cost_means(skeleton.model, weight))
+        return early, accumulate(chain, cost[choice])
+
+    safest, riskiest = least(base.failure), least(success)
+    (early, cost), (late, dear) = followed(safest.choice), followed(riskiest.choice)
     return Tail(
-        decision=skeleton.pull_back(riskiest.choice),
-        early=early,
-        cost=accumulate(chain, cost[riskiest.choice]),
+        decisions=np.stack([skeleton.pull_back(p.choice) for p in (safest, riskiest)]),
+        early=np.stack([early, late]),
+        cost=np.stack([cost, dear]),
         least_goal=riskiest.values,
         greatest_goal=1.0 - safest.values,
         survival=gamma,

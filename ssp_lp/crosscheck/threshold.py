@@ -14,9 +14,15 @@ from ssp_lp.crosscheck.reply import Player, Reply
 from ssp_lp.errors import InfeasibleError
 
 _STEEP = (1e3, 1e6, 1e9)
-"""Prices of failure at which cheap policies among those of least failure are looked for."""
+"""Prices of failure at which cheap policies among those of least failure are looked for, as
+multiples of what the goal costs under one of them."""
+
+_LEAST_SUCCESS = 1e-6
 
 _MOST_GAMES = 100
+
+_STALLED = 0.75
+"""Two games, one of them halfway, halve the bracket, unless rounding has the last word."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +105,7 @@ def find_threshold(
     budget = _feasible(budget, replies)
     low, high = 0.0, cheapest_mixture(replies, budget)[2] / share
     trials: list[Trial] = []
+    width = np.inf  # of the bracket after the last game at its upper end
     while True:
         at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
         found = play(player, Game(share * at, budget), replies, accuracy=accuracy)
@@ -115,16 +122,26 @@ def find_threshold(
         late = len(trials) >= _MOST_GAMES or time.perf_counter() > patience.deadline
         if late or (high - low <= tolerance * high and at == high):
             return answer
+        if len(trials) % 2 == 1:
+            if high - low > _STALLED * width:
+                return answer
+            width = high - low
 
 
-def extremes(player: Player, accuracy: float) -> tuple[Reply, ...]:
+def extremes(player: Player, accuracy: float, patience: Patience = ENDLESS) -> tuple[Reply, ...]:
     """The policy that fails least, the cheapest one, and cheap ones that fail (almost) least.
 
     The latter matter where the budget is the least failure: of all policies that fail so little
     the cheapest is wanted.
     """
-    steep = (player.reply(1.0, price, accuracy) for price in _STEEP)
-    return (player.reply(0.0, 1.0, accuracy), player.reply(1.0, 0.0, accuracy), *steep)
+    safest = player.reply(0.0, 1.0, accuracy)
+    found = [safest, player.reply(1.0, 0.0, accuracy)]
+    worth = safest.objective / max(1.0 - safest.condition, _LEAST_SUCCESS)
+    for price in _STEEP:
+        if found[-1].condition <= safest.condition or time.perf_counter() > patience.deadline:
+            break
+        found.append(player.reply(1.0, price * (worth or 1.0), accuracy))
+    return tuple(found)
 
 
 def _feasible(budget: float, replies: Sequence[Reply]) -> float:
