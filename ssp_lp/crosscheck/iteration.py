@@ -88,7 +88,7 @@ def iterate_values(
         lifted = sub_solution(offsets, transitions, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(offsets, transitions, pair_cost, values))
         below, above = float(watched @ values), float(watched @ attained)
-        stuck = below <= best and above - below <= rounding * above
+        stuck = best > -np.inf and above - below <= rounding * above
         if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
             return Iterated(values, choice, totals, sweeps)
         best, block, choice = below, max(sweeps, _FIRST_SWEEPS), None
