@@ -29,6 +29,13 @@ _MOST_ENTRIES = 200_000_000
 
 _FIRST_LAYERS = 16
 
+_LAYER_ROUNDING = 16.0 * MACHINE_EPSILON
+"""Relative rounding of a bound, per layer of the sweep: more layers cannot undo it."""
+
+_STALLED = 1e-8
+"""Relative distance below which one that more layers leave as it was is rounding."""
+
+
 
 @dataclass(frozen=True, eq=False)
 class LayeredStrategy:
@@ -60,12 +67,16 @@ class CostPlayer:
             ModelError: the table of decisions would be too large.
         """
         weights = np.array([objective_weight, condition_weight])
-        cap, sweeps = self._first_cap(weights), 0
+        cap, sweeps, last = self._first_cap(weights), 0, np.inf
         while True:
             reply = self._reply(weights, cap)
             sweeps += reply.sweeps
             pays = reply.payoff(objective_weight, condition_weight)
-            if pays - reply.bound <= accuracy * pays:
+            lost = pays - reply.bound
+            rounded = max(accuracy, _LAYER_ROUNDING * cap) * pays
+            stalled = lost > 0.9 * last and lost <= _STALLED * pays
+            last = lost
+            if lost <= rounded or stalled:
                 return Reply(reply.objective, reply.condition, reply.bound, reply.strategy, sweeps)
             cap += max(cap // 2, self.base.width)
             if cap * self.base.n_nodes > _MOST_ENTRIES:

@@ -56,9 +56,10 @@ class StationaryGame:
 
         Case S: infinite, [layers, nodes], which asks ``certify`` for the best it can prove.
         """
-        best = self.player.reply(1.0, self.price, 1e-12)
         if isinstance(self.player, CostPlayer):
+            best = self.player.reply(1.0, self.price, 1e-10)
             return np.broadcast_to(np.inf, best.strategy.choice.shape)
+        best = self.player.reply(1.0, self.price, 1e-12)
         return self.player.values(best, self.price)
 
 
