@@ -36,7 +36,6 @@ _STALLED = 1e-8
 """Relative distance below which one that more layers leave as it was is rounding."""
 
 
-
 @dataclass(frozen=True, eq=False)
 class LayeredStrategy:
     """A decision for each (layer, node), followed by a tail from the cap on."""
