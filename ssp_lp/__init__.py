@@ -1,5 +1,6 @@
 """ssp-lp: reach the goal as cheaply as possible, and fail with probability at most epsilon."""
 
+from ssp_lp.agreement import Agreement, cross_check
 from ssp_lp.certificate import Certificate, certify
 from ssp_lp.errors import (
     InfeasibleError,
@@ -29,6 +30,7 @@ __version__ = "0.1.0"
 __all__ = [
     "GIVE_UP",
     "SSP",
+    "Agreement",
     "Certificate",
     "CostAwarePolicy",
     "DeterministicPolicy",
@@ -45,6 +47,7 @@ __all__ = [
     "StochasticPolicy",
     "TimedPolicy",
     "certify",
+    "cross_check",
     "evaluate",
     "simulate",
     "solve",

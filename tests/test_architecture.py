@@ -25,6 +25,9 @@ ORDER = [
     ("certificate",),
     ("crosscheck",),
     ("solve",),
+    ("road",),
+    ("judge",),
+    ("agreement",),
 ]
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 

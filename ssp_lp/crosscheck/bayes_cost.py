@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
-from ssp_lp.crosscheck.cost_game import CostPlayer, cost_aware
+from ssp_lp.crosscheck.cost_game import CostPlayer, common_cap, cost_aware
 from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.crosscheck.tail import Tail, undiscounted
 from ssp_lp.errors import ModelError
@@ -32,9 +32,10 @@ _SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
 
 @dataclass(frozen=True, eq=False)
 class TimedLayers:
-    """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
+    """A decision for each (time, layer, node), followed by a tail beyond cap and horizon."""
 
     choice: IntArray  # [horizon, cap, nodes] position among the pairs of the node
+    threshold: FloatArray  # [nodes] layer from which the tail is pi'_or
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class BayesCostPlayer:
 
     @cached_property
     def tail(self) -> Tail:
-        """pi'_or, which is followed beyond cap and horizon."""
+        """What is followed beyond cap and horizon."""
         return undiscounted(self.base, self.stationary.tail)
 
     @cached_property
@@ -80,21 +81,26 @@ class BayesCostPlayer:
                     f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
                 )
 
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted."""
+        return self.reply(1.0, price, accuracy).bound - price
+
     def policies(self, replies: Sequence[Reply]) -> tuple[TimedPolicy, ...]:
         """The replies' policies on the model's states; they remember the time and the cost paid."""
         strategies: list[TimedLayers] = [r.strategy for r in replies]
         horizon = max(s.choice.shape[0] for s in strategies)
-        cap = max(s.choice.shape[1] for s in strategies)
-        return tuple(self._timed(s.choice, horizon, cap) for s in strategies)
+        cap = common_cap([s.choice.shape[1] for s in strategies], [s.threshold for s in strategies])
+        return tuple(self._timed(s, horizon, cap) for s in strategies)
 
-    def _timed(self, choice: IntArray, horizon: int, cap: int) -> TimedPolicy:
+    def _timed(self, strategy: TimedLayers, horizon: int, cap: int) -> TimedPolicy:
         """One stage for each time, the same object where the decisions are the same."""
+        choice, threshold = strategy.choice, strategy.threshold
         stages: list[CostAwarePolicy] = []
         for time, rows in enumerate(choice):
             if time == 0 or not np.array_equal(rows, choice[time - 1]):
-                stage = cost_aware(self.base, self.tail, rows, cap)
+                stage = cost_aware(self.base, self.tail, rows, threshold, cap)
             stages.append(stage)
-        after = cost_aware(self.base, self.tail, choice[0, :0], cap)
+        after = cost_aware(self.base, self.tail, choice[0, :0], threshold, cap)
         return TimedPolicy((*stages, *[after] * (horizon + 1 - len(stages))))
 
     @cached_property
@@ -114,13 +120,15 @@ class BayesCostPlayer:
         return np.asarray(sum(parts, np.zeros((len(self.base.gain), cap))))
 
     def _reply(self, weights: FloatArray, cap: int, horizon: int) -> Reply:
-        """Backward induction from the horizon, where pi'_or takes over for good."""
+        """Backward induction from the horizon, where the tail takes over for good."""
         base, gamma = self.base, self.base.survival
-        paid = np.arange(cap + base.width - 1, dtype=np.float64) * base.unit
-        objective, condition = np.moveaxis(self.tail.attained(paid), -1, 0).transpose(0, 2, 1)
+        layers = np.arange(cap + base.width - 1)
+        threshold = self.tail.threshold(weights, base.unit)
+        attained = self.tail.attained(layers, threshold, base.unit)
+        objective, condition = attained[..., 0].T, attained[..., 1].T
         beyond = objective[:, cap:], condition[:, cap:]
-        lowest = self._beyond(paid, weights * [1.0, gamma**horizon], cap)
-        stage = base.gain[:, None] * paid[:cap] + base.gain_cost[:, None]
+        lowest = self._beyond(layers, weights * [1.0, gamma**horizon], cap)
+        stage = base.gain[:, None] * (layers[:cap] * base.unit) + base.gain_cost[:, None]
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
         for time in reversed(range(horizon)):
@@ -134,20 +142,20 @@ class BayesCostPlayer:
             )
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
-            lowest = np.hstack([below, self.tail.bound(paid[cap:], now).T])
-        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice))
+            lowest = np.hstack([below, self.tail.bound(layers[cap:], now, base.unit).T])
+        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice, threshold))
 
-    def _beyond(self, paid: FloatArray, weights: FloatArray, cap: int) -> FloatArray:
+    def _beyond(self, layers: IntArray, weights: FloatArray, cap: int) -> FloatArray:
         """Lower bound of every policy's weighted cost from the horizon on, [nodes, layers].
 
         Discounting the objective too can only lower it, so the stationary game bounds this one.
 
         Args:
-            paid: accumulated cost of each layer, [layers].
+            layers: of accumulated cost, [layers].
             weights: with that of J_cond as it has faded by then.
             cap: layers below the cap.
         """
-        bound = self.tail.bound(paid, weights)
+        bound = self.tail.bound(layers, weights, self.base.unit)
         bound[:cap] = np.maximum(bound[:cap], self.stationary.lowest(weights, cap))
         return np.asarray(bound.T)
 

@@ -49,8 +49,8 @@ class LabelPlayer:
             [nodes], and at the end that of the start, where it is not live with certainty.
         """
         found: Iterated = reply.strategy
-        live = float(self.models.start.sum())
-        return found.values if live == 1.0 else np.append(found.values, reply.bound)
+        settled = self.models.start_settled > 0.0
+        return np.append(found.values, reply.bound) if settled else found.values
 
     def policies(self, replies: Sequence[Reply]) -> tuple[DeterministicPolicy, ...]:
         """The replies' policies on the model's states; they need no memory."""

@@ -40,3 +40,14 @@ class Player(Protocol):
     def policies(self, replies: Sequence[Reply]) -> tuple[Policy, ...]:
         """The replies' policies on the original states, with one memory that serves them all."""
         ...
+
+
+class RatioPlayer(Player, Protocol):
+    """A player of case S, whose c* is a ratio."""
+
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+
+        Where it is not negative, no policy's ``J_obj / (1 - J_cond)`` is less than the price.
+        """
+        ...

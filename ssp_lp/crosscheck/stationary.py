@@ -58,10 +58,10 @@ class StationaryGame:
         Case S: infinite, [layers, nodes], which asks ``certify`` for the best it can prove.
         """
         price = self.optimum.price
-        best = self.player.reply(1.0, price, 1e-12)
         if isinstance(self.player, CostPlayer):
+            best = self.player.reply(1.0, price, 1e-10)
             return np.broadcast_to(np.inf, best.strategy.choice.shape)
-        return self.player.values(best)
+        return self.player.values(self.player.reply(1.0, price, 1e-12))
 
 
 def lottery(player: Player, threshold: Threshold) -> MixedPolicy:
