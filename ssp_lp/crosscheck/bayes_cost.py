@@ -6,7 +6,6 @@ coordinate, as in case M. J_obj is the undiscounted E[total cost; goal].
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -14,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
-from ssp_lp.crosscheck.cost_game import CostPlayer, common_cap, cost_aware
+from ssp_lp.crosscheck.cost_game import CostPlayer, cost_aware
 from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.crosscheck.tail import Tail, undiscounted
 from ssp_lp.errors import ModelError
@@ -85,23 +84,25 @@ class BayesCostPlayer:
         """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted."""
         return self.reply(1.0, price, accuracy).bound - price
 
-    def policies(self, replies: Sequence[Reply]) -> tuple[TimedPolicy, ...]:
-        """The replies' policies on the model's states; they remember the time and the cost paid."""
-        strategies: list[TimedLayers] = [r.strategy for r in replies]
-        horizon = max(s.choice.shape[0] for s in strategies)
-        cap = common_cap([s.choice.shape[1] for s in strategies], [s.threshold for s in strategies])
-        return tuple(self._timed(s, horizon, cap) for s in strategies)
+    def policy(self, reply: Reply) -> TimedPolicy:
+        """The reply's policy on the model's states; it remembers the time and the cost paid.
 
-    def _timed(self, strategy: TimedLayers, horizon: int, cap: int) -> TimedPolicy:
-        """One stage for each time, the same object where the decisions are the same."""
+        Successive stages that decide alike are one object.
+        """
+        strategy: TimedLayers = reply.strategy
         choice, threshold = strategy.choice, strategy.threshold
         stages: list[CostAwarePolicy] = []
         for time, rows in enumerate(choice):
             if time == 0 or not np.array_equal(rows, choice[time - 1]):
-                stage = cost_aware(self.base, self.tail, rows, threshold, cap)
+                stage = cost_aware(self.base, self.tail, rows, threshold)
             stages.append(stage)
-        after = cost_aware(self.base, self.tail, choice[0, :0], threshold, cap)
-        return TimedPolicy((*stages, *[after] * (horizon + 1 - len(stages))))
+        return TimedPolicy((*stages, self._after(len(choice[0]), threshold)))
+
+    def _after(self, cap: int, threshold: FloatArray) -> CostAwarePolicy:
+        """The tail from the horizon on, whatever has been paid."""
+        base, later = self.base, np.arange(cap)[:, None] >= threshold
+        chosen = np.where(later, self.tail.choice[1], self.tail.choice[0])
+        return cost_aware(base, self.tail, chosen - base.pair_offsets[:-1], threshold)
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:

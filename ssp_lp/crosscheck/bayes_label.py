@@ -11,7 +11,6 @@ with W_t = (w_o + gamma^t w_d) J(x, alpha_t). (T as printed weighs G-bar by prob
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -77,19 +76,14 @@ class BayesLabelPlayer:
                 return replace(reply, sweeps=sweeps)
             horizon = min(2 * horizon, enough)
 
-    def policies(self, replies: Sequence[Reply]) -> tuple[TimedPolicy, ...]:
-        """The replies' policies on the model's states; they remember the time."""
-        strategies: list[TimedStrategy] = [r.strategy for r in replies]
-        horizon = max(len(s.choice) for s in strategies)
-        return tuple(self._timed(s, horizon) for s in strategies)
-
-    def _timed(self, strategy: TimedStrategy, horizon: int) -> TimedPolicy:
+    def policy(self, reply: Reply) -> TimedPolicy:
+        """The reply's policy on the model's states, with the time as its memory."""
+        strategy: TimedStrategy = reply.strategy
         skeleton = self.models.skeleton
-        after = DeterministicPolicy(skeleton.model, skeleton.pull_back(strategy.after))
-        stages = [
-            DeterministicPolicy(skeleton.model, skeleton.pull_back(row)) for row in strategy.choice
-        ]
-        return TimedPolicy((*stages, *[after] * (horizon + 1 - len(stages))))
+        rows = [*strategy.choice, strategy.after]
+        return TimedPolicy(
+            tuple(DeterministicPolicy(skeleton.model, skeleton.pull_back(r)) for r in rows)
+        )
 
     @cached_property
     def stationary(self) -> LabelPlayer:

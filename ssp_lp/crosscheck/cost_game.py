@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -33,9 +33,6 @@ _FIRST_LAYERS = 16
 
 _LAYER_ROUNDING = 16.0 * MACHINE_EPSILON
 """Relative rounding of a bound, per layer of the sweep: more layers cannot undo it."""
-
-_MOST_GROWTH = 4
-"""A table is not made longer than this many times its length for the sake of a common memory."""
 
 _STALLED = 1e-8
 """Relative distance below which one that more layers leave as it was is rounding."""
@@ -108,13 +105,10 @@ class CostPlayer:
         terms = np.append(base.start * lowest, -price * base.start_goal)
         return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
 
-    def policies(self, replies: Sequence[Reply]) -> tuple[CostAwarePolicy, ...]:
-        """The replies' policies on the model's states; they remember the cost paid."""
-        strategies: list[LayeredStrategy] = [r.strategy for r in replies]
-        cap = common_cap([len(s.choice) for s in strategies], [s.threshold for s in strategies])
-        return tuple(
-            cost_aware(self.base, self.tail, s.choice, s.threshold, cap) for s in strategies
-        )
+    def policy(self, reply: Reply) -> CostAwarePolicy:
+        """The reply's policy on the model's states, with the cost paid as its memory."""
+        strategy: LayeredStrategy = reply.strategy
+        return cost_aware(self.base, self.tail, strategy.choice, strategy.threshold)
 
     def _first_cap(self, weights: FloatArray) -> int:
         """Layers after which it is best to fail where that can be done for sure, if they are few.
@@ -221,43 +215,29 @@ def _larger_cap(lost: Mapping[int, float], wanted: float) -> int:
     if lost[cap] < lost[smaller] and wanted > 0.0:
         rate = np.log(lost[smaller] / lost[cap]) / (cap - smaller)
         needed = cap + 1.1 * np.log(lost[cap] / wanted) / rate
-    return int(np.ceil(min(max(needed, 1.25 * cap), _MOST_GROWTH * cap)))
-
-
-def common_cap(caps: Sequence[int], thresholds: Sequence[FloatArray]) -> int:
-    """Layers of a table in which several policies' tails are settled, if they are not too many.
-
-    From there on all follow the same tail everywhere, so that their memories mean the same.
-    """
-    cap = max(caps)
-    settled = max((t[np.isfinite(t)].max(initial=0.0) for t in thresholds), default=0.0)
-    return int(settled) if cap < settled <= _MOST_GROWTH * cap else cap
+    return int(np.ceil(min(max(needed, 1.25 * cap), 4.0 * cap)))
 
 
 def cost_aware(
-    base: AccumulatedCost, tail: Tail, choice: IntArray, threshold: FloatArray, cap: int
+    base: AccumulatedCost, tail: Tail, choice: IntArray, threshold: FloatArray
 ) -> CostAwarePolicy:
     """Pull a choice for each (layer, node) back to the model, followed by a tail.
 
     Args:
         base: the process.
         tail: the two policies of which one is followed beyond the choice.
-        choice: position among the pairs of the node, [layers, nodes].
+        choice: position among the pairs of the node, [cap, nodes].
         threshold: layer from which the tail is pi'_or, [nodes].
-        cap: layers of the policy's table; those beyond the choice follow the tail.
     """
     skeleton, model = base.skeleton, base.skeleton.model
     live = np.flatnonzero(skeleton.node_of >= 0)  # in the order of the nodes: none are merged
-    later = np.arange(cap)[:, None] >= threshold
-    chosen = np.where(later, tail.choice[1], tail.choice[0])
-    chosen[: len(choice)] = base.pair_offsets[:-1] + choice
-    pair = skeleton.pair_at[chosen]
-    decision = np.full((cap, model.n_states), UNDECIDED, dtype=choice.dtype)
+    pair = skeleton.pair_at[base.pair_offsets[:-1] + choice]
+    decision = np.full((len(choice), model.n_states), UNDECIDED, dtype=choice.dtype)
     decision[:, live] = np.where(pair < 0, pair, pair - model.pair_offsets[live])
     return CostAwarePolicy(
         model=model,
         unit=base.unit,
         decision=decision,
         tails=np.stack([skeleton.pull_back(c) for c in tail.choice]),
-        tail_threshold=skeleton.lift(np.where(threshold <= cap, -np.inf, threshold)),
+        tail_threshold=skeleton.lift(np.where(threshold <= len(choice), -np.inf, threshold)),
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,10 +51,8 @@ class LabelPlayer:
         settled = self.models.start_settled > 0.0
         return np.append(found.values, reply.bound) if settled else found.values
 
-    def policies(self, replies: Sequence[Reply]) -> tuple[DeterministicPolicy, ...]:
-        """The replies' policies on the model's states; they need no memory."""
+    def policy(self, reply: Reply) -> DeterministicPolicy:
+        """The reply's policy on the model's states."""
+        found: Iterated = reply.strategy
         skeleton = self.models.skeleton
-        found: list[Iterated] = [r.strategy for r in replies]
-        return tuple(
-            DeterministicPolicy(skeleton.model, skeleton.pull_back(f.choice)) for f in found
-        )
+        return DeterministicPolicy(skeleton.model, skeleton.pull_back(found.choice))

@@ -42,8 +42,8 @@ class DeltaMixture:
         """The lottery on the original states."""
         weights = np.array([1.0 - self.weight, self.weight])
         used = np.flatnonzero(weights > 0.0)
-        members = [(self.minus, self.plus)[k] for k in used]
-        return MixedPolicy(player.policies(members), weights[used])
+        members = tuple(player.policy((self.minus, self.plus)[k]) for k in used)
+        return MixedPolicy(members, weights[used])
 
 
 def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> DeltaMixture:

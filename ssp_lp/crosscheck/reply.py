@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -37,8 +36,8 @@ class Player(Protocol):
         """
         ...
 
-    def policies(self, replies: Sequence[Reply]) -> tuple[Policy, ...]:
-        """The replies' policies on the original states, with one memory that serves them all."""
+    def policy(self, reply: Reply) -> Policy:
+        """The reply's policy on the original states."""
         ...
 
 

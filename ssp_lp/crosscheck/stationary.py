@@ -66,7 +66,8 @@ class StationaryGame:
 
 def lottery(player: Player, threshold: Threshold) -> MixedPolicy:
     """The mixture of a threshold on the original states."""
-    return MixedPolicy(player.policies(threshold.members), np.array(threshold.weights))
+    members = tuple(player.policy(r) for r in threshold.members)
+    return MixedPolicy(members, np.array(threshold.weights))
 
 
 def stationary_player(problem: Problem) -> StationaryPlayer:
