@@ -1,5 +1,6 @@
 """ssp-lp: reach the goal as cheaply as possible, and fail with probability at most epsilon."""
 
+from ssp_lp.agreement import Agreement, cross_check
 from ssp_lp.certificate import Certificate, certify
 from ssp_lp.errors import (
     InfeasibleError,
@@ -17,6 +18,7 @@ from ssp_lp.policies import (
     DeterministicPolicy,
     MixedPolicy,
     StochasticPolicy,
+    TimedPolicy,
 )
 from ssp_lp.process.semantics import GiveUp
 from ssp_lp.simulation import simulate
@@ -28,6 +30,7 @@ __version__ = "0.1.0"
 __all__ = [
     "GIVE_UP",
     "SSP",
+    "Agreement",
     "Certificate",
     "CostAwarePolicy",
     "DeterministicPolicy",
@@ -42,7 +45,9 @@ __all__ = [
     "Solution",
     "SolverError",
     "StochasticPolicy",
+    "TimedPolicy",
     "certify",
+    "cross_check",
     "evaluate",
     "simulate",
     "solve",

@@ -7,8 +7,8 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, segment_sums
 from ssp_lp.chain import Chain, policy_chain, reaching
 from ssp_lp.errors import ModelError
-from ssp_lp.policies import CostAwarePolicy, MixedPolicy, Policy, StochasticPolicy
-from ssp_lp.policies.policy import Branches
+from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
+from ssp_lp.policies.joint import common_memory
 from ssp_lp.problem import Problem
 from ssp_lp.process.semantics import start_distribution, survival_of
 
@@ -32,20 +32,20 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
     the lottery's expected visits. Under a discount visits are discounted, so that the discounted
     cost and failure are kept: a stationary policy cannot keep both those and the real ones.
-    Members of the state alone are carried along the accumulated cost where another needs it.
+    Members of the state alone are carried along the memory that others need, the accumulated cost
+    or the time; members whose memories differ along both. Where time is remembered (section 3.4),
+    every visit of a situation has one time, and the distribution over situations is the lottery's
+    at each time, not only in total.
 
     Raises:
-        ModelError: a member may wander for ever, or members follow different tails.
+        ModelError: a member may wander for ever.
     """
     model, start = problem.model, start_distribution(problem.model, problem.start)
     survival = survival_of(problem.discount)
-    aware = [p for p in policy.policies if isinstance(p, CostAwarePolicy)]
-    carrier = aware[0] if aware else None
-    if any(not np.array_equal(p.tail_threshold, aware[0].tail_threshold) for p in aware):
-        raise ModelError("members of the lottery leave the table of costs by different tails")
+    memory = common_memory(policy)
     keys, pairs, flows = [], [], []
     for member, weight in zip(policy.policies, policy.weights, strict=True):
-        lifted = member if carrier is None else _Carried(member, carrier)
+        lifted = member if memory is None else memory.followed_by(member)
         chain = policy_chain(model, lifted, start)
         visits = expected_visits(chain, survival)
         flow = weight * visits[chain.branch_node] * chain.branch_probability
@@ -53,7 +53,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
         pairs.append(chain.branch_pair)
         flows.append(flow)
     return _shares(
-        policy, carrier, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows)
+        policy, memory, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows)
     )
 
 
@@ -74,20 +74,3 @@ def _shares(
     even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
     share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
     return StochasticPolicy(policy.model, situation, offsets, pair - 1, share, carrier)
-
-
-class _Carried(Policy):
-    """A policy that decides as one policy does, with the memory of another."""
-
-    def __init__(self, decider: Policy, carrier: CostAwarePolicy) -> None:
-        self.model = decider.model
-        self._decider, self._carrier = decider, carrier
-
-    def start_memory(self, states: IntArray) -> IntArray:
-        return self._carrier.start_memory(states)
-
-    def branches(self, states: IntArray, memory: IntArray) -> Branches:
-        return self._decider.branches(states, memory)
-
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        return self._carrier.remember(memory, successors, costs)

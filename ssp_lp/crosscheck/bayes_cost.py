@@ -31,9 +31,10 @@ _SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
 
 @dataclass(frozen=True, eq=False)
 class TimedLayers:
-    """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
+    """A decision for each (time, layer, node), followed by a tail beyond cap and horizon."""
 
     choice: IntArray  # [horizon, cap, nodes] position among the pairs of the node
+    threshold: FloatArray  # [nodes] layer from which the tail is pi'_or
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +45,7 @@ class BayesCostPlayer:
 
     @cached_property
     def tail(self) -> Tail:
-        """pi'_or, which is followed beyond cap and horizon."""
+        """What is followed beyond cap and horizon."""
         return undiscounted(self.base, self.stationary.tail)
 
     @cached_property
@@ -79,23 +80,29 @@ class BayesCostPlayer:
                     f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
                 )
 
-    def policy(self, reply: Reply) -> TimedPolicy:
-        """The reply's policy on the model's states; it remembers the time and the cost paid."""
-        strategy: TimedLayers = reply.strategy
-        tail = self.base.skeleton.pull_back(self.tail.choice)
-        last = np.broadcast_to(self._after, strategy.choice.shape[1:])
-        stages: list[CostAwarePolicy] = []
-        before = None
-        for rows in [*strategy.choice, last.astype(strategy.choice.dtype)]:
-            same = before is not None and np.array_equal(rows, before)
-            stages.append(stages[-1] if same else cost_aware(self.base, rows, tail))
-            before = rows
-        return TimedPolicy(tuple(stages))
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted."""
+        return self.reply(1.0, price, accuracy).bound - price
 
-    @property
-    def _after(self) -> IntArray:
-        """Position of pi'_or's pair among those of its node, [nodes]."""
-        return np.asarray(self.tail.choice - self.base.pair_offsets[:-1])
+    def policy(self, reply: Reply) -> TimedPolicy:
+        """The reply's policy on the model's states; it remembers the time and the cost paid.
+
+        Successive stages that decide alike are one object.
+        """
+        strategy: TimedLayers = reply.strategy
+        choice, threshold = strategy.choice, strategy.threshold
+        stages: list[CostAwarePolicy] = []
+        for time, rows in enumerate(choice):
+            if time == 0 or not np.array_equal(rows, choice[time - 1]):
+                stage = cost_aware(self.base, self.tail, rows, threshold)
+            stages.append(stage)
+        return TimedPolicy((*stages, self._after(len(choice[0]), threshold)))
+
+    def _after(self, cap: int, threshold: FloatArray) -> CostAwarePolicy:
+        """The tail from the horizon on, whatever has been paid."""
+        base, later = self.base, np.arange(cap)[:, None] >= threshold
+        chosen = np.where(later, self.tail.choice[1], self.tail.choice[0])
+        return cost_aware(base, self.tail, chosen - base.pair_offsets[:-1], threshold)
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:
@@ -114,13 +121,15 @@ class BayesCostPlayer:
         return np.asarray(sum(parts, np.zeros((len(self.base.gain), cap))))
 
     def _reply(self, weights: FloatArray, cap: int, horizon: int) -> Reply:
-        """Backward induction from the horizon, where pi'_or takes over for good."""
+        """Backward induction from the horizon, where the tail takes over for good."""
         base, gamma = self.base, self.base.survival
-        paid = np.arange(cap + base.width - 1, dtype=np.float64) * base.unit
-        objective, condition = np.moveaxis(self.tail.attained(paid), -1, 0).transpose(0, 2, 1)
+        layers = np.arange(cap + base.width - 1)
+        threshold = self.tail.threshold(weights, base.unit)
+        attained = self.tail.attained(layers, threshold, base.unit)
+        objective, condition = attained[..., 0].T, attained[..., 1].T
         beyond = objective[:, cap:], condition[:, cap:]
-        lowest = self._beyond(paid, weights * [1.0, gamma**horizon], cap)
-        stage = base.gain[:, None] * paid[:cap] + base.gain_cost[:, None]
+        lowest = self._beyond(layers, weights * [1.0, gamma**horizon], cap)
+        stage = base.gain[:, None] * (layers[:cap] * base.unit) + base.gain_cost[:, None]
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
         for time in reversed(range(horizon)):
@@ -134,20 +143,20 @@ class BayesCostPlayer:
             )
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
-            lowest = np.hstack([below, self.tail.bound(paid[cap:], now).T])
-        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice))
+            lowest = np.hstack([below, self.tail.bound(layers[cap:], now, base.unit).T])
+        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice, threshold))
 
-    def _beyond(self, paid: FloatArray, weights: FloatArray, cap: int) -> FloatArray:
+    def _beyond(self, layers: IntArray, weights: FloatArray, cap: int) -> FloatArray:
         """Lower bound of every policy's weighted cost from the horizon on, [nodes, layers].
 
         Discounting the objective too can only lower it, so the stationary game bounds this one.
 
         Args:
-            paid: accumulated cost of each layer, [layers].
+            layers: of accumulated cost, [layers].
             weights: with that of J_cond as it has faded by then.
             cap: layers below the cap.
         """
-        bound = self.tail.bound(paid, weights)
+        bound = self.tail.bound(layers, weights, self.base.unit)
         bound[:cap] = np.maximum(bound[:cap], self.stationary.lowest(weights, cap))
         return np.asarray(bound.T)
 

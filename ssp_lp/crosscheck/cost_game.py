@@ -8,21 +8,20 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.bellman import (
-    ChosenRows,
     PairCost,
     backup_rounding,
     best_pairs,
     chosen_product,
     safe_minima,
 )
-from ssp_lp.crosscheck.iteration import Discounted, Iterated, iterate_values
+from ssp_lp.crosscheck.iteration import Discounted, improved
 from ssp_lp.crosscheck.reply import Reply
-from ssp_lp.crosscheck.tail import Tail, worst_tail
+from ssp_lp.crosscheck.tail import Tail, outer_tail
+from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.engines.oracles.window import Window
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.process.accumulated_cost import AccumulatedCost
@@ -31,58 +30,85 @@ _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""
 
 _FIRST_LAYERS = 16
-_INNER_ACCURACY = 1e-14
+
+_LAYER_ROUNDING = 16.0 * MACHINE_EPSILON
+"""Relative rounding of a bound, per layer of the sweep: more layers cannot undo it."""
+
+_STALLED = 1e-8
+"""Relative distance below which one that more layers leave as it was is rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class LayeredStrategy:
-    """A decision for each (layer, node), followed by pi'_or from the cap on."""
+    """A decision for each (layer, node), followed by a tail from the cap on."""
 
     choice: IntArray  # [cap, nodes] position among the pairs of the node
+    threshold: FloatArray  # [nodes] layer from which the tail is pi'_or
 
 
 @dataclass(frozen=True, eq=False)
 class CostPlayer:
-    """Best replies in Pi_{M, pi'_or}, by the operator T_alpha; M grows until nothing is lost."""
+    """Best replies below M, by the operator T_alpha; M grows until nothing is lost beyond it."""
 
     base: AccumulatedCost
 
     @cached_property
     def tail(self) -> Tail:
         """What follows beyond M."""
-        return worst_tail(self.base)
+        return outer_tail(self.base)
 
     def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
         """A policy of (state, accumulated cost) of least weighted cost.
 
         M is first put where failing at attention states has become optimal, ``w_o r = w_d``, as
         far as that is near; then it grows until the bound that holds for every policy comes
-        within the accuracy. What the cap costs falls geometrically, so two caps foretell a third.
+        within the accuracy, or only rounding is left. What the cap costs falls geometrically, so
+        two caps foretell a third.
 
         Raises:
             ModelError: the table of decisions would be too large.
         """
         weights = np.array([objective_weight, condition_weight])
-        cap, sweeps, gaps = self._first_cap(weights), 0, dict[int, float]()
+        cap, sweeps, lost = self._first_cap(weights), 0, dict[int, float]()
         while True:
             reply = self._reply(weights, cap)
             sweeps += reply.sweeps
             pays = reply.payoff(objective_weight, condition_weight)
-            gaps[cap] = pays - reply.bound
-            if gaps[cap] <= accuracy * pays:
+            stalled = pays - reply.bound > 0.9 * min(lost.values(), default=np.inf)
+            lost[cap] = pays - reply.bound
+            wanted = max(accuracy, _LAYER_ROUNDING * cap) * pays
+            if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * pays):
                 return replace(reply, sweeps=sweeps)
-            cap = _larger_cap(gaps, accuracy * pays) + self.base.width
+            cap = _larger_cap(lost, wanted) + self.base.width
             if cap * self.base.n_nodes > _MOST_ENTRIES:
                 raise ModelError(
                     f"{cap:,} layers of accumulated cost on {self.base.n_nodes:,} states are too "
                     "many for the game; round the costs to a coarser grid"
                 )
 
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+
+        Sure failure counts 0 here, so that a policy that is a little worse than it is not lost in
+        the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
+        """
+        base, weights = self.base, np.array([1.0, price])
+        cap = len(self.reply(1.0, price, accuracy).strategy.choice)
+        bounds = Window(self.tail.surplus(self._beyond(cap), weights, base.unit))
+        lowest = np.zeros(base.n_nodes)
+        chosen: IntArray = base.pair_offsets[:-1]
+        worth = price * base.survival * base.gain
+        for layer in reversed(range(cap)):
+            spent = self._costs(layer)[:, 0]
+            lowest, chosen = self._lowest(spent - worth, spent + worth, bounds.flat, chosen)
+            bounds.push(lowest)
+        terms = np.append(base.start * lowest, -price * base.start_goal)
+        return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
+
     def policy(self, reply: Reply) -> CostAwarePolicy:
         """The reply's policy on the model's states, with the cost paid as its memory."""
         strategy: LayeredStrategy = reply.strategy
-        tail = self.base.skeleton.pull_back(self.tail.choice)
-        return cost_aware(self.base, strategy.choice, tail)
+        return cost_aware(self.base, self.tail, strategy.choice, strategy.threshold)
 
     def _first_cap(self, weights: FloatArray) -> int:
         """Layers after which it is best to fail where that can be done for sure, if they are few.
@@ -96,24 +122,21 @@ class CostPlayer:
         return int(np.ceil(lossless)) + 1 if lossless <= 8 * cap else cap
 
     def _reply(self, weights: FloatArray, cap: int) -> Reply:
-        """The best reply in Pi_{M, pi'_or} at M = cap layers, and a bound for every policy."""
-        base, chosen = self.base, None
-        measured, totals = (
-            Window(self.tail.attained(self._beyond(cap))),
-            np.zeros((base.n_nodes, 2)),
-        )
+        """The best reply that follows the tail from M = cap layers on, and a bound for all."""
+        base, threshold = self.base, self.tail.threshold(weights, self.base.unit)
+        measured = Window(self.tail.attained(self._beyond(cap), threshold, base.unit))
+        totals = np.zeros((base.n_nodes, 2))
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((cap, base.n_nodes), dtype=least_integer_type(most))
+        chosen: IntArray = base.pair_offsets[:-1]
         for layer in reversed(range(cap)):
-            costs = self._costs(layer)
-            chosen = self._best(costs @ weights, measured.flat @ weights, chosen)
-            totals = self._measured(costs, chosen, measured.flat)
+            chosen, totals = self._best(self._costs(layer), weights, measured.flat, chosen)
             choice[layer] = chosen - base.pair_offsets[:-1]
             measured.push(totals)
         failed = np.array([0.0, base.start_failure])
         objective, condition = (base.start @ totals + failed).tolist()
         bound = float(base.start @ self.lowest(weights, cap)[0] + failed @ weights)
-        return Reply(objective, condition, bound, LayeredStrategy(choice), 2 * cap)
+        return Reply(objective, condition, bound, LayeredStrategy(choice, threshold), 2 * cap)
 
     def lowest(self, weights: FloatArray, cap: int) -> FloatArray:
         """Lower bounds of every policy's weighted cost below the cap, [cap, nodes].
@@ -122,16 +145,17 @@ class CostPlayer:
             weights: of J_obj and J_cond, [2].
             cap: layers.
         """
-        values, best = np.empty((cap, self.base.n_nodes)), None
-        ahead = Window(self.tail.bound(self._beyond(cap), weights))
+        values, chosen = np.empty((cap, self.base.n_nodes)), self.base.pair_offsets[:-1]
+        ahead = Window(self.tail.bound(self._beyond(cap), weights, self.base.unit))
         for layer in reversed(range(cap)):
-            values[layer], best = self._lowest(self._costs(layer) @ weights, ahead.flat, best)
+            priced = self._costs(layer) @ weights
+            values[layer], chosen = self._lowest(priced, priced, ahead.flat, chosen)
             ahead.push(values[layer])
         return values
 
-    def _beyond(self, cap: int) -> FloatArray:
-        """Accumulated cost in the layers beyond the cap that a step can reach, [width - 1]."""
-        return np.arange(cap, cap + self.base.width - 1, dtype=np.float64) * self.base.unit
+    def _beyond(self, cap: int) -> IntArray:
+        """Layers beyond the cap that a step can reach, [width - 1]."""
+        return np.arange(cap, cap + self.base.width - 1)
 
     def _costs(self, layer: int) -> FloatArray:
         """E[G_o] and E[G_{d,gamma}] of each pair at an accumulated cost, [pairs, 2]."""
@@ -139,64 +163,71 @@ class CostPlayer:
         objective = base.gain * (layer * base.unit) + base.gain_cost
         return np.stack([objective, base.failure], axis=1)
 
-    def _best(self, pair_cost: FloatArray, ahead: FloatArray, guess: IntArray | None) -> IntArray:
-        """The pairs of least value in a layer, given the values of later layers, [nodes]."""
-        base = self.base
-        if base.instant.nnz == 0:
-            return best_pairs(base.pair_offsets, base.later, pair_cost, ahead).choice
-        return self._within(pair_cost + base.later @ ahead, guess).choice
+    def _best(
+        self, costs: FloatArray, weights: FloatArray, ahead: FloatArray, later: IntArray
+    ) -> tuple[IntArray, FloatArray]:
+        """The pairs of least value in a layer and (J_obj, J_cond) under them, [nodes, 2].
 
-    def _within(self, onward: FloatArray, guess: IntArray | None) -> Iterated:
-        """Value iteration within a layer, whose free steps may form cycles.
-
-        Args:
-            onward: cost of each pair with all that follows it in later layers, [pairs].
-            guess: the best pairs of the layer after this one, [nodes].
+        Free steps may form cycles within the layer: there the choice of the layer after it is
+        improved until it is the best.
         """
         base = self.base
-        process = Discounted(base.pair_offsets, base.instant, onward[:, None], base.survival)
-        watched = np.full(base.n_nodes, 1.0 / base.n_nodes)
-        return iterate_values(process, np.ones(1), watched, guess, accuracy=_INNER_ACCURACY)
+        if base.instant.nnz == 0:
+            onward = costs @ weights
+            chosen = best_pairs(base.pair_offsets, base.later, onward, ahead @ weights).choice
+            return chosen, costs[chosen] + chosen_product(base.later, chosen, ahead)
+        chosen, totals, _ = improved(self._layer(costs + base.later @ ahead), weights, later)
+        return chosen, totals
 
-    def _measured(self, costs: FloatArray, chosen: IntArray, ahead: FloatArray) -> FloatArray:
-        """(J_obj, J_cond) from each node of a layer under its chosen pairs, [nodes, 2]."""
-        totals = costs[chosen] + chosen_product(self.base.later, chosen, ahead)
-        if self.base.instant.nnz == 0:
-            return totals
-        return accumulate(ChosenRows(self.base.instant, chosen), totals)
+    def _layer(self, onward: FloatArray) -> Discounted:
+        """The free steps of a layer, with all that follows them among the costs."""
+        base = self.base
+        return Discounted(base.pair_offsets, base.instant, onward, base.survival)
 
     def _lowest(
-        self, pair_cost: FloatArray, ahead: FloatArray, guess: IntArray | None
-    ) -> tuple[FloatArray, IntArray | None]:
-        """Lower bounds of every policy's value in a layer, rounding counted, and their pairs."""
+        self, pair_cost: FloatArray, size: FloatArray, ahead: FloatArray, guess: IntArray
+    ) -> tuple[FloatArray, IntArray]:
+        """Lower bounds of every policy's value in a layer, rounding counted, and pairs, [nodes].
+
+        Args:
+            pair_cost: [pairs].
+            size: of its parts, none of them negative, [pairs].
+            ahead: bounds in later layers.
+            guess: near-optimal pairs, [nodes].
+        """
         base = self.base
         if base.instant.nnz == 0:
-            cost = PairCost(pair_cost)
-            safe = safe_minima(base.pair_offsets, base.later, cost, pair_cost, pair_cost, ahead)
-            return safe, None
-        onward = (pair_cost + base.later @ ahead) * (1.0 - backup_rounding(base.later))
-        found = self._within(onward, guess)
-        return found.values, found.choice
+            cost, exact = PairCost(pair_cost), np.zeros_like(size)
+            return safe_minima(base.pair_offsets, base.later, cost, size, exact, ahead), guess
+        size = size + base.later @ np.abs(ahead)
+        onward = pair_cost + base.later @ ahead - backup_rounding(base.later) * size
+        chosen, totals, _ = improved(self._layer(onward[:, None]), np.ones(1), guess)
+        floor = min(float((onward / (1.0 - base.survival)).min(initial=0.0)), 0.0)
+        values = sub_solution(base.pair_offsets, base.instant, onward, totals[:, 0], floor)
+        return values, chosen
 
 
-def _larger_cap(gaps: Mapping[int, float], wanted: float) -> int:
-    """A cap at which the gap should be as small as wanted, from 1.25 to 4 times the last one."""
-    cap = max(gaps)
+def _larger_cap(lost: Mapping[int, float], wanted: float) -> int:
+    """A cap at which as little is lost as is wanted, from 1.25 to 4 times the last one."""
+    cap = max(lost)
     needed = 2.0 * cap
-    smaller = max((c for c in gaps if c < cap), default=cap)
-    if gaps[cap] < gaps[smaller] and wanted > 0.0:
-        rate = np.log(gaps[smaller] / gaps[cap]) / (cap - smaller)
-        needed = cap + 1.1 * np.log(gaps[cap] / wanted) / rate
+    smaller = max((c for c in lost if c < cap), default=cap)
+    if lost[cap] < lost[smaller] and wanted > 0.0:
+        rate = np.log(lost[smaller] / lost[cap]) / (cap - smaller)
+        needed = cap + 1.1 * np.log(lost[cap] / wanted) / rate
     return int(np.ceil(min(max(needed, 1.25 * cap), 4.0 * cap)))
 
 
-def cost_aware(base: AccumulatedCost, choice: IntArray, tail: IntArray) -> CostAwarePolicy:
-    """Pull a choice for each (layer, node) back to the model, followed by one tail policy.
+def cost_aware(
+    base: AccumulatedCost, tail: Tail, choice: IntArray, threshold: FloatArray
+) -> CostAwarePolicy:
+    """Pull a choice for each (layer, node) back to the model, followed by a tail.
 
     Args:
         base: the process.
+        tail: the two policies of which one is followed beyond the choice.
         choice: position among the pairs of the node, [cap, nodes].
-        tail: decision of the tail policy, [states].
+        threshold: layer from which the tail is pi'_or, [nodes].
     """
     skeleton, model = base.skeleton, base.skeleton.model
     live = np.flatnonzero(skeleton.node_of >= 0)  # in the order of the nodes: none are merged
@@ -207,6 +238,6 @@ def cost_aware(base: AccumulatedCost, choice: IntArray, tail: IntArray) -> CostA
         model=model,
         unit=base.unit,
         decision=decision,
-        tails=tail[None, :],
-        tail_threshold=np.full(model.n_states, -np.inf),
+        tails=np.stack([skeleton.pull_back(c) for c in tail.choice]),
+        tail_threshold=skeleton.lift(np.where(threshold <= len(choice), -np.inf, threshold)),
     )

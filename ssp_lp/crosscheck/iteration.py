@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.arrays import IMPROVEMENT, MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.bellman import ChosenRows, best_pairs
 from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.linear import accumulate
 
 _FIRST_SWEEPS = 16
-_MOST_SWEEPS = 1 << 22
+_MOST_SWEEPS = 1 << 14
+"""Policies are improved by their own values, so that sweeps beyond this only fight rounding."""
+
+_MOST_IMPROVEMENTS = 100
 _ROUNDED = 64.0 * MACHINE_EPSILON
 """Relative rounding of one backup; over a run it adds up to this share of 1 / (1 - gamma)."""
 
@@ -45,43 +48,45 @@ def iterate_values(
     process: Discounted,
     weights: FloatArray,
     watched: FloatArray,
-    guess: IntArray | None = None,
     *,
     accuracy: float,
+    guess: IntArray | None = None,
 ) -> Iterated:
     """Minimise ``weights @ costs`` by value iteration.
 
-    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy's exact
-    value bounds the optimum from above, the iterate, once a backup with its rounding has confirmed
-    it, from below. The iteration ends when the two meet where a run may begin, or where rounding
-    keeps them apart. It is lifted to the policy's own value, lowered as far as that backup demands,
-    so that slow loops do not hold it up.
+    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy, improved
+    by its own values while that helps, bounds the optimum from above with its exact value; the
+    iterate, once a backup with its rounding has confirmed it, from below. The iteration ends when
+    the two meet where a run may begin; it is lifted to the policy's own value, lowered as far as
+    that backup demands, so that slow loops do not hold it up. Where rounding keeps the two apart it
+    ends too, with the distance that is left.
 
     Args:
         process: the process.
         weights: of the costs, non-negative, [costs].
         watched: how much each node counts when bounds are compared, [nodes].
-        guess: a policy that may be optimal, and is tried before the first sweep, [nodes].
         accuracy: relative distance of the two bounds to reach.
+        guess: a policy to improve before the first sweep, [nodes].
     """
     offsets, transitions = process.pair_offsets, process.transitions
     pair_cost = process.costs @ weights
-    values, choice, sweeps, best = np.zeros(len(offsets) - 1), guess, 0, -np.inf
+    values = np.zeros(len(offsets) - 1)
+    best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
     rounding = _ROUNDED / (1.0 - process.discount)
+    choice = guess
     while True:
-        if choice is None or sweeps > 0:
-            block = max(sweeps, _FIRST_SWEEPS)
+        if choice is None:
             values, choice = _swept(process, pair_cost, values, block)
             sweeps += block
-        totals = accumulate(ChosenRows(transitions, choice), process.costs[choice])
-        attained = totals @ weights
+        choice, totals, steps = improved(process, weights, choice)
+        attained, sweeps = totals @ weights, sweeps + steps
         lifted = sub_solution(offsets, transitions, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(offsets, transitions, pair_cost, values))
         below, above = float(watched @ values), float(watched @ attained)
-        stuck = below <= best and above - below <= rounding * above
+        stuck = best > -np.inf and above - below <= rounding * above
         if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
             return Iterated(values, choice, totals, sweeps)
-        best, sweeps = below, max(sweeps, 1)
+        best, block, choice = below, max(sweeps, _FIRST_SWEEPS), None
 
 
 def _swept(
@@ -92,3 +97,19 @@ def _swept(
         backup = best_pairs(process.pair_offsets, process.transitions, pair_cost, values)
         values = np.maximum(values, backup.minima)
     return values, backup.choice
+
+
+def improved(
+    process: Discounted, weights: FloatArray, choice: IntArray
+) -> tuple[IntArray, FloatArray, int]:
+    """A policy after improvement by its own values, its exact costs, and the backups that took."""
+    offsets, transitions = process.pair_offsets, process.transitions
+    pair_cost, steps = process.costs @ weights, 0
+    while True:
+        totals = accumulate(ChosenRows(transitions, choice), process.costs[choice])
+        steps += 1
+        backup = best_pairs(offsets, transitions, pair_cost, totals @ weights, choice)
+        better = backup.minima < backup.here - IMPROVEMENT * np.abs(backup.here)
+        if steps >= _MOST_IMPROVEMENTS or not better.any():
+            return choice, totals, steps
+        choice = np.where(better, backup.choice, choice)

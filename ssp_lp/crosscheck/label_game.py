@@ -48,8 +48,8 @@ class LabelPlayer:
             [nodes], and at the end that of the start, where it is not live with certainty.
         """
         found: Iterated = reply.strategy
-        live = float(self.models.start.sum())
-        return found.values if live == 1.0 else np.append(found.values, reply.bound)
+        settled = self.models.start_settled > 0.0
+        return np.append(found.values, reply.bound) if settled else found.values
 
     def policy(self, reply: Reply) -> DeterministicPolicy:
         """The reply's policy on the model's states."""

@@ -37,6 +37,7 @@ class LabelModels:
     start: FloatArray  # [nodes]
     start_objective: float  # J_obj of start mass on dead-ends
     start_condition: float  # J_cond of it
+    start_settled: float  # start mass on dead-ends and goals
 
     @property
     def n_nodes(self) -> int:
@@ -102,4 +103,5 @@ def label_models(
         start=skeleton.gather(start),
         start_objective=float(start @ entering),
         start_condition=float(start[skeleton.dead].sum()),
+        start_settled=float(start[skeleton.dead | model.goal_mask].sum()),
     )

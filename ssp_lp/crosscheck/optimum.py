@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
+from typing import cast
 
 from ssp_lp.arrays import LEAST_BUDGET
-from ssp_lp.crosscheck.reply import Player, Reply
+from ssp_lp.crosscheck.reply import Player, RatioPlayer, Reply
 from ssp_lp.crosscheck.setting import infeasible
 from ssp_lp.crosscheck.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
+from ssp_lp.errors import SolverError
 from ssp_lp.problem import Problem
 
 _MOST_STEPS = 100
+_MARGINS = (0.25, 4.0, 64.0, 1024.0)
+"""Multiples of the tolerance by which a bound of the least ratio is put below it."""
+
 _SURE_FAILURE = 1.0 - 1e-12
 """J_cond from which a policy's success is rounding and no cost given success can be told."""
 
@@ -47,10 +53,10 @@ def find_optimum(
     """
     budget = float(problem.failure_budget or 0.0)
     known = extremes(player, 0.1 * tolerance)
-    if known[0].bound > budget + LEAST_BUDGET:
+    if known[0].condition > budget + LEAST_BUDGET:
         raise infeasible(problem, budget, known[0].condition)
     if problem.ratio:
-        return _ratio_optimum(player, budget, known, tolerance, patience)
+        return _ratio_optimum(cast(RatioPlayer, player), budget, known, tolerance, patience)
     return _at_budget(
         find_threshold(player, budget, 1.0, known, tolerance=tolerance, patience=patience)
     )
@@ -63,7 +69,7 @@ def _at_budget(found: Threshold) -> Optimum:
 
 
 def _ratio_optimum(
-    player: Player,
+    player: RatioPlayer,
     budget: float,
     known: tuple[Reply, ...],
     tolerance: float,
@@ -75,7 +81,7 @@ def _ratio_optimum(
     and rises after: either it still falls at the budget, or its minimum is where failing is worth
     exactly c*, at a single policy.
     """
-    best, replies = _least_ratio(player, known, tolerance)
+    best, replies = _least_ratio(player, known, tolerance, patience)
     spent = min(best.condition, budget)
     found = find_threshold(
         player, spent, 1.0 - spent, replies, tolerance=tolerance, patience=patience
@@ -83,25 +89,49 @@ def _ratio_optimum(
     if best.condition > budget:
         return _at_budget(found)
     c = found.high
-    below = c * (1.0 - 0.25 * tolerance)  # where it is strictly best to fail: no rounding enters
-    value = player.reply(1.0, below, tolerance).bound
-    room = max(1.0 - budget, 1.0 - _SURE_FAILURE)
-    lower = below if value >= below else max(value - below * budget, 0.0) / room
-    return Optimum(found, spent, c, lower, 1.0 - spent, c)
+    return Optimum(found, spent, c, _slack_bound(player, c, budget, tolerance), 1.0 - spent, c)
+
+
+def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: float) -> float:
+    """A ratio a little below the least one, such that every policy is seen to have more.
+
+    There it is strictly best to fail, by a margin that no rounding reaches. Where rounding does
+    reach it, a policy within the budget has lost at most its share of it.
+    """
+    best = 0.0
+    for share in _MARGINS:
+        below = ratio * (1.0 - share * tolerance)
+        surplus = player.surplus(below, 0.1 * tolerance)
+        if surplus >= 0.0:
+            return max(best, below)
+        if budget < 1.0:
+            best = max(best, below + surplus / (1.0 - budget))
+    return best
 
 
 def _least_ratio(
-    player: Player, known: tuple[Reply, ...], tolerance: float
+    player: RatioPlayer, known: tuple[Reply, ...], tolerance: float, patience: Patience
 ) -> tuple[Reply, tuple[Reply, ...]]:
     """A policy of least J_obj / (1 - J_cond), whatever it fails, and all replies so far.
 
     A ratio c is least if no policy has less than c of ``J_obj + c J_cond``: a policy that has less
     has a smaller ratio, which is tried next.
+
+    Raises:
+        SolverError: every policy fails but for rounding.
     """
     replies = list(known)
-    best = min((r for r in replies if r.condition < _SURE_FAILURE), key=_ratio)
+    hopeful = [r for r in replies if r.condition < _SURE_FAILURE]
+    if not hopeful:
+        raise SolverError(
+            "the game cannot tell costs given success: the goal is reached with a (discounted) "
+            f"probability of at most {1.0 - known[0].condition:.1e}"
+        )
+    best = min(hopeful, key=_ratio)
     for _ in range(_MOST_STEPS):
         c = _ratio(best)
+        if time.perf_counter() > patience.deadline:
+            break
         reply = player.reply(1.0, c, 0.1 * tolerance)
         if reply.condition >= _SURE_FAILURE or _ratio(reply) >= c * (1.0 - 1e-15):
             break

@@ -39,3 +39,14 @@ class Player(Protocol):
     def policy(self, reply: Reply) -> Policy:
         """The reply's policy on the original states."""
         ...
+
+
+class RatioPlayer(Player, Protocol):
+    """A player of case S, whose c* is a ratio."""
+
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+
+        Where it is not negative, no policy's ``J_obj / (1 - J_cond)`` is less than the price.
+        """
+        ...

@@ -1,11 +1,10 @@
-"""What follows beyond the cap M of case S: the policy pi'_or (paper, section 3.5.1), and bounds."""
+"""What follows beyond the cap M of case S (paper, section 3.5.1), and bounds of what may."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.bellman import ChosenRows
@@ -19,42 +18,59 @@ _ACCURACY = 1e-13
 
 @dataclass(frozen=True, eq=False)
 class Tail:
-    """pi'_or in Pi_{d,or}, which fails most, and how much any policy may succeed, per node."""
+    """Two stationary policies for what lies beyond M, and how much any policy may succeed.
 
-    choice: IntArray  # [nodes] pairs of pi'_or
-    early: FloatArray  # [nodes] E[gamma^(T-1); goal] under pi'_or
-    cost: FloatArray  # [nodes] E[gamma^(T-1) * cost; goal] under pi'_or
-    condition: FloatArray  # [nodes] J_cond of it, 1 - E[gamma^T; goal]
+    The paper follows pi'_or there, which fails most. Where failing is dear, M would have to be very
+    large for that: there the policy that fails least is followed until as much has been paid that
+    pi'_or is no worse.
+    """
+
+    choice: IntArray  # [2, nodes] pairs of the policy that fails least, and of pi'_or
+    early: FloatArray  # [2, nodes] E[gamma^(T-1); goal]
+    cost: FloatArray  # [2, nodes] E[gamma^(T-1) * cost; goal]
+    condition: FloatArray  # [2, nodes] J_cond, 1 - E[gamma^T; goal]
     least_goal: FloatArray  # [nodes] checked lower bound of E[gamma^T; goal]
     greatest_goal: FloatArray  # [nodes] checked upper bound of it
-    survival: float  # gamma, or 1 where J_obj is not discounted
+    survival: float  # gamma; 1 where J_obj is not discounted
 
-    def attained(self, paid: FloatArray) -> FloatArray:
-        """(J_obj, J_cond) of following pi'_or where so much has been paid, [..., nodes, 2].
+    def threshold(self, weights: FloatArray, unit: float) -> FloatArray:
+        """Layer of accumulated cost from which pi'_or is no worse than the other, [nodes]."""
+        saved = weights[0] * (self.early[0] - self.early[1])
+        owed = weights[1] * (self.condition[1] - self.condition[0])
+        owed += weights[0] * (self.cost[1] - self.cost[0])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            layer = np.ceil(owed / (saved * unit) - 1e-9)
+        return np.where(saved > 0.0, layer, np.where(owed <= 0.0, -np.inf, np.inf))
+
+    def attained(self, layers: IntArray, threshold: FloatArray, unit: float) -> FloatArray:
+        """(J_obj, J_cond) of going on where so much has been paid, [layers, nodes, 2].
 
         Section 3.5.1 leaves the tail's J_obj undiscounted; under discounting it is discounted here
         like what comes before M, so that c-hat does not depend on M once M is large.
-
-        Args:
-            paid: accumulated cost, [...].
         """
-        objective = paid[..., None] * self.early + self.cost
-        condition = np.broadcast_to(self.condition, objective.shape)
-        return np.stack([objective, condition], axis=-1)
+        last = layers[:, None] >= threshold
+        early, cost, condition = (
+            np.where(last, v[1], v[0]) for v in (self.early, self.cost, self.condition)
+        )
+        return np.stack([(layers[:, None] * unit) * early + cost, condition], axis=-1)
 
-    def bound(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
-        """Lower bound of every policy's weighted cost where so much has been paid, [..., nodes].
+    def bound(self, layers: IntArray, weights: FloatArray, unit: float) -> FloatArray:
+        """Lower bound of every policy's weighted cost in these layers, [layers, nodes]."""
+        return np.asarray(weights[1] + self.surplus(layers, weights, unit))
 
-        Whoever succeeds pays at least what has been paid: ``w_o r E[gamma^(T-1); goal] + w_d (1 -
-        E[gamma^T; goal])`` is linear in the success, which lies between two bounds.
+    def surplus(self, layers: IntArray, weights: FloatArray, unit: float) -> FloatArray:
+        """The same, less the weighted cost of sure failure, [layers, nodes].
+
+        Whoever succeeds pays at least what has been paid: ``w_o r E[gamma^(T-1); goal] - w_d
+        E[gamma^T; goal]`` is linear in the success, which lies between two bounds.
         """
-        per_success = weights[0] * paid[..., None] / self.survival - weights[1]
+        per_success = weights[0] * (layers[:, None] * unit) / self.survival - weights[1]
         goal = np.where(per_success < 0.0, self.greatest_goal, self.least_goal)
-        return np.asarray(weights[1] + per_success * goal)
+        return np.asarray(per_success * goal)
 
 
-def worst_tail(base: AccumulatedCost) -> Tail:
-    """Find pi'_or by MINPROB, and the greatest success by MAXPROB (paper, section 2.3).
+def outer_tail(base: AccumulatedCost) -> Tail:
+    """Find the policies that fail least and most, by MAXPROB and MINPROB (paper, section 2.3).
 
     Both are value iterations on the discounted process without accumulated cost.
     """
@@ -67,10 +83,11 @@ def worst_tail(base: AccumulatedCost) -> Tail:
         process = Discounted(skeleton.pair_offsets, transitions, costs[:, None], gamma)
         return iterate_values(process, np.ones(1), watched, accuracy=_ACCURACY)
 
-    riskiest, safest = least(success), least(base.failure)
-    early, cost = _success(base, transitions, riskiest.choice, gamma)
+    safest, riskiest = least(base.failure), least(success)
+    both = np.stack([safest.choice, riskiest.choice])
+    early, cost = _followed(base, both, gamma)
     return Tail(
-        choice=riskiest.choice,
+        choice=both,
         early=early,
         cost=cost,
         condition=1.0 - gamma * early,
@@ -81,22 +98,25 @@ def worst_tail(base: AccumulatedCost) -> Tail:
 
 
 def undiscounted(base: AccumulatedCost, tail: Tail) -> Tail:
-    """The same policy with its undiscounted J_obj; J_cond stays discounted (section 3.3).
+    """The same policies with their undiscounted J_obj; J_cond stays discounted (section 3.3).
 
-    The bounds of the goal's probability are those of its discounted weight, and 1.
+    Whoever succeeds with weight E[gamma^T; goal] succeeds with at least that probability and pays
+    for it undiscounted, so that the bounds of the weight serve here too.
     """
-    transitions = base.skeleton.transitions(1.0, departing=False)[0]
-    goal, cost = _success(base, transitions, tail.choice, 1.0)
-    everything = np.ones(base.n_nodes)
-    return replace(tail, early=goal, cost=cost, greatest_goal=everything, survival=1.0)
+    goal, cost = _followed(base, tail.choice, 1.0)
+    return replace(tail, early=goal, cost=cost, survival=1.0)
 
 
-def _success(
-    base: AccumulatedCost, transitions: sp.csr_array, choice: IntArray, survival: float
+def _followed(
+    base: AccumulatedCost, choices: IntArray, survival: float
 ) -> tuple[FloatArray, FloatArray]:
-    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] of a policy, [nodes] each."""
-    skeleton, chain = base.skeleton, ChosenRows(transitions, choice)
-    early = accumulate(chain, base.gain[choice])
-    weight = np.where(skeleton.model.goal_mask, 1.0, survival * skeleton.lift(early))
-    cost = skeleton.at_pairs(cost_means(skeleton.model, weight))
-    return early, accumulate(chain, cost[choice])
+    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] of policies, [policies, nodes]."""
+    skeleton, (early, cost) = base.skeleton, np.zeros((2, *choices.shape))
+    transitions = skeleton.transitions(survival, departing=False)[0]
+    for k, choice in enumerate(choices):
+        chain = ChosenRows(transitions, choice)
+        early[k] = accumulate(chain, base.gain[choice])
+        weight = np.where(skeleton.model.goal_mask, 1.0, survival * skeleton.lift(early[k]))
+        priced = skeleton.at_pairs(cost_means(skeleton.model, weight))
+        cost[k] = accumulate(chain, priced[choice])
+    return early, cost

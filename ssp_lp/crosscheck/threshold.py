@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,14 +14,18 @@ from ssp_lp.crosscheck.reply import Player, Reply
 from ssp_lp.errors import InfeasibleError
 
 _STEEP = (1e3, 1e6, 1e9)
-"""Prices of failure at which cheap policies among those of least failure are looked for."""
+"""Prices of failure at which cheap policies among those of least failure are looked for, as
+multiples of what the goal costs under one of them."""
+
+_LEAST_SUCCESS = 1e-6
 
 _ROOM = 1.0 + 1e-6
 """A budget below the least failure times this counts as tight."""
 
 _MOST_GAMES = 100
 
-Replies = tuple[Reply, ...]
+_STALLED = 0.75
+"""Two games, one of them halfway, halve the bracket, unless rounding has the last word."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,7 @@ def find_threshold(
     replies = [*known, *_near_least(player, budget, known, accuracy)]
     low, high = 0.0, cheapest_mixture(replies, budget)[2] / share
     trials: list[Trial] = []
+    width = np.inf  # of the bracket after the last game at its upper end
     while True:
         at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
         found = play(player, Game(share * at, budget), replies, accuracy=accuracy)
@@ -121,22 +126,33 @@ def find_threshold(
         late = len(trials) >= _MOST_GAMES or time.perf_counter() > patience.deadline
         if late or (high - low <= tolerance * high and at == high):
             return answer
+        if len(trials) % 2 == 1:
+            if high - low > _STALLED * width:
+                return answer
+            width = high - low
 
 
-def extremes(player: Player, accuracy: float) -> tuple[Reply, Reply]:
+def extremes(player: Player, accuracy: float) -> tuple[Reply, ...]:
     """The policy that fails least and the cheapest one."""
     return player.reply(0.0, 1.0, accuracy), player.reply(1.0, 0.0, accuracy)
 
 
-def _near_least(player: Player, budget: float, known: Sequence[Reply], accuracy: float) -> Replies:
+def _near_least(
+    player: Player, budget: float, known: Sequence[Reply], accuracy: float
+) -> Iterator[Reply]:
     """Cheap policies among those that fail (almost) least, if the budget leaves no room.
 
     The least failure alone does not ask what its policy costs.
     """
-    least = min(r.condition for r in known)
-    if budget > least * _ROOM + LEAST_BUDGET:
-        return ()
-    return tuple(player.reply(1.0, price, accuracy) for price in _STEEP)
+    safest = min(known, key=lambda r: r.condition)
+    if budget > safest.condition * _ROOM + LEAST_BUDGET:
+        return
+    worth = safest.objective / max(1.0 - safest.condition, _LEAST_SUCCESS)
+    for price in _STEEP:
+        reply = player.reply(1.0, price * (worth or 1.0), accuracy)
+        yield reply
+        if reply.condition <= safest.condition:
+            return
 
 
 def _feasible(budget: float, replies: Sequence[Reply]) -> float:

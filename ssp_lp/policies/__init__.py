@@ -5,6 +5,7 @@ from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP, Decision, Policy
 from ssp_lp.policies.stochastic import StochasticPolicy
+from ssp_lp.policies.timed import TimedPolicy
 
 __all__ = [
     "GIVE_UP",
@@ -14,4 +15,5 @@ __all__ = [
     "MixedPolicy",
     "Policy",
     "StochasticPolicy",
+    "TimedPolicy",
 ]

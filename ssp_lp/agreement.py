@@ -1,0 +1,171 @@
+"""The agreement of the roads: the linear program, column generation and the paper's game."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+from ssp_lp.errors import ModelError
+from ssp_lp.judge import Judge
+from ssp_lp.problem import Problem
+from ssp_lp.road import ROADS, Member, Road, take_road
+
+_DIGITS = {"c*": 10, "lower bound": 10, "gap": 2, "seconds": 2}
+"""Significant digits of a column, where they are not six."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """The roads side by side, and what they disagree about.
+
+    A road is named in ``disagreeing`` where its c* lies outside the tolerance of the majority
+    (where no two roads agree, all are named), where its policy breaks the budget or evaluates to
+    another objective than stated, where its lower bound exceeds what another road's policy attains,
+    or where it alone calls the problem infeasible. At a kink of the frontier the price is an
+    interval: different prices are no disagreement as long as each is proved by its road's bound.
+    """
+
+    roads: tuple[Road, ...]
+    objective_distance: float  # largest relative distance between two c*
+    weight_distance: float  # largest distance between two alpha*
+    evaluated_distance: float  # largest relative distance between two policies' exact objectives
+    budget_overrun: float  # by which the worst policy breaks the budget; 0 if none does
+    disagreeing: tuple[str, ...]  # names of roads
+    remarks: tuple[str, ...]  # a sentence for each thing that was noticed
+
+    @property
+    def agrees(self) -> bool:
+        """Whether no road that answered disagrees."""
+        return not self.disagreeing
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The roads that were asked and gave no answer."""
+        return tuple(road.name for road in self.roads if road.failed)
+
+    def summary(self) -> str:
+        """The roads as a table, their policies, the remarks, and one line with the verdict."""
+        lines = _table(self.roads)
+        lines += [f"  {r.name}: {_lottery(r.members)}" for r in self.roads if r.members]
+        lines += [f"  {r.name}: {r.note}" for r in self.roads if r.note]
+        lines += [f"  {remark}" for remark in self.remarks]
+        return "\n".join([*lines, self._verdict()])
+
+    def _verdict(self) -> str:
+        count = sum(road.answered for road in self.roads)
+        distances = (
+            f"c* within {self.objective_distance:.1e}, alpha* within {self.weight_distance:.1e}, "
+            f"policies within {self.evaluated_distance:.1e}, budget overrun "
+            f"{self.budget_overrun:.1e}"
+        )
+        if self.disagreeing:
+            return f"DISAGREEMENT of {', '.join(self.disagreeing)}: {distances}"
+        if count < 2:
+            return "nothing to compare: one road answered"
+        return f"{count} roads agree: {distances}"
+
+
+def cross_check(
+    problem: Problem,
+    *,
+    tolerance: float = 1e-6,
+    weight_tolerance: float = 1e-4,
+    lp_backend: str | None = None,
+    time_limit: float | None = None,
+) -> Agreement:
+    """Solve a problem on every road there is, and compare.
+
+    Args:
+        problem: a formulation, such as ``MCMP(...)`` or ``S3P(...)``.
+        tolerance: relative distance of costs that still counts as agreement.
+        weight_tolerance: distance of two alpha* beyond which their prices are looked at.
+        lp_backend: the solver of the linear program, see ``solve``; given one, a program of any
+            size is solved.
+        time_limit: seconds for each road.
+
+    Returns:
+        The roads side by side. One that cannot be asked stays as a row with a note: the game needs
+        a discount and a budget above 0, least failure has one road only, and a program may be too
+        large to solve from nothing.
+
+    Raises:
+        ModelError: a wrong argument.
+        InfeasibleError: every road says that no policy keeps to the budget.
+    """
+    if not (0.0 < tolerance < 1.0 and 0.0 < weight_tolerance < 1.0):
+        raise ModelError("tolerances must lie strictly between 0 and 1")
+    roads = [take_road(name, problem, lp_backend, time_limit) for name in ROADS]
+    for road in roads:
+        if road.infeasible is not None and not any(r.answered for r in roads):
+            raise road.infeasible
+    return compare(roads, problem, tolerance=tolerance, weight_tolerance=weight_tolerance)
+
+
+def compare(
+    roads: Sequence[Road],
+    problem: Problem,
+    *,
+    tolerance: float = 1e-6,
+    weight_tolerance: float = 1e-4,
+) -> Agreement:
+    """Judge rows of one problem, wherever they come from."""
+    costliest = float(problem.model.costs.max(initial=0.0))
+    judge = Judge(problem.failure_budget, costliest, tolerance, weight_tolerance)
+    answered = [road for road in roads if road.answered]
+    unsound = judge.unsound(answered)
+    sound = [road for road in answered if road.name not in unsound]
+    findings = unsound | judge.unproved(sound) | judge.refusing(roads)
+    findings |= judge.outvoted(sound) | judge.refuted(sound)
+    named = tuple(road.name for road in roads if road.name in findings)
+    costs = [r.objective for r in answered if r.objective is not None]
+    exact = [r.evaluated for r in answered if r.evaluated is not None]
+    weights = [r.adversary_weight for r in answered if r.adversary_weight is not None]
+    return Agreement(
+        roads=tuple(roads),
+        objective_distance=_widest(costs, judge.distance),
+        weight_distance=_widest(weights, lambda one, other: abs(one - other)),
+        evaluated_distance=_widest(exact, judge.distance),
+        budget_overrun=max((judge.overrun(r) for r in answered), default=0.0),
+        disagreeing=named,
+        remarks=(*(f"{n}: {findings[n]}" for n in named), *judge.several_prices(sound)),
+    )
+
+
+def _widest(values: Sequence[float], distance: Callable[[float, float], float]) -> float:
+    return max((distance(one, other) for one, other in combinations(values, 2)), default=0.0)
+
+
+def _lottery(members: Sequence[Member]) -> str:
+    """A policy by its members: weight x (cost, failure)."""
+    return " + ".join(f"{m.weight:.6f} x ({m.cost:.9g}, {m.failure:.6g})" for m in members)
+
+
+def _table(roads: Sequence[Road]) -> list[str]:
+    """One line per road, aligned; policies follow below as weight x (cost, failure)."""
+    columns: dict[str, Callable[[Road], float | None]] = {
+        "c*": lambda r: r.objective,
+        "lower bound": lambda r: r.lower_bound,
+        "gap": lambda r: r.gap,
+        "alpha*": lambda r: r.adversary_weight,
+        "price": lambda r: r.failure_price,
+        "failure": lambda r: r.failure_probability,
+        "discounted": lambda r: r.discounted_failure,
+        "cost": lambda r: r.expected_cost,
+        "given success": lambda r: r.conditional_cost,
+        "seconds": lambda r: r.seconds,
+    }
+    rows = [["road", *columns]]
+    for road in roads:
+        rows.append([road.name, *(_text(name, value(road)) for name, value in columns.items())])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
+    ]
+
+
+def _text(name: str, value: float | None) -> str:
+    """A number as its column shows it; a dash where there is none."""
+    if value is None:
+        return "-"
+    return f"{value:.{_DIGITS.get(name, 6)}g}"

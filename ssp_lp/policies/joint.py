@@ -1,0 +1,90 @@
+"""Several memories kept side by side, so that the members of a lottery can be told apart later."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.policy import Branches, Policy
+from ssp_lp.policies.timed import TimedPolicy
+
+
+@dataclass(frozen=True, eq=False)
+class JointMemory(Policy):
+    """The memories of several policies in one number, while one of them decides.
+
+    The memory is a mixed-radix number, the first policy's memory its leading digit.
+    """
+
+    keepers: tuple[Policy, ...]  # one for each memory
+    decider: Policy  # remembers what one of the keepers does, or nothing
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self.decider.model)
+
+    def followed_by(self, decider: Policy) -> JointMemory:
+        """The same memories with another policy to decide."""
+        return JointMemory(self.keepers, decider)
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """Each keeper's start memory, [episodes]."""
+        return self._joined([k.start_memory(states) for k in self.keepers])
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """What the decider does, given its own part of the memory."""
+        meanings = [meaning_of(k) for k in self.keepers]
+        mine = meaning_of(self.decider)
+        if mine in meanings:
+            part = self._parts(memory)[meanings.index(mine)]
+        else:
+            part = self.decider.start_memory(states)
+        return self.decider.branches(states, part)
+
+    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+        """Move each keeper's memory."""
+        parts = zip(self.keepers, self._parts(memory), strict=True)
+        return self._joined([k.remember(part, successors, costs) for k, part in parts])
+
+    def _joined(self, parts: list[IntArray]) -> IntArray:
+        joined = np.zeros_like(parts[0])
+        for keeper, part in zip(self.keepers, parts, strict=True):
+            joined = joined * memory_size(keeper) + part
+        return joined
+
+    def _parts(self, memory: IntArray) -> list[IntArray]:
+        parts = []
+        for keeper in reversed(self.keepers):
+            memory, part = np.divmod(memory, memory_size(keeper))
+            parts.append(part)
+        return parts[::-1]
+
+
+def common_memory(policy: MixedPolicy) -> JointMemory | None:
+    """All that the members of a lottery remember, decided by the first; None: nothing."""
+    keepers: dict[tuple[object, ...], Policy] = {}
+    for member in policy.policies:
+        if memory_size(member) > 1:
+            keepers.setdefault(meaning_of(member), member)
+    return JointMemory(tuple(keepers.values()), policy.policies[0]) if keepers else None
+
+
+def memory_size(policy: Policy) -> int:
+    """How many values the memory of a policy takes at most."""
+    if isinstance(policy, TimedPolicy):
+        return len(policy.stages) * memory_size(policy.stages[0])
+    if isinstance(policy, CostAwarePolicy):
+        return policy.cap + len(policy.tails)
+    return 1
+
+
+def meaning_of(policy: Policy) -> tuple[object, ...]:
+    """What a memory means: equal for policies of which each understands the other's memory."""
+    if isinstance(policy, TimedPolicy):
+        return len(policy.stages), *meaning_of(policy.stages[0])
+    if isinstance(policy, CostAwarePolicy):
+        return policy.cap, policy.unit, len(policy.tails), policy.tail_threshold.tobytes()
+    return ()
