@@ -96,7 +96,7 @@ class Judge:
         if not any(road.answered for road in roads) or self.budget is None:
             return {}
         return {
-            road.name: f"it alone says that no policy fails less than {least:.12g}"
+            road.name: f"it says that no policy fails less than {least:.12g}"
             for road in roads
             if (least := road.least_failure) is not None and least - self.budget > _EDGE
         }

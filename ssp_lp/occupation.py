@@ -38,7 +38,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     at each time, not only in total.
 
     Raises:
-        ModelError: a member may wander for ever.
+        ModelError: a member may wander for ever, or is of a class whose memory is not known.
     """
     model, start = problem.model, start_distribution(problem.model, problem.start)
     survival = survival_of(problem.discount)

@@ -121,6 +121,10 @@ def take_road(
         road = Road(name, note=f"infeasible: {error}", failed=True, infeasible=error)
     except SolverError as error:
         road = Road(name, note=f"failed: {error}", failed=True)
+    except ModelError as error:
+        if name != "game":  # the model is at fault, not the size of this road's table
+            raise
+        road = Road(name, note=f"failed: {error}", failed=True)
     else:
         road = road_of(name, solution)
     return replace(road, seconds=time.perf_counter() - began)

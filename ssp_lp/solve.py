@@ -116,6 +116,7 @@ def _by_game(
         value_function=read_only(value_function(found)),
         budget_used=optimum.threshold.condition,
         run=run,
+        note=_note(problem, optimum.threshold.budget, optimum.threshold.in_time),
     )
 
 
@@ -152,18 +153,19 @@ def _conclude(problem: Problem, outcome: Outcome) -> Solution:
             sum(w * c.failure for w, c in zip(found.weights, found.columns, strict=True))
         ),
         run=NOT_YET_RUN,
-        note=_note(problem, outcome),
+        note=_note(problem, outcome.row.budget, outcome.found.finished),
     )
 
 
-def _note(problem: Problem, outcome: Outcome) -> str:
+def _note(problem: Problem, granted: float, finished: bool) -> str:
+    """What a reader should know: a budget that was raised to the least failure, a cut search."""
     remarks = []
     budget = problem.failure_budget
-    if budget is not None and outcome.row.budget > budget:
+    if budget is not None and granted > budget:
         remarks.append(
-            f"the budget lies {outcome.row.budget - budget:.1e} below the least failure and "
-            "counts as equal to it"
+            f"the budget lies {granted - budget:.1e} below the least failure and counts as equal "
+            "to it"
         )
-    if not outcome.found.finished:
+    if not finished:
         remarks.append("stopped by the time limit; the gap is honest")
     return "; ".join(remarks)

@@ -11,6 +11,7 @@ from ssp_lp.crosscheck.bayes_label import BayesLabelPlayer
 from ssp_lp.crosscheck.construction import construct
 from ssp_lp.crosscheck.models import LabelModels
 from ssp_lp.crosscheck.optimum import find_optimum
+from ssp_lp.crosscheck.setting import check_tolerance
 from ssp_lp.crosscheck.solution import GameSolution
 from ssp_lp.crosscheck.threshold import ENDLESS, Patience
 from ssp_lp.problem import Problem
@@ -41,9 +42,11 @@ def bayes_adaptive(
         c*: in case M J_obj, in case S J_obj / (1 - J_cond); its policies depend on time.
 
     Raises:
-        ModelError: no discount, no budget, or a table of decisions that would be too large.
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
+            decisions that would be too large; it grows with the length of runs.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
+    check_tolerance(tolerance)
     player = bayes_player(problem)
     optimum = find_optimum(problem, player, tolerance=tolerance, patience=patience)
     return GameSolution(problem, player, optimum)

@@ -31,10 +31,9 @@ _SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
 
 @dataclass(frozen=True, eq=False)
 class TimedLayers:
-    """A decision for each (time, layer, node), followed by a tail beyond cap and horizon."""
+    """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
 
     choice: IntArray  # [horizon, cap, nodes] position among the pairs of the node
-    threshold: FloatArray  # [nodes] layer from which the tail is pi'_or
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +44,7 @@ class BayesCostPlayer:
 
     @cached_property
     def tail(self) -> Tail:
-        """What is followed beyond cap and horizon."""
+        """pi'_or, which is followed for good beyond cap and horizon, and bounds of all policies."""
         return undiscounted(self.base, self.stationary.tail)
 
     @cached_property
@@ -66,6 +65,7 @@ class BayesCostPlayer:
         first = self.stationary.reply(objective_weight, condition_weight, accuracy)
         cap, horizon, sweeps, gap = len(first.strategy.choice), _FIRST_HORIZON, first.sweeps, np.inf
         while True:
+            self._check_size(cap, horizon)
             reply = self._reply(weights, cap, horizon)
             sweeps += reply.sweeps
             pays = reply.payoff(objective_weight, condition_weight)
@@ -74,15 +74,33 @@ class BayesCostPlayer:
                 return replace(reply, sweeps=sweeps)
             horizon *= 2
             cap *= 2 if gap > _SLOW * before else 1
-            if cap * horizon * self.base.n_nodes > _MOST_ENTRIES:
-                raise ModelError(
-                    f"{horizon:,} steps x {cap:,} layers of accumulated cost on "
-                    f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
-                )
+
+    def _check_size(self, cap: int, horizon: int) -> None:
+        if cap * horizon * self.base.n_nodes > _MOST_ENTRIES:
+            raise ModelError(
+                f"{horizon:,} steps x {cap:,} layers of accumulated cost on "
+                f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
+            )
 
     def surplus(self, price: float, accuracy: float) -> float:
-        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted."""
-        return self.reply(1.0, price, accuracy).bound - price
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+
+        Sure failure counts exactly 0 here: rounding is counted where something is summed.
+        """
+        base, gamma = self.base, self.base.survival
+        horizon, cap, _ = self.reply(1.0, price, accuracy).strategy.choice.shape
+        layers = np.arange(cap + base.width - 1)
+        stage, worth = self._stage(layers[:cap]), price * gamma * base.gain[:, None]
+        weights = np.array([1.0, price])
+        lowest = self.tail.surplus(layers, weights * [1.0, gamma**horizon], base.unit).T
+        for time in reversed(range(horizon)):
+            saved = gamma**time * worth
+            size = stage + saved + self._ahead(np.abs(lowest), cap)
+            below = self._least(stage - saved + self._ahead(lowest, cap) - self._lost * size)[1]
+            beyond = self.tail.surplus(layers[cap:], weights * [1.0, gamma**time], base.unit)
+            lowest = np.hstack([below, beyond.T])
+        terms = np.append(base.start * lowest[:, 0], -price * base.start_goal)
+        return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
 
     def policy(self, reply: Reply) -> TimedPolicy:
         """The reply's policy on the model's states; it remembers the time and the cost paid.
@@ -90,19 +108,30 @@ class BayesCostPlayer:
         Successive stages that decide alike are one object.
         """
         strategy: TimedLayers = reply.strategy
-        choice, threshold = strategy.choice, strategy.threshold
+        after = np.broadcast_to(self._worst, strategy.choice.shape[1:])
+        rows = [*strategy.choice, after.astype(strategy.choice.dtype)]
+        never = np.full(self.base.n_nodes, -np.inf)
         stages: list[CostAwarePolicy] = []
-        for time, rows in enumerate(choice):
-            if time == 0 or not np.array_equal(rows, choice[time - 1]):
-                stage = cost_aware(self.base, self.tail, rows, threshold)
+        for time, choice in enumerate(rows):
+            if time == 0 or not np.array_equal(choice, rows[time - 1]):
+                stage = cost_aware(self.base, self.tail, choice, never)
             stages.append(stage)
-        return TimedPolicy((*stages, self._after(len(choice[0]), threshold)))
+        return TimedPolicy(tuple(stages))
 
-    def _after(self, cap: int, threshold: FloatArray) -> CostAwarePolicy:
-        """The tail from the horizon on, whatever has been paid."""
-        base, later = self.base, np.arange(cap)[:, None] >= threshold
-        chosen = np.where(later, self.tail.choice[1], self.tail.choice[0])
-        return cost_aware(base, self.tail, chosen - base.pair_offsets[:-1], threshold)
+    @property
+    def _worst(self) -> IntArray:
+        """Position of pi'_or's pair among those of its node, [nodes]."""
+        return np.asarray(self.tail.choice[1] - self.base.pair_offsets[:-1])
+
+    @property
+    def _lost(self) -> float:
+        """Relative rounding of one backup."""
+        longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
+        return (longest + 4) * MACHINE_EPSILON
+
+    def _stage(self, layers: IntArray) -> FloatArray:
+        """E[G_o] of each pair in each layer, [pairs, layers]."""
+        return self.base.gain[:, None] * (layers * self.base.unit) + self.base.gain_cost[:, None]
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:
@@ -121,15 +150,14 @@ class BayesCostPlayer:
         return np.asarray(sum(parts, np.zeros((len(self.base.gain), cap))))
 
     def _reply(self, weights: FloatArray, cap: int, horizon: int) -> Reply:
-        """Backward induction from the horizon, where the tail takes over for good."""
+        """Backward induction from the horizon, where pi'_or takes over for good."""
         base, gamma = self.base, self.base.survival
         layers = np.arange(cap + base.width - 1)
-        threshold = self.tail.threshold(weights, base.unit)
-        attained = self.tail.attained(layers, threshold, base.unit)
+        attained = self.tail.attained(layers, np.full(base.n_nodes, -np.inf), base.unit)
         objective, condition = attained[..., 0].T, attained[..., 1].T
         beyond = objective[:, cap:], condition[:, cap:]
         lowest = self._beyond(layers, weights * [1.0, gamma**horizon], cap)
-        stage = base.gain[:, None] * (layers[:cap] * base.unit) + base.gain_cost[:, None]
+        stage = self._stage(layers[:cap])
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
         for time in reversed(range(horizon)):
@@ -144,7 +172,7 @@ class BayesCostPlayer:
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
             lowest = np.hstack([below, self.tail.bound(layers[cap:], now, base.unit).T])
-        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice, threshold))
+        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice))
 
     def _beyond(self, layers: IntArray, weights: FloatArray, cap: int) -> FloatArray:
         """Lower bound of every policy's weighted cost from the horizon on, [nodes, layers].
@@ -157,7 +185,8 @@ class BayesCostPlayer:
             cap: layers below the cap.
         """
         bound = self.tail.bound(layers, weights, self.base.unit)
-        bound[:cap] = np.maximum(bound[:cap], self.stationary.lowest(weights, cap))
+        below = np.stack(list(self.stationary.lowest(weights, cap)))[::-1]
+        bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 
     def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
@@ -179,8 +208,7 @@ class BayesCostPlayer:
         """The reply's numbers at the start; rounding of non-negative sums counts against it."""
         start, failed = self.base.start, self.base.start_failure
         horizon = len(strategy.choice)
-        longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
-        rounding = (horizon + 1) * (longest + 4) * MACHINE_EPSILON
+        rounding = (horizon + 1) * self._lost
         bound = float(start @ lowest[:, 0] + weights[1] * failed) * (1.0 - rounding)
         return Reply(
             objective=float(start @ objective[:, 0]),

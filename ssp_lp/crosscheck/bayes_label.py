@@ -24,12 +24,17 @@ from ssp_lp.crosscheck.label_game import LabelPlayer
 from ssp_lp.crosscheck.models import LabelModels
 from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.errors import ModelError
 from ssp_lp.linear import accumulate
 from ssp_lp.model.graph import pairs_into
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.timed import TimedPolicy
 
 _FIRST_HORIZON = 32
+_MOST_STEPS = 100_000
+_MOST_ENTRIES = 100_000_000
+"""Largest table of decisions, nodes x time."""
+
 _GAIN = 1e-12  # relative improvement below which a pair is kept
 _ACCURACY = 1e-13
 _ROUGH = 1e-6
@@ -64,6 +69,9 @@ class BayesLabelPlayer:
 
         The horizon is doubled until the bound meets what the policy pays; at the horizon that
         gamma prescribes (``horizon_of``) it does so whatever the model.
+
+        Raises:
+            ModelError: the table of decisions would be too large.
         """
         horizon, sweeps = _FIRST_HORIZON, 0
         while True:
@@ -75,6 +83,11 @@ class BayesLabelPlayer:
             if pays - reply.bound <= error or horizon >= enough:
                 return replace(reply, sweeps=sweeps)
             horizon = min(2 * horizon, enough)
+            if horizon * self.models.n_nodes > _MOST_ENTRIES or horizon > _MOST_STEPS:
+                raise ModelError(
+                    f"{horizon:,} steps on {self.models.n_nodes:,} states are too many for the "
+                    "Bayes-adaptive iteration: runs are too long"
+                )
 
     def policy(self, reply: Reply) -> TimedPolicy:
         """The reply's policy on the model's states, with the time as its memory."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,8 @@ from ssp_lp.process.accumulated_cost import AccumulatedCost
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""
+
+_MOST_LAYERS = 500_000
 
 _FIRST_LAYERS = 16
 
@@ -71,6 +73,7 @@ class CostPlayer:
         weights = np.array([objective_weight, condition_weight])
         cap, sweeps, lost = self._first_cap(weights), 0, dict[int, float]()
         while True:
+            self._check_size(cap)
             reply = self._reply(weights, cap)
             sweeps += reply.sweeps
             pays = reply.payoff(objective_weight, condition_weight)
@@ -80,11 +83,14 @@ class CostPlayer:
             if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * pays):
                 return replace(reply, sweeps=sweeps)
             cap = _larger_cap(lost, wanted) + self.base.width
-            if cap * self.base.n_nodes > _MOST_ENTRIES:
-                raise ModelError(
-                    f"{cap:,} layers of accumulated cost on {self.base.n_nodes:,} states are too "
-                    "many for the game; round the costs to a coarser grid"
-                )
+
+    def _check_size(self, cap: int) -> None:
+        if cap > _MOST_LAYERS or cap * self.base.n_nodes > _MOST_ENTRIES:
+            raise ModelError(
+                f"{cap:,} layers of accumulated cost (unit {self.base.unit:g}) on "
+                f"{self.base.n_nodes:,} states are too many for the game; round the costs to a "
+                "coarser grid"
+            )
 
     def surplus(self, price: float, accuracy: float) -> float:
         """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
@@ -135,23 +141,24 @@ class CostPlayer:
             measured.push(totals)
         failed = np.array([0.0, base.start_failure])
         objective, condition = (base.start @ totals + failed).tolist()
-        bound = float(base.start @ self.lowest(weights, cap)[0] + failed @ weights)
+        *_, lowest = self.lowest(weights, cap)
+        bound = float(base.start @ lowest + failed @ weights)
         return Reply(objective, condition, bound, LayeredStrategy(choice, threshold), 2 * cap)
 
-    def lowest(self, weights: FloatArray, cap: int) -> FloatArray:
-        """Lower bounds of every policy's weighted cost below the cap, [cap, nodes].
+    def lowest(self, weights: FloatArray, cap: int) -> Iterator[FloatArray]:
+        """Lower bounds of every policy's weighted cost, [nodes], from the last layer to the first.
 
         Args:
             weights: of J_obj and J_cond, [2].
             cap: layers.
         """
-        values, chosen = np.empty((cap, self.base.n_nodes)), self.base.pair_offsets[:-1]
+        chosen = self.base.pair_offsets[:-1]
         ahead = Window(self.tail.bound(self._beyond(cap), weights, self.base.unit))
         for layer in reversed(range(cap)):
             priced = self._costs(layer) @ weights
-            values[layer], chosen = self._lowest(priced, priced, ahead.flat, chosen)
-            ahead.push(values[layer])
-        return values
+            values, chosen = self._lowest(priced, priced, ahead.flat, chosen)
+            ahead.push(values)
+            yield values
 
     def _beyond(self, cap: int) -> IntArray:
         """Layers beyond the cap that a step can reach, [width - 1]."""

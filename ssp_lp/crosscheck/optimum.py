@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 from ssp_lp.arrays import LEAST_BUDGET
@@ -53,8 +53,8 @@ def find_optimum(
     """
     budget = float(problem.failure_budget or 0.0)
     known = extremes(player, 0.1 * tolerance)
-    if known[0].condition > budget + LEAST_BUDGET:
-        raise infeasible(problem, budget, known[0].condition)
+    if known[0].bound > budget + LEAST_BUDGET:
+        raise infeasible(problem, budget, known[0].bound)
     if problem.ratio:
         return _ratio_optimum(cast(RatioPlayer, player), budget, known, tolerance, patience)
     return _at_budget(
@@ -81,13 +81,16 @@ def _ratio_optimum(
     and rises after: either it still falls at the budget, or its minimum is where failing is worth
     exactly c*, at a single policy.
     """
-    best, replies = _least_ratio(player, known, tolerance, patience)
-    spent = min(best.condition, budget)
+    best, replies, is_least = _least_ratio(player, known, tolerance, patience)
+    at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
+    spent = 0.5 * budget if at_goal else min(best.condition, budget)
     found = find_threshold(
         player, spent, 1.0 - spent, replies, tolerance=tolerance, patience=patience
     )
     if best.condition > budget:
-        return _at_budget(found)
+        falls = is_least or _ratio(best) < found.low
+        lower = found.low if falls else _slack_bound(player, found.high, budget, tolerance)
+        return replace(_at_budget(found), lower_bound=lower)
     c = found.high
     return Optimum(found, spent, c, _slack_bound(player, c, budget, tolerance), 1.0 - spent, c)
 
@@ -101,6 +104,8 @@ def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: fl
     best = 0.0
     for share in _MARGINS:
         below = ratio * (1.0 - share * tolerance)
+        if below <= 0.0:
+            break
         surplus = player.surplus(below, 0.1 * tolerance)
         if surplus >= 0.0:
             return max(best, below)
@@ -111,11 +116,14 @@ def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: fl
 
 def _least_ratio(
     player: RatioPlayer, known: tuple[Reply, ...], tolerance: float, patience: Patience
-) -> tuple[Reply, tuple[Reply, ...]]:
+) -> tuple[Reply, tuple[Reply, ...], bool]:
     """A policy of least J_obj / (1 - J_cond), whatever it fails, and all replies so far.
 
     A ratio c is least if no policy has less than c of ``J_obj + c J_cond``: a policy that has less
     has a smaller ratio, which is tried next.
+
+    Returns:
+        The policy, the replies, and whether the search came to its end.
 
     Raises:
         SolverError: every policy fails but for rounding.
@@ -134,10 +142,10 @@ def _least_ratio(
             break
         reply = player.reply(1.0, c, 0.1 * tolerance)
         if reply.condition >= _SURE_FAILURE or _ratio(reply) >= c * (1.0 - 1e-15):
-            break
+            return best, tuple(replies), True
         replies.append(reply)
         best = reply
-    return best, tuple(replies)
+    return best, tuple(replies), False
 
 
 def _ratio(reply: Reply) -> float:

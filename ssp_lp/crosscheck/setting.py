@@ -29,6 +29,12 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
     return budget, discount
 
 
+def check_tolerance(tolerance: float) -> None:
+    """Raise :class:`ModelError` unless a tolerance lies strictly between 0 and 1."""
+    if not 0.0 < tolerance < 1.0:
+        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
+
+
 def infeasible(problem: Problem, budget: float, discounted: float) -> InfeasibleError:
     """No policy's discounted failure keeps to the budget; says whether the real one could."""
     start = start_distribution(problem.model, problem.start)

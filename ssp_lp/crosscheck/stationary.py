@@ -6,13 +6,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray
 from ssp_lp.crosscheck.construction import construct
 from ssp_lp.crosscheck.cost_game import CostPlayer
 from ssp_lp.crosscheck.label_game import LabelPlayer
 from ssp_lp.crosscheck.models import LabelModels
 from ssp_lp.crosscheck.optimum import find_optimum
 from ssp_lp.crosscheck.reply import Reply
+from ssp_lp.crosscheck.setting import check_tolerance, infeasible
 from ssp_lp.crosscheck.solution import GameSolution
 from ssp_lp.crosscheck.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
 from ssp_lp.errors import ModelError
@@ -47,9 +48,11 @@ def stationary_game(
         patience: when to stop before that, with the bounds as they are.
 
     Raises:
-        ModelError: no discount, no budget, or a budget of 0.
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
+            decisions that would be too large.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
+    check_tolerance(tolerance)
     player = stationary_player(problem)
     optimum = find_optimum(problem, player, tolerance=tolerance, patience=patience)
     return GameSolution(problem, player, optimum)
@@ -79,18 +82,25 @@ def thresholds(
     """c* of each epsilon' by itself: the curve whose minimum Theorem 3-1 takes in case S.
 
     Args:
-        problem: says the case, the start and the discount; its own budget does not matter.
-        budgets: each above the least discounted failure, and below 1 in case S.
+        problem: says the case, the start and the discount; of its own budget only that there is
+            one above 0.
+        budgets: each at least the least discounted failure, and in case S below 1.
         tolerance: relative distance between each c* and its lower bound to reach.
 
     Raises:
-        ModelError: no discount.
+        ModelError: no discount, no budget, or one of the budgets outside (0, 1], in case S (0, 1).
         InfeasibleError: a budget below the least discounted failure.
     """
+    check_tolerance(tolerance)
     player = stationary_player(problem)
     known: tuple[Reply, ...] = extremes(player, 0.1 * tolerance)
     found: list[Threshold] = []
     for budget in budgets:
+        if not 0.0 < budget <= 1.0 or (problem.ratio and budget == 1.0):
+            raise ModelError(f"c* of epsilon' = {budget!r} is not defined: it must be above 0, in "
+                             "case S below 1")  # fmt: skip
+        if known[0].bound > budget + LEAST_BUDGET:
+            raise infeasible(problem, budget, known[0].bound)
         share = 1.0 - budget if problem.ratio else 1.0
         found.append(find_threshold(player, budget, share, known, tolerance=tolerance))
         known = found[-1].replies

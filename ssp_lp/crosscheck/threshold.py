@@ -8,10 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.crosscheck.game import Equilibrium, Game, play
 from ssp_lp.crosscheck.reply import Player, Reply
-from ssp_lp.errors import InfeasibleError
 
 _STEEP = (1e3, 1e6, 1e9)
 """Prices of failure at which cheap policies among those of least failure are looked for, as
@@ -21,6 +20,12 @@ _LEAST_SUCCESS = 1e-6
 
 _ROOM = 1.0 + 1e-6
 """A budget below the least failure times this counts as tight."""
+
+_CANCELLED = 4.0 * MACHINE_EPSILON
+"""Relative rounding of the difference in which a steep price cancels."""
+
+_LEAST_ACCURACY = 1e-9
+"""Relative accuracy of the least failure, on which feasibility hangs, however coarse the search."""
 
 _MOST_GAMES = 100
 
@@ -55,12 +60,13 @@ class Threshold:
 
     budget: float  # epsilon
     low: float  # no policy within the budget is cheaper
-    high: float  # what the mixture costs; low and high differ by the tolerance at most
-    game: Equilibrium  # the game at c = high, with alpha*
+    high: float  # what the mixture costs
+    game: Equilibrium  # the last game, at c = high where the search was not cut short
     members: tuple[Reply, ...]  # one or two policies
     weights: tuple[float, ...]
     trials: tuple[Trial, ...]
     replies: tuple[Reply, ...]
+    in_time: bool = True  # whether the search ended by itself, not by its deadline
 
     @property
     def failure_price(self) -> float:
@@ -97,15 +103,13 @@ def find_threshold(
         player: finds best replies.
         budget: epsilon.
         share: 1 in case M, 1 - epsilon in case S.
-        known: replies met before, ``extremes`` at least.
+        known: replies met before, ``extremes`` at least. A budget that none of them keeps to is the
+            least failure but for their accuracy, and counts as equal to it.
         tolerance: relative width of the bracket to reach.
         patience: when to stop before that, with the bracket as it is.
-
-    Raises:
-        InfeasibleError: every policy's J_cond exceeds the budget; the error carries J_cond.
     """
     accuracy = 0.1 * tolerance
-    budget = _feasible(budget, known)
+    budget = max(budget, min(r.condition for r in known))
     replies = [*known, *_near_least(player, budget, known, accuracy)]
     low, high = 0.0, cheapest_mixture(replies, budget)[2] / share
     trials: list[Trial] = []
@@ -118,12 +122,14 @@ def find_threshold(
         low = max(low, _implied(found) / share)
         members, weights, cost = cheapest_mixture(replies, budget)
         high = cost / share
+        late = time.perf_counter() > patience.deadline
         answer = Threshold(
-            budget, min(low, high), high, found, members, weights, tuple(trials), tuple(replies)
-        )
+            budget, min(low, high), high, found, members, weights, tuple(trials), tuple(replies),
+            not late,
+        )  # fmt: skip
         if patience.progress is not None:
             patience.progress(len(replies), answer.failure_price, high)
-        late = len(trials) >= _MOST_GAMES or time.perf_counter() > patience.deadline
+        late = late or len(trials) >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
             return answer
         if len(trials) % 2 == 1:
@@ -134,7 +140,8 @@ def find_threshold(
 
 def extremes(player: Player, accuracy: float) -> tuple[Reply, ...]:
     """The policy that fails least and the cheapest one."""
-    return player.reply(0.0, 1.0, accuracy), player.reply(1.0, 0.0, accuracy)
+    safest = player.reply(0.0, 1.0, min(accuracy, _LEAST_ACCURACY))
+    return safest, player.reply(1.0, 0.0, accuracy)
 
 
 def _near_least(
@@ -155,25 +162,13 @@ def _near_least(
             return
 
 
-def _feasible(budget: float, replies: Sequence[Reply]) -> float:
-    """The budget, or the least failure where that is the same number up to rounding."""
-    least = min(r.condition for r in replies)
-    if least > budget + LEAST_BUDGET:
-        raise InfeasibleError(
-            f"the discounted failure of every policy is at least {least:.12g}, above the budget "
-            f"{budget:g}",
-            failure_budget=budget,
-            least_failure=least,
-            least_discounted_failure=least,
-        )
-    return max(budget, least)
-
-
 def _implied(found: Equilibrium) -> float:
     """What the value of a game at alpha* says about the cost of policies within the budget."""
     if found.alpha == 0.0:
         return 0.0
-    return (found.lower - (1.0 - found.alpha) * found.game.stake) / found.alpha
+    owed = (1.0 - found.alpha) * found.game.stake
+    rounding = _CANCELLED * (found.lower + owed)
+    return (found.lower - owed - rounding) / found.alpha
 
 
 def cheapest_mixture(

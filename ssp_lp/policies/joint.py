@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Branches, Policy
+from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.policies.timed import TimedPolicy
 
 
@@ -64,7 +68,11 @@ class JointMemory(Policy):
 
 
 def common_memory(policy: MixedPolicy) -> JointMemory | None:
-    """All that the members of a lottery remember, decided by the first; None: nothing."""
+    """All that the members of a lottery remember, decided by the first; None: nothing.
+
+    Raises:
+        ModelError: a member is of a class whose memory is not known here.
+    """
     keepers: dict[tuple[object, ...], Policy] = {}
     for member in policy.policies:
         if memory_size(member) > 1:
@@ -73,18 +81,34 @@ def common_memory(policy: MixedPolicy) -> JointMemory | None:
 
 
 def memory_size(policy: Policy) -> int:
-    """How many values the memory of a policy takes at most."""
-    if isinstance(policy, TimedPolicy):
-        return len(policy.stages) * memory_size(policy.stages[0])
-    if isinstance(policy, CostAwarePolicy):
-        return policy.cap + len(policy.tails)
-    return 1
+    """How many values the memory of a policy takes at most.
+
+    Raises:
+        ModelError: the policy is of a class whose memory is not known here.
+    """
+    match policy:
+        case TimedPolicy():
+            return len(policy.stages) * memory_size(policy.stages[0])
+        case CostAwarePolicy():
+            return policy.cap + len(policy.tails)
+        case JointMemory():
+            return prod(memory_size(keeper) for keeper in policy.keepers)
+        case StochasticPolicy():
+            return 1 if policy.carrier is None else memory_size(policy.carrier)
+        case DeterministicPolicy():
+            return 1
+    raise ModelError(f"what a {type(policy).__name__} remembers is not known")
 
 
 def meaning_of(policy: Policy) -> tuple[object, ...]:
     """What a memory means: equal for policies of which each understands the other's memory."""
-    if isinstance(policy, TimedPolicy):
-        return len(policy.stages), *meaning_of(policy.stages[0])
-    if isinstance(policy, CostAwarePolicy):
-        return policy.cap, policy.unit, len(policy.tails), policy.tail_threshold.tobytes()
+    match policy:
+        case TimedPolicy():
+            return len(policy.stages), *meaning_of(policy.stages[0])
+        case CostAwarePolicy():
+            return policy.cap, policy.unit, len(policy.tails), policy.tail_threshold.tobytes()
+        case JointMemory():
+            return tuple(meaning_of(keeper) for keeper in policy.keepers)
+        case StochasticPolicy(carrier=Policy() as carrier):
+            return meaning_of(carrier)
     return ()
