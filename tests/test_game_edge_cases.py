@@ -1,0 +1,108 @@
+"""The paper's game where searches are cut short, where nothing is at stake, and on bad input."""
+
+import pytest
+
+from formulations import MCMP, S3P
+from small_models import EXACT, model_of
+from ssp_lp import InfeasibleError, MixedPolicy, ModelError, solve
+from ssp_lp.crosscheck import bayes_adaptive, stationary_game, thresholds
+from ssp_lp.occupation import equivalent_randomised_policy
+from ssp_lp.policies import DeterministicPolicy
+from ssp_lp.policies.policy import Policy
+
+FOUR_MOVES = {
+    "x": {
+        "good": [(0.75, "g", 5), (0.25, "d", 0)],
+        "safe": [(0.87, "g", 20), (0.13, "d", 0)],
+        "rash": [(0.125, "g", 10), (0.875, "d", 0)],
+        "dear": [(0.49, "g", 25), (0.51, "d", 0)],
+    },
+    "d": {},
+}
+"""The least cost given success, 5 / 0.99, is that of a move well within the budget."""
+
+CORRIDOR = {
+    f"c{i}": {"go": [(0.9, f"c{i + 1}" if i < 4 else "g", 1), (0.1, "d", 1)],
+              "wait": [(1.0, f"c{i}", 1)]}
+    for i in range(5)
+} | {"d": {}}  # fmt: skip
+
+
+def ratio_problem(budget=0.73, **setting):
+    return S3P(model_of(FOUR_MOVES), start="x", failure_budget=budget, discount=0.99, **setting)
+
+
+def test_a_search_cut_short_claims_no_more_than_it_proved():
+    """Between the extremes lies a better policy that an interrupted search has not met."""
+    best = 5 / 0.99
+    assert solve(ratio_problem(), engine="game").objective == pytest.approx(best, **EXACT)
+    hasty = solve(ratio_problem(), engine="game", time_limit=1e-9)
+    assert hasty.lower_bound <= best
+    assert "time limit" in hasty.note
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_at_the_goal_nothing_is_at_stake(criterion):
+    problem = criterion(model_of(FOUR_MOVES), start="g", failure_budget=0.5, discount=0.9)
+    assert solve(problem, engine="game").objective == 0.0
+    assert bayes_adaptive(problem).objective == 0.0
+
+
+@pytest.mark.parametrize("tolerance", [0.05, 1e-2, 1e-3, 1e-7])
+@pytest.mark.parametrize("budget", [0.9, 1.0])
+def test_a_slack_budget_is_bounded_at_any_tolerance(budget, tolerance):
+    problem = S3P(model_of(CORRIDOR), start="c0", failure_budget=budget, discount=0.9)
+    for game in (stationary_game, bayes_adaptive):
+        found = game(problem, tolerance=tolerance)
+        assert (1 - tolerance) * found.objective <= found.lower_bound <= found.objective
+
+
+@pytest.mark.parametrize("game", [stationary_game, bayes_adaptive])
+@pytest.mark.parametrize("tolerance", [0.0, 1.0, -1e-3])
+def test_a_tolerance_is_a_share(game, tolerance):
+    with pytest.raises(ModelError, match="tolerance"):
+        game(ratio_problem(), tolerance=tolerance)
+
+
+@pytest.mark.parametrize("budget", [0.0, 1.0, 1.5])
+def test_the_scan_over_budgets_refuses_those_without_a_game(budget):
+    with pytest.raises(ModelError, match="not defined"):
+        thresholds(ratio_problem(), [0.5, budget])
+
+
+def test_the_scan_over_budgets_says_what_is_feasible():
+    with pytest.raises(InfeasibleError) as caught:
+        thresholds(ratio_problem(), [1e-3])
+    assert caught.value.least_failure == pytest.approx(0.13, **EXACT)
+    assert caught.value.least_discounted_failure == pytest.approx(1 - 0.99 * 0.87, rel=1e-9)
+
+
+def test_a_budget_just_above_the_least_failure_is_feasible():
+    problem = MCMP(model_of(CORRIDOR), start="c0", failure_budget=0.5, discount=0.99)
+    least = 1 - (0.99 * 0.9) ** 5
+    for step in (1e-9, 1e-6):
+        tight = MCMP(problem.model, start="c0", failure_budget=least * (1 + step), discount=0.99)
+        assert bayes_adaptive(tight).objective >= stationary_game(tight).lower_bound
+
+
+def test_a_policy_of_unknown_memory_has_no_equivalent():
+    class Secretive(Policy):
+        """A user's own policy, whose memory nobody else understands."""
+
+        def __init__(self, model):
+            self.model = model
+
+        def start_memory(self, states):
+            return 0 * states
+
+        def branches(self, states, memory):
+            raise NotImplementedError
+
+        def remember(self, memory, successors, costs):
+            return memory
+
+    problem = ratio_problem()
+    plain = DeterministicPolicy.from_actions(problem.model, {"x": "good"})
+    lottery = MixedPolicy((plain, Secretive(problem.model)), [0.5, 0.5])
+    with pytest.raises(ModelError, match="Secretive"):
+        equivalent_randomised_policy(lottery, problem)
