@@ -16,6 +16,11 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
         ModelError: the paper's construction needs a discount and a budget above 0.
     """
     budget, discount = problem.failure_budget, problem.discount
+    if not problem.semantics.has_budget:
+        raise ModelError(
+            f"the game is about a failure budget, which {type(problem).__name__} does not have: "
+            "leave engine='game' out"
+        )
     if discount is None:
         raise ModelError(
             "the game needs a discount (paper, section 2.5): give discount=0.999, or solve the "
