@@ -33,8 +33,8 @@ class AlphaMCMP:
         is the same criterion with the semantics of the paper.
 
     Reference:
-        the alpha-strong MCMP criterion, BRACIS 2023; the program is that of Trevizan,
-        Teichteil-Koenigsbuch and Thiebaux, UAI 2017.
+        alpha-MCMP, BRACIS 2023; the program is that of Trevizan, Teichteil-Koenigsbuch and
+        Thiebaux, UAI 2017.
 
     Args:
         model: the model.

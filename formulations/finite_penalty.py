@@ -36,8 +36,8 @@ class FinitePenalty:
         without the penalty.
 
     Reference:
-        Kolobov, Mausam and Weld, UAI 2012, section 4 (their Theorem 7, on its relation to the
-        infinite penalty, does not hold and is not used).
+        Kolobov, Mausam and Weld, UAI 2012 (fSSPUDE). Their Theorem 7, on its relation to the
+        infinite penalty, was withdrawn; nothing here rests on it.
 
     Args:
         model: the model.

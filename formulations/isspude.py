@@ -35,7 +35,7 @@ class ISSPUDE:
         failing runs too, up to the failure.
 
     Reference:
-        Kolobov, Mausam and Weld, UAI 2012, section 5; Teichteil-Koenigsbuch, AAAI 2012 (S3P).
+        Kolobov, Mausam and Weld, UAI 2012; Teichteil-Koenigsbuch, AAAI 2012 (S3P).
 
     Args:
         model: the model.

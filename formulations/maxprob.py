@@ -33,7 +33,7 @@ class MaxProb:
         ``MCMP`` and ``S3P`` at least failure choose the cheapest.
 
     Reference:
-        Kolobov, Mausam, Weld and Geffner, ICAPS 2011 (generalised SSPs); paper, section 2.3.
+        Kolobov, Mausam, Weld and Geffner, 2011; paper, section 2.3.
 
     Args:
         model: the model.

@@ -74,7 +74,8 @@ class FailureBudget:
     """The field ``failure_budget`` of a problem that may be given ``reach_fraction`` instead.
 
     The budget is then ``1 - reach_fraction * greatest goal probability``, worked out when it is
-    first asked for: stating a problem solves nothing.
+    first asked for: stating a problem solves nothing. (``dataclasses.replace`` hands on both: say
+    ``failure_budget=None`` where the share is to stay.)
     """
 
     def __set__(self, problem: _WithReachFraction, value: float | None) -> None:

@@ -60,11 +60,13 @@ def solve(
         progress: called after each oracle call with (calls, failure price, objective).
 
     Returns:
-        The solution; its numbers are recomputed from the model.
+        The solution; its numbers are recomputed from the model. Of a greatest probability the
+        certified side is ``upper_bound``, of everything else ``lower_bound``.
 
     Raises:
         ModelError: a wrong argument.
-        InfeasibleError: the budget is below the least failure probability, which it carries.
+        InfeasibleError: the budget is below the least failure probability, which it carries, or
+            failing is forbidden and cannot be avoided.
         SolverError: the engine delivered nothing that passes its check.
     """
     began = time.perf_counter()
