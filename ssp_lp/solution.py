@@ -101,14 +101,21 @@ class Solution:
     def budget_slope(self) -> float | None:
         """-d c* / d budget: the price in case M, price / (1 - budget) in case S.
 
-        None at least failure, and where a penalty or the aim stands for a budget.
+        Of the price only what lies beyond the penalty. None where there is no price to pay or it is
+        infinite.
         """
-        price, budget = self.failure_price, self.problem.failure_budget
-        if not self.problem.semantics.has_budget:
-            return None
+        price, budget = self._multiplier, self.problem.failure_budget
         if price is None or budget is None or not self.problem.ratio:
             return price
         return 0.0 if price == 0.0 else price / (1.0 - budget) if budget < 1.0 else float("inf")
+
+    @property
+    def _multiplier(self) -> float | None:
+        """The multiplier of the failure row: the price beyond the penalty."""
+        penalty = self.problem.semantics.penalty
+        if self.failure_price is None or penalty == float("inf"):
+            return None
+        return self.failure_price - penalty
 
     @property
     def adversary_weight(self) -> float | None:
@@ -117,8 +124,8 @@ class Solution:
         Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
         the failure e that attains the minimum. None where ``budget_slope`` is.
         """
-        price, budget = self.failure_price, self.problem.failure_budget
-        if price is None or budget is None or not self.problem.semantics.has_budget:
+        price, budget = self._multiplier, self.problem.failure_budget
+        if price is None or budget is None:
             return None
         mine, other = self.objective, price * budget
         if self.problem.ratio:

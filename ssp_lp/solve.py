@@ -93,7 +93,10 @@ def solve(
     )
     outcome = optimise(instance, problem.failure_budget, effort)
     solution = _conclude(problem, outcome)
-    reason = f"{_REASONS[engine]}, {outcome.calls} oracle calls"
+    how = _REASONS[engine]
+    if engine != "lp" and not problem.ratio and problem.failure_budget >= 1.0:
+        how = "no failure row: policy iteration at one price"
+    reason = f"{how}, {outcome.calls} oracle calls"
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)

@@ -95,6 +95,7 @@ def test_the_plain_problem(drawn):
             solution = solve(problem, engine)
             check_all(solution, min(proper))
             assert solution.failure_price == np.inf
+            assert solution.budget_slope is None
             continue
         with pytest.raises(InfeasibleError, match="surely from state") as caught:
             solve(problem, engine)
@@ -115,7 +116,7 @@ def test_a_finite_penalty(drawn, penalty, meaning, discount):
         check_all(solution, value)
         check_certificate(solution)
         assert solution.failure_price == penalty
-        assert solution.budget_slope is None
+        assert solution.budget_slope == 0.0
         assert len(solution.policy.policies) == 1
 
 
@@ -307,6 +308,8 @@ def test_a_penalty_and_a_budget_go_together():
     solution = solve(Fined(model_of(TWO_MOVES), "x", failure_budget=0.02))
     assert solution.objective == pytest.approx(1.8, **EXACT)
     assert solution.failure_price == pytest.approx(20.0, **EXACT)
+    assert solution.budget_slope == pytest.approx(10.0, **EXACT)
+    assert trace_frontier(solution.problem).price == pytest.approx([10.0], **EXACT)
     check_certificate(solution)
 
 
@@ -326,7 +329,7 @@ def test_a_penalty_and_a_budget_go_together():
         lambda m: MinCost(m, "nowhere"),
         lambda m: solve(MaxProb(m, "x"), "game"),
         lambda m: solve(FinitePenalty(m, "x", 1.0, discount=0.9), "game"),
-        lambda m: trace_frontier(FinitePenalty(m, "x", 1.0)),
+        lambda m: trace_frontier(MinCost(m, "x")),
         lambda m: trace_frontier(MaxProb(m, "x")),
     ],
 )

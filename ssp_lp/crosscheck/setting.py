@@ -16,10 +16,10 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
         ModelError: the paper's construction needs a discount and a budget above 0.
     """
     budget, discount = problem.failure_budget, problem.discount
-    if not problem.semantics.has_budget:
+    if not problem.semantics.counts_cost_alone:
         raise ModelError(
-            f"the game is about a failure budget, which {type(problem).__name__} does not have: "
-            "leave engine='game' out"
+            f"the game is about cost and a failure budget, {type(problem).__name__} is not: leave "
+            "engine='game' out"
         )
     if discount is None:
         raise ModelError(

@@ -56,8 +56,8 @@ class Semantics:
         return self.penalty == np.inf
 
     @property
-    def has_budget(self) -> bool:
-        """Whether failure is limited by a budget, not by a penalty or by the aim itself."""
+    def counts_cost_alone(self) -> bool:
+        """Whether only a budget can keep a policy from failing: no penalty, no other aim."""
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST
 
 
