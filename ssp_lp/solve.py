@@ -29,6 +29,7 @@ ENGINES = ("auto", "columns", "lp", "game")
 _REASONS = {
     "auto": "column generation, which scales best for one failure row",
     "columns": "column generation, as asked",
+    "unlimited": "no failure row: policy iteration at one price",
     "lp": "the full linear program, as asked; lottery recovered by pricing at its dual",
 }
 
@@ -93,10 +94,8 @@ def solve(
     )
     outcome = optimise(instance, problem.failure_budget, effort)
     solution = _conclude(problem, outcome)
-    how = _REASONS[engine]
-    if engine != "lp" and not problem.ratio and problem.failure_budget >= 1.0:
-        how = "no failure row: policy iteration at one price"
-    reason = f"{how}, {outcome.calls} oracle calls"
+    unlimited = engine != "lp" and not problem.ratio and problem.failure_budget >= 1.0
+    reason = f"{_REASONS['unlimited' if unlimited else engine]}, {outcome.calls} oracle calls"
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)
