@@ -80,7 +80,7 @@ def road_of(name: str, solution: Solution) -> Road:
     found = evaluate(solution.policy, solution.problem)
     return Road(
         name=name,
-        note=solution.note,
+        note="; ".join(part for part in (solution.note, solution.run.program) if part),
         objective=solution.objective,
         lower_bound=solution.lower_bound,
         gap=solution.gap,

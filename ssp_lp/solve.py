@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.arrays import RELATIVE_GAP, read_only
-from ssp_lp.crosscheck import stationary_game
+from ssp_lp.crosscheck.stationary import stationary_game, value_function
 from ssp_lp.crosscheck.threshold import Patience
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
@@ -121,7 +121,7 @@ def _by_game(
         failure_price=max(optimum.price - optimum.objective, 0.0)
         if problem.ratio
         else optimum.price,
-        value_function=read_only(found.values),
+        value_function=read_only(value_function(found)),
         budget_used=optimum.threshold.condition,
         run=run,
     )

@@ -7,7 +7,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from references import mcmp, s3p
-from references.chain import STOP, PlainModel, State, mean, plain_model
+from references.chain import STOP, PlainModel, Policy, State, mean, plain_model
 from references.frontier import Point
 from ssp_lp import GIVE_UP, SSP
 
@@ -49,7 +49,20 @@ def lottery(parts: list[Point], weights: Any) -> Point:
 def memory_point(
     model: PlainModel, start: Mapping[State, float], member: Any, discount: float | None
 ) -> Point:
-    """Play one member through every (state, memory) that it can meet."""
+    """(failure, cost on success) of one member, its chain solved by the reference."""
+    begin, chain, moves = memory_chain(model, start, member)
+    weight, cost = s3p.values(chain, moves, discount)
+    return Point(1.0 - mean(begin, weight), mean(begin, cost))
+
+
+def memory_chain(
+    model: PlainModel, start: Mapping[State, float], member: Any
+) -> tuple[dict[State, float], PlainModel, Policy]:
+    """Play one member through every (state, memory) that it can meet.
+
+    Returns:
+        The start, the chain as a model with one action, and the policy that plays it.
+    """
     begin = {(s, _begin(member, s)): mass for s, mass in start.items()}
     queue, choices, goals = list(begin), {}, set()
     for node in queue:
@@ -61,8 +74,7 @@ def memory_point(
         choices[node] = {"play": _outcomes(model, member, node)} if model.choices[node[0]] else {}
         queue += [o[1] for outcomes in choices[node].values() for o in outcomes]
     chain = plain_model(choices, goals)
-    weight, cost = s3p.values(chain, dict.fromkeys(_moving(chain), "play"), discount)
-    return Point(1.0 - mean(begin, weight), mean(begin, cost))
+    return begin, chain, dict.fromkeys(_moving(chain), "play")
 
 
 def _moving(chain: PlainModel) -> list[State]:

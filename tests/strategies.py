@@ -79,9 +79,9 @@ def _starts(draw, live, every):
     return start
 
 
-def acyclic_problems():
+def acyclic_problems(most_live=3, most_actions=3):
     """Problems whose live states only move on, so that every run ends within a few steps."""
-    return problems(most_live=3).map(_forward)
+    return problems(most_live=most_live, most_actions=most_actions).map(_forward)
 
 
 def _forward(drawn):

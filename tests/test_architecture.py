@@ -77,6 +77,22 @@ def test_crosscheck_never_sees_the_lp_path() -> None:
             assert not name.startswith(LP_PATH), f"{path.name} imports {name}"
 
 
+def test_nothing_that_crosscheck_imports_sees_the_lp_path() -> None:
+    """The second opinion is independent: no module that it needs, however far, knows a program."""
+    queue, seen = files_of("ssp_lp/crosscheck"), set()
+    while queue:
+        path = queue.pop()
+        if path in seen:
+            continue
+        seen.add(path)
+        for name in imports_of(path):
+            assert not name.startswith(LP_PATH), f"{path.name} imports {name}"
+            assert name.split(".")[0] not in {"highspy", "clarabel", "cvxpy"}
+            module = ROOT.joinpath(*name.split("."))
+            queue += [p for p in (module.with_suffix(".py"), module / "__init__.py") if p.exists()]
+    assert ROOT / "ssp_lp/__init__.py" not in seen
+
+
 def test_oracles_and_evaluation_never_see_the_lp_path() -> None:
     rooms = [*files_of("ssp_lp/engines/oracles"), ROOT / "ssp_lp/chain.py"]
     for path in [*rooms, ROOT / "ssp_lp/evaluation.py"]:

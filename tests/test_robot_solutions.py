@@ -15,12 +15,6 @@ BUDGET = 0.05
 
 
 @pytest.fixture(scope="module")
-def robot() -> tuple[SSP, int]:
-    grid = RobotGrid()
-    return grid_model(grid), start_state(grid)
-
-
-@pytest.fixture(scope="module")
 def small_robot() -> tuple[SSP, int]:
     """A coarse grid, whose accumulated-cost process a linear program can still take."""
     grid = RobotGrid(segments=6, headings=6, quadrature=2)

@@ -1,6 +1,5 @@
 """A user's own stationary policies: exact evaluation, and the paper's theorems of section 2.5."""
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -9,7 +8,7 @@ from checks import CLOSE, library_model, plain
 from formulations import MCMP, S3P
 from plain_policies import stationary_policies
 from references import mcmp, s3p
-from references.chain import STOP, mean, moves_of, start_distribution
+from references.chain import STOP, long_run_average, mean, start_distribution
 from ssp_lp import GIVE_UP, evaluate
 from ssp_lp.policies import DeterministicPolicy
 from strategies import discounts, problems
@@ -69,23 +68,6 @@ def test_evaluation_under_case_s(drawn, discount, data):
         assert evaluation.conditional_cost == pytest.approx(cost / weight, **CLOSE)
         weight, cost = (mean(begin, part) for part in s3p.values(reference, decisions, discount))
         assert evaluation.objective == pytest.approx(cost / weight, **CLOSE)
-
-
-def long_run_average(reference, begin, decisions, doublings=30):
-    """(1/T) sum of P(x_t != goal) over t < T = 2^doublings, by doubling: S_2T = S_T + M^T S_T."""
-    states = list(reference.choices)
-    moves = moves_of(reference, decisions)
-    matrix = np.zeros((len(states), len(states)))
-    for row, state in enumerate(states):
-        outcomes = moves[state] or [(1.0, state, 0.0)]
-        for p, successor, _ in outcomes:
-            if successor not in reference.goals:
-                matrix[row, states.index(successor)] += p
-    average = np.ones(len(states))
-    for _ in range(doublings):
-        average = (average + matrix @ average) / 2
-        matrix = matrix @ matrix
-    return mean(begin, dict(zip(states, average.tolist(), strict=True)))
 
 
 @drawn_settings

@@ -1,22 +1,24 @@
 """The paper's own construction as a second opinion: value iteration and a game, no LP anywhere."""
 
-from ssp_lp.crosscheck.bayes import BayesAdaptive, bayes_adaptive
+from ssp_lp.crosscheck.bayes import bayes_adaptive, bayes_player
 from ssp_lp.crosscheck.belief import belief_at, posterior
 from ssp_lp.crosscheck.game import Equilibrium, Game, play
 from ssp_lp.crosscheck.mixture import DeltaMixture, delta_mixture
-from ssp_lp.crosscheck.stationary import StationaryGame, stationary_game, thresholds
+from ssp_lp.crosscheck.solution import GameSolution
+from ssp_lp.crosscheck.stationary import stationary_game, stationary_player, thresholds
 
 __all__ = [
-    "BayesAdaptive",
     "DeltaMixture",
     "Equilibrium",
     "Game",
-    "StationaryGame",
+    "GameSolution",
     "bayes_adaptive",
+    "bayes_player",
     "belief_at",
     "delta_mixture",
     "play",
     "posterior",
     "stationary_game",
+    "stationary_player",
     "thresholds",
 ]

@@ -87,10 +87,13 @@ def matrix_game(game: Game, minus: Reply, plus: Reply) -> float:
 
 
 def crossing(game: Game, minus: Reply, plus: Reply) -> float:
-    """The alpha at which two policies pay the same."""
+    """The alpha in [0, 1] at which two policies pay the same, or the end where they come nearest.
+
+    Two that differ by rounding alone may cross outside: one of them then dominates the other.
+    """
     spared = minus.objective - plus.objective
     risked = game.scale * (plus.condition - minus.condition)
-    return risked / (spared + risked)
+    return min(max(risked / (spared + risked), 0.0), 1.0)
 
 
 def play(
@@ -125,7 +128,7 @@ def _narrow(
     """Cut off the peak between two lines until no reply lies below it."""
     while True:
         alpha = crossing(game, minus, plus)
-        upper = game.payoff(alpha, plus)
+        upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
         reply = game.best_reply(player, alpha, accuracy)
         replies.append(reply)
         done = upper - reply.bound <= accuracy * upper

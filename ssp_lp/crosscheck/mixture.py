@@ -50,8 +50,9 @@ def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> Del
     """Mix the best replies on the two sides of alpha*.
 
     Where no other kink of ``J*(alpha)`` lies within delta of alpha*, the two are the policies that
-    meet there and the mixture is optimal. Otherwise it pays at most ``2 delta`` times the steepest
-    slope more than the game is worth (proof of Theorem 3-4).
+    meet there and the mixture is optimal. Otherwise each pays at alpha* at most delta times its
+    slope more than the game is worth, and so does the mixture, which pays at worst what both pay
+    where they cross (the proof of Theorem 3-4 allows 2 delta times the steepest slope).
 
     Args:
         player: finds best replies.

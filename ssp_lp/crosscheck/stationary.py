@@ -3,92 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
+from ssp_lp.crosscheck.construction import construct
 from ssp_lp.crosscheck.cost_game import CostPlayer
 from ssp_lp.crosscheck.label_game import LabelPlayer
-from ssp_lp.crosscheck.models import label_models
-from ssp_lp.crosscheck.optimum import Optimum, find_optimum
-from ssp_lp.crosscheck.reply import Player, Reply
-from ssp_lp.crosscheck.setting import check_reachable, checked_setting
+from ssp_lp.crosscheck.models import LabelModels
+from ssp_lp.crosscheck.optimum import find_optimum
+from ssp_lp.crosscheck.reply import Reply
+from ssp_lp.crosscheck.solution import GameSolution
 from ssp_lp.crosscheck.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
-from ssp_lp.policies import MixedPolicy
+from ssp_lp.errors import ModelError
 from ssp_lp.problem import Problem
-from ssp_lp.process.accumulated_cost import accumulate_cost
-from ssp_lp.process.semantics import start_distribution
 
-StationaryPlayer = LabelPlayer | CostPlayer
-
-
-@dataclass(frozen=True, eq=False)
-class StationaryGame:
-    """c-hat with its proof, alpha*, and the mixed policy that attains it (Theorems 3-5, 3-11)."""
-
-    problem: Problem
-    player: StationaryPlayer
-    optimum: Optimum
-
-    @property
-    def objective(self) -> float:
-        """c-hat, attained by the policy."""
-        return self.optimum.objective
-
-    @property
-    def lower_bound(self) -> float:
-        """No policy within the budget has less."""
-        return self.optimum.lower_bound
-
-    @property
-    def alpha(self) -> float:
-        """alpha*: the adversary's weight of the objective MDP at epsilon*."""
-        return self.optimum.alpha
-
-    @property
-    def policy(self) -> MixedPolicy:
-        """P_{gamma,epsilon}: a lottery over one or two deterministic stationary policies."""
-        return lottery(self.player, self.optimum.threshold)
-
-    @property
-    def values(self) -> FloatArray:
-        """A checked lower bound of ``J_obj + price * J_cond`` from each state of the process.
-
-        Case S: infinite, [layers, nodes], which asks ``certify`` for the best it can prove.
-        """
-        price = self.optimum.price
-        if isinstance(self.player, CostPlayer):
-            best = self.player.reply(1.0, price, 1e-10)
-            return np.broadcast_to(np.inf, best.strategy.choice.shape)
-        return self.player.values(self.player.reply(1.0, price, 1e-12))
+_TIGHT, _LESS_TIGHT = 1e-12, 1e-10
+"""Accuracy of value functions; that of case S only settles how many layers there are."""
 
 
-def lottery(player: Player, threshold: Threshold) -> MixedPolicy:
-    """The mixture of a threshold on the original states."""
-    members = tuple(player.policy(r) for r in threshold.members)
-    return MixedPolicy(members, np.array(threshold.weights))
-
-
-def stationary_player(problem: Problem) -> StationaryPlayer:
+def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
     """The operator T_alpha of the problem's case.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
-    discount = checked_setting(problem)[1]
-    start = start_distribution(problem.model, problem.start)
-    if not problem.ratio:
-        return LabelPlayer(label_models(problem.model, start, problem.semantics, discount))
-    check_reachable(problem)
-    return CostPlayer(accumulate_cost(problem.model, start, discount))
+    built = construct(problem)
+    return LabelPlayer(built) if isinstance(built, LabelModels) else CostPlayer(built)
 
 
 def stationary_game(
     problem: Problem, *, tolerance: float = 1e-9, patience: Patience = ENDLESS
-) -> StationaryGame:
-    """Solve a problem by the paper's game and value iteration over stationary policies.
+) -> GameSolution:
+    """Solve a problem by the paper's game and value iteration (Theorems 3-5 and 3-11).
+
+    The policies are stationary in the state, in case S in the state and the cost paid; J_obj and
+    J_cond are both discounted.
 
     Args:
         problem: with a discount and a failure budget above 0.
@@ -101,7 +52,25 @@ def stationary_game(
     """
     player = stationary_player(problem)
     optimum = find_optimum(problem, player, tolerance=tolerance, patience=patience)
-    return StationaryGame(problem, player, optimum)
+    return GameSolution(problem, player, optimum)
+
+
+def value_function(solution: GameSolution) -> FloatArray:
+    """A checked lower bound of ``J_obj + price * J_cond`` from each state of the process.
+
+    Case M: [states of the process]. Case S: infinite, [layers, nodes], which asks ``certify`` for
+    the best that it can prove with so many layers.
+
+    Raises:
+        ModelError: not a solution of ``stationary_game``.
+    """
+    player, price = solution.player, solution.optimum.price
+    if isinstance(player, LabelPlayer):
+        return player.values(player.reply(1.0, price, _TIGHT))
+    if isinstance(player, CostPlayer):
+        best = player.reply(1.0, price, _LESS_TIGHT)
+        return np.broadcast_to(np.inf, best.strategy.choice.shape)
+    raise ModelError("only the stationary game has a value function of the state")
 
 
 def thresholds(
@@ -113,6 +82,10 @@ def thresholds(
         problem: says the case, the start and the discount; its own budget does not matter.
         budgets: each above the least discounted failure, and below 1 in case S.
         tolerance: relative distance between each c* and its lower bound to reach.
+
+    Raises:
+        ModelError: no discount.
+        InfeasibleError: a budget below the least discounted failure.
     """
     player = stationary_player(problem)
     known: tuple[Reply, ...] = extremes(player, 0.1 * tolerance)

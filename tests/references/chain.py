@@ -179,6 +179,24 @@ def recurrent_classes(moves: Moves, states: Iterable[State]) -> list[frozenset[S
     return list(classes)
 
 
+def long_run_average(
+    model: PlainModel, begin: Mapping[State, float], policy: Policy, doublings: int = 30
+) -> float:
+    """(1/T) sum of P(x_t is no goal) over t < T = 2^doublings, by S_2T = S_T + M^T S_T."""
+    order = list(model.choices)
+    index = {state: i for i, state in enumerate(order)}
+    matrix = np.zeros((len(order), len(order)))
+    for state, outcomes in moves_of(model, policy).items():
+        for p, successor, _ in outcomes or [(1.0, state, 0.0)]:
+            if successor in index:
+                matrix[index[state], index[successor]] += p
+    average = np.ones(len(order))
+    for _ in range(doublings):
+        average = (average + matrix @ average) / 2
+        matrix = matrix @ matrix
+    return mean(begin, dict(zip(order, average.tolist(), strict=True)))
+
+
 def mean(start: Mapping[State, float], values: Mapping[State, float]) -> float:
     """The start distribution's mean of `values`, which are 0 where absent."""
     return sum(weight * values.get(state, 0.0) for state, weight in start.items())

@@ -1,0 +1,142 @@
+"""What the tests of the paper's game share: problems with room in the budget, matrix games."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import scipy.optimize
+from hypothesis import reject
+
+from checks import library_model
+from references.frontier import Point
+from small_models import model_of
+from ssp_lp import InfeasibleError
+from ssp_lp.crosscheck import Equilibrium, Game, bayes_adaptive
+from ssp_lp.crosscheck.reply import Reply
+from ssp_lp.crosscheck.stationary import stationary_player
+from strategies import Draw
+
+RETRY = {
+    "x": {
+        "rush": [(0.5, "g", 1), (0.3, "x", 1), (0.2, "d", 1)],
+        "care": [(0.25, "g", 1), (0.74, "x", 1), (0.01, "d", 1)],
+    },
+    "d": {"stuck": [(1.0, "d", 1)]},
+}
+"""Every run that fails pays for ever (assumption a2-3); ``rush`` reaches the goal least often."""
+
+FORK = {
+    "x": {"on": [(1.0, "y", 1)]},
+    "y": {"safe": [(1.0, "g", 1)], "dear": [(0.1, "g", 10), (0.9, "d", 10)]},
+    "d": {"stuck": [(1.0, "d", 1)]},
+}
+"""The policy that fails most plays ``dear``, which costs more and fails more."""
+
+
+def with_room(criterion: Any, model: Any, start: Any, share: float, gamma: float) -> Any:
+    """A problem whose budget lies so far between the least discounted failure and 1.
+
+    Raises:
+        InfeasibleError: case S, and the goal cannot be reached.
+    """
+    problem = criterion(model, start=start, failure_budget=0.5, discount=gamma)
+    least = stationary_player(problem).reply(0.0, 1.0, 1e-13).condition
+    budget = least + share * (1.0 - least)
+    return criterion(model, start=start, failure_budget=budget, discount=gamma)
+
+
+def drawn_problem(criterion: Any, drawn: Draw, share: float, gamma: float) -> Any:
+    """A drawn problem with room in the budget, unless its goal is (almost) out of reach."""
+    try:
+        problem = with_room(criterion, library_model(drawn), drawn.start, share, gamma)
+    except InfeasibleError:
+        reject()
+    if problem.failure_budget > 1.0 - 1e-6:
+        reject()
+    return problem
+
+
+def without_dead_choices(drawn: Draw) -> Draw:
+    """The same problem, whose dead-ends offer nothing; in case S what they offer is immaterial."""
+    choices = {s: {} if s.startswith("d") else a for s, a in drawn.choices.items()}
+    return Draw(choices, drawn.goals, drawn.start)
+
+
+def hand_problem(criterion: Any, choices: Any, budget: float, gamma: float | None) -> Any:
+    """A hand model with start "x"."""
+    return criterion(model_of(choices), start="x", failure_budget=budget, discount=gamma)
+
+
+def stake(problem: Any, c: float) -> float:
+    """eta(epsilon; c) at the problem's budget."""
+    return c * (1.0 - problem.failure_budget) if problem.ratio else c
+
+
+def game_at(problem: Any, c: float) -> Game:
+    """The game of section 3.2 at c."""
+    return Game(stake(problem, c), problem.failure_budget)
+
+
+def mixture(found: Equilibrium) -> tuple[float, float]:
+    """(J_obj, J_cond) of the player's optimal mixture of the two policies that meet."""
+    low, high = 1.0 - found.weight, found.weight
+    return (
+        low * found.minus.objective + high * found.plus.objective,
+        low * found.minus.condition + high * found.plus.condition,
+    )
+
+
+def matrix_game_value(points: Sequence[Point], game: Game) -> float:
+    """The value of the game with every listed policy as a row, by a linear program."""
+    rows = np.array([(cost, game.scale * failure) for failure, cost in points])
+    count = len(rows)
+    found = scipy.optimize.linprog(
+        np.append(np.zeros(count), 1.0),
+        A_ub=np.column_stack([rows.T, -np.ones(2)]),
+        b_ub=np.zeros(2),
+        A_eq=np.append(np.ones(count), 0.0)[None, :],
+        b_eq=[1.0],
+        bounds=[(0, None)] * (count + 1),
+    )
+    return float(found.fun)
+
+
+def least_payoff(points: Sequence[Point], game: Game, alpha: float) -> float:
+    """J*(alpha) over the listed policies."""
+    return min(alpha * cost + (1.0 - alpha) * game.scale * failure for failure, cost in points)
+
+
+def max_min(points: Sequence[Point], game: Game) -> float:
+    """Max over alpha of the least payoff: at 0, at 1, or where two lines cross."""
+    lines = {(round(cost, 12), round(failure, 14)) for failure, cost in points}
+    slopes = [cost - game.scale * failure for cost, failure in lines]
+    heights = [game.scale * failure for _, failure in lines]
+    alphas = {0.0, 1.0}
+    for s, h in zip(slopes, heights, strict=True):
+        for t, k in zip(slopes, heights, strict=True):
+            if abs(s - t) > 1e-12:
+                alphas.add(min(max((k - h) / (s - t), 0.0), 1.0))
+    return max(least_payoff(points, game, alpha) for alpha in alphas)
+
+
+@dataclass(frozen=True)
+class Capped:
+    """The player of section 3.5.1 restricted to the policies of one fixed M, in layers."""
+
+    player: Any
+    cap: int
+
+    def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
+        """The best reply of the class, which is its own bound."""
+        found = self.player._reply(np.array([objective_weight, condition_weight]), self.cap)
+        return replace(found, bound=found.payoff(objective_weight, condition_weight))
+
+    def policy(self, reply: Reply) -> Any:
+        """The reply's policy."""
+        return self.player.policy(reply)
+
+
+def bayes(problem: Any, tolerance: float = 1e-9) -> Any:
+    """The unapproximated game of a problem."""
+    return bayes_adaptive(problem, tolerance=tolerance)

@@ -1,0 +1,169 @@
+"""The unapproximated game of sections 3.2 to 3.4 of the paper, and the belief of section 3.3."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from checks import library_model, plain
+from formulations import MCMP, S3P
+from games import RETRY, drawn_problem, hand_problem, without_dead_choices
+from references import mcmp, s3p
+from references.chain import start_distribution
+from references.frontier import Point, constrained_optimum, constrained_ratio
+from ssp_lp import evaluate, solve
+from ssp_lp.crosscheck import bayes_adaptive, belief_at, posterior, stationary_game
+from strategies import Draw, acyclic_problems, problems
+
+few = settings(max_examples=30, deadline=None, derandomize=True)
+hundred = settings(max_examples=100, deadline=None, derandomize=True)
+gammas = st.sampled_from([0.9, 0.5, 0.99])
+shares = st.sampled_from([0.25, 0.1, 0.5, 0.02, 0.8])
+criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
+
+
+@given(
+    st.floats(0.0, 1.0, exclude_min=True), st.floats(0.1, 1.0, exclude_max=True), st.integers(0, 50)
+)
+@hundred
+def test_the_belief_follows_one_trajectory(alpha, gamma, time):
+    """Section 3.3: nu^t(alpha) = alpha / (alpha + gamma^t (1 - alpha)), whatever was observed."""
+    belief = alpha
+    for _ in range(time):
+        after = posterior(belief, gamma)
+        assert after >= belief * (1 - 1e-12)  # a run that goes on speaks for M_o
+        belief = after
+    assert belief_at(alpha, gamma, np.array([time]))[0] == pytest.approx(belief, rel=1e-9)
+
+
+def _real_cost(problem, policy):
+    """J_MCMP, or J^gamma_S3P: J_obj undiscounted, L_d discounted."""
+    found = evaluate(policy, problem)
+    if problem.ratio:
+        return found.success_cost / (1.0 - found.discounted_failure)
+    return found.expected_cost
+
+
+@hundred
+@given(problems(most_live=3), gammas, shares)
+def test_the_true_value_lies_between_the_bounds_in_case_m(drawn, gamma, share):
+    """The stationary game's lower bound <= c* <= what its own policy really pays."""
+    _check_bracket(drawn_problem(MCMP, drawn, share, gamma))
+
+
+@hundred
+@given(problems(most_live=2, most_cost=2), st.sampled_from([0.5, 0.3]), shares)
+def test_the_true_value_lies_between_the_bounds_in_case_s(drawn, gamma, share):
+    """The same for J_obj / (1 - J_cond); the policy really pays success_cost / (1 - L)."""
+    _check_bracket(drawn_problem(S3P, drawn, share, gamma))
+
+
+def _check_bracket(problem):
+    approximate = stationary_game(problem, tolerance=1e-8)
+    true = bayes_adaptive(problem, tolerance=1e-5)
+    room = 1e-9
+    assert approximate.lower_bound <= true.objective * (1 + 1e-9) + room
+    above = _real_cost(problem, approximate.policy)
+    assert true.lower_bound <= above * (1 + 1e-9) + room
+    assert true.objective <= above * (1 + 2e-5) + room
+    policy = evaluate(true.policy, problem)
+    assert policy.discounted_failure <= true.optimum.spent + 1e-9
+    assert _real_cost(problem, true.policy) == pytest.approx(true.objective, rel=1e-6, abs=1e-9)
+
+
+@criteria
+def test_the_bracket_closes_as_the_discount_goes_to_one(criterion):
+    """RETRY: the two ends meet at the exact optimum; the discount changes the budget's row too."""
+    gaps = []
+    for gamma in (0.99, 0.999, 1 - 1e-4, 1 - 1e-5):
+        problem = hand_problem(criterion, RETRY, 0.2, gamma)
+        approximate = stationary_game(problem)
+        gaps.append(_real_cost(problem, approximate.policy) - approximate.lower_bound)
+    exact = solve(hand_problem(criterion, RETRY, 0.2, None), "columns").objective
+    assert all(0 < later <= 0.2 * earlier for earlier, later in pairwise(gaps))
+    assert approximate.lower_bound == pytest.approx(exact, rel=1e-3)
+
+
+def test_the_bracket_on_the_robot(robot):
+    """Case M of the paper's robot at gamma = 0.999: 15.371 <= c* <= 15.4914 or so."""
+    model, start = robot
+    problem = MCMP(model, start=start, failure_budget=0.05, discount=0.999)
+    approximate = stationary_game(problem, tolerance=1e-8)
+    true = bayes_adaptive(problem, tolerance=1e-6)
+    above = _real_cost(problem, approximate.policy)
+    assert approximate.lower_bound <= true.objective  # l3-13
+    assert true.lower_bound <= above * (1 + 1e-12)
+    assert true.objective - true.lower_bound <= 1e-6 * true.objective
+    assert above <= approximate.lower_bound * 1.02
+
+
+def _timed(drawn):
+    """The drawn problem whose live states carry the time; every run ends within their number."""
+    live = {s: a for s, a in drawn.choices.items() if not s.startswith("d")}
+
+    def at(state, time):
+        return (state, time) if state in live else state
+
+    choices = {
+        (s, t): {
+            a: [(p, at(x, t + 1), cost) for p, x, cost in outcomes] for a, outcomes in table.items()
+        }
+        for s, table in live.items()
+        for t in range(len(live) + 1)
+    } | {s: a for s, a in drawn.choices.items() if s not in live}
+    begin = {at(s, 0): mass for s, mass in start_distribution(drawn.start).items()}
+    return Draw(choices, drawn.goals, begin)
+
+
+@few
+@given(acyclic_problems(most_actions=2), st.sampled_from([0.5, 0.9]), shares)
+def test_t3_2_against_all_policies_of_state_and_time(drawn, gamma, share):
+    """t3-2 as stated: c* is the least undiscounted J_MCMP within the discounted budget.
+
+    Every policy of (state, time) is enumerated, and every lottery over two of them.
+    """
+    problem = drawn_problem(MCMP, drawn, share, gamma)
+    timed = _timed(drawn)
+    real, faded = (mcmp.points(plain(timed), timed.start, discount=g) for g in (None, gamma))
+    points = [Point(f.failure, r.cost) for f, r in zip(faded, real, strict=True)]
+    brute = constrained_optimum(points, problem.failure_budget)
+    found = bayes_adaptive(problem, tolerance=1e-8)
+    assert found.objective == pytest.approx(brute, rel=1e-6, abs=1e-9)
+
+
+@few
+@given(acyclic_problems(most_live=2), st.sampled_from([0.5, 0.9]), shares)
+def test_t3_1_against_all_policies_of_state_cost_and_time(drawn, gamma, share):
+    """t3-1 as stated: the least J^gamma_S3P within the discounted budget, by enumeration."""
+    problem = drawn_problem(S3P, drawn, share, gamma)
+    timed = _timed(without_dead_choices(drawn))
+    real, faded = (
+        s3p.product_points(plain(timed), timed.start, 100, discount=g) for g in (None, gamma)
+    )
+    points = [Point(f.failure, r.cost) for f, r in zip(faded, real, strict=True)]
+    brute = constrained_ratio(points, problem.failure_budget)
+    found = bayes_adaptive(problem, tolerance=1e-8)
+    assert found.objective == pytest.approx(brute, rel=1e-6, abs=1e-9)
+
+
+def test_time_is_worth_remembering():
+    """Section 3.5: members of the optimal lottery are in general not stationary.
+
+    What a failure uses up of the budget fades like gamma^t: from "y", which "x" reaches at once or
+    a step later, ``fast`` saves 2 at either time but costs 0.025 of the budget early and 0.0125
+    late. With 0.0125 to spend, time saves 1 and the best stationary lottery 2/3.
+    """
+    choices = {
+        "x": {"go": [(0.5, "y", 1), (0.5, "z", 1)]},
+        "z": {"go": [(1.0, "y", 1)]},
+        "y": {"slow": [(1.0, "g", 3)], "fast": [(0.8, "g", 1), (0.2, "d", 1)]},
+        "d": {},
+    }
+    drawn = Draw(choices, frozenset("g"), "x")
+    problem = MCMP(library_model(drawn), start="x", failure_budget=0.825, discount=0.5)
+    assert bayes_adaptive(problem, tolerance=1e-9).objective == pytest.approx(3.5, rel=1e-8)
+    real, faded = (mcmp.points(plain(drawn), "x", discount=g) for g in (None, 0.5))
+    points = [Point(f.failure, r.cost) for f, r in zip(faded, real, strict=True)]
+    assert constrained_optimum(points, 0.825) == pytest.approx(4.5 - 2 / 3)

@@ -1,0 +1,126 @@
+"""The players' best replies against the operators of the paper, written out literally."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from checks import library_model, plain
+from formulations import MCMP, S3P
+from games import RETRY, hand_problem
+from operators import bayes_label, cost_game, cost_tail, stationary_label
+from references.chain import mean, plain_model, start_distribution
+from small_models import TWO_MOVES
+from ssp_lp.crosscheck.bayes import bayes_player
+from ssp_lp.crosscheck.stationary import stationary_player
+from strategies import problems
+
+few = settings(max_examples=25, deadline=None, derandomize=True)
+alphas = st.sampled_from([0.5, 0.1, 0.9, 0.99])
+scales = st.sampled_from([4.0, 1.0, 20.0])
+
+
+def _at_start(drawn, values):
+    begin = {(x, "s"): mass for x, mass in start_distribution(drawn.start).items()}
+    return mean(begin, values)
+
+
+@few
+@given(problems(most_live=2), st.sampled_from([0.5, 0.8]), alphas, scales)
+def test_the_bayes_operator_of_case_m(drawn, gamma, alpha, scale):
+    """Section 3.3: T^N 0 increases to J*(x', alpha), which is the player's best reply.
+
+    Labels, END and all of U(x') as in the paper; G-bar is summed once.
+    """
+    reference = plain(drawn)
+    problem = MCMP(library_model(drawn), start=drawn.start, failure_budget=0.5, discount=gamma)
+    reply = bayes_player(problem).reply(alpha, (1 - alpha) * scale, 1e-11)
+    before = 0.0
+    for depth in (5, 40, 400):
+        value = _at_start(drawn, bayes_label(reference, gamma, alpha, scale, depth))
+        assert value >= before - 1e-12
+        before = value
+    assert reply.payoff(alpha, (1 - alpha) * scale) == pytest.approx(before, rel=1e-8, abs=1e-10)
+    assert reply.bound == pytest.approx(before, rel=1e-8, abs=1e-10)
+
+
+def test_the_bayes_operator_as_printed_weighs_the_stage_cost_twice():
+    """Section 3.3 on TWO_MOVES: alpha J_obj + (1 - alpha) scale J_cond of ``slow`` is 1.05.
+
+    G-bar holds the probabilities of w' already; the printed T multiplies it by q-bar again.
+    """
+    gamma, alpha, scale = 0.9, 0.5, 1.0
+    model = plain_model(TWO_MOVES, {"g"})
+    right = bayes_label(model, gamma, alpha, scale, 200)["x", "s"]
+    fast = alpha * 1.0 + (1 - alpha) * (1 - 0.95 * gamma)
+    assert right == pytest.approx(min(alpha * 2.0 + (1 - alpha) * (1 - gamma), fast), rel=1e-9)
+    printed = bayes_label(model, gamma, alpha, scale, 200, printed=True)["x", "s"]
+    assert printed < right - 0.02
+    player = bayes_player(hand_problem(MCMP, TWO_MOVES, 0.5, gamma))
+    assert player.reply(alpha, 1 - alpha, 1e-12).bound == pytest.approx(right, rel=1e-9)
+
+
+@few
+@given(problems(most_live=2), st.sampled_from([0.5, 0.8]), alphas, scales)
+def test_the_stationary_operator_of_case_m(drawn, gamma, alpha, scale):
+    """Section 3.5.2: T_alpha^N 0 tends to the player's best reply; (u, f) for staying u only."""
+    reference = plain(drawn)
+    problem = MCMP(library_model(drawn), start=drawn.start, failure_budget=0.5, discount=gamma)
+    reply = stationary_player(problem).reply(alpha, (1 - alpha) * scale, 1e-12)
+    values = stationary_label(reference, gamma, alpha, scale, 150, leaving=False)
+    assert reply.payoff(alpha, (1 - alpha) * scale) == pytest.approx(
+        _at_start(drawn, values), rel=1e-8, abs=1e-10
+    )
+
+
+def test_a_failed_run_may_still_reach_the_goal_as_printed():
+    """U(x') of section 3.3 lists (u, f) for actions u that leave the attention states.
+
+    Under discounting the penalty at (0, f) is gamma^2 / (1 - gamma) only: here a policy declares
+    failure, is spared the cost 100 of the last step, and reaches the goal all the same. The
+    penalty grows beyond every cost as gamma -> 1; without a discount it is infinite (section 3.3).
+    """
+    choices = {
+        "x": {"go": [(1.0, "z", 1)], "wait": [(1.0, "x", 1)]},
+        "z": {"b": [(1.0, "g", 100)]},
+    }
+    model, alpha, scale = plain_model(choices, {"g"}), 0.5, 1000.0
+    for gamma, cheats in ((0.5, True), (0.9, True), (0.999, False)):
+        depth = 40 if gamma < 0.9 else 600 if gamma < 0.99 else 30_000
+        honest = stationary_label(model, gamma, alpha, scale, depth, leaving=False)["x", "s"]
+        printed = stationary_label(model, gamma, alpha, scale, depth, leaving=True)["x", "s"]
+        failed = (1 - alpha) * scale * (1 - gamma**2)
+        assert honest == pytest.approx(
+            min(alpha * (1 + gamma * 100) + failed, alpha + (1 - alpha) * scale), rel=1e-6
+        )
+        if cheats:
+            penalty = alpha * (1 + gamma**2 / (1 - gamma))
+            assert printed == pytest.approx(penalty + failed, rel=1e-6)
+            assert printed < honest - 1.0
+        else:
+            assert printed == pytest.approx(honest, rel=1e-9)
+        player = stationary_player(hand_problem(MCMP, choices, 0.5, gamma))
+        reply = player.reply(alpha, (1 - alpha) * scale, 1e-12)
+        assert reply.bound == pytest.approx(honest, rel=1e-6)
+
+
+@pytest.mark.parametrize("alpha", [0.2, 0.5, 0.9])
+def test_the_operators_of_case_s(alpha):
+    """Sections 3.3 and 3.5.1 on RETRY; pi'_or is ``rush``.
+
+    The tail beyond M is undiscounted as printed, so that c-hat depends on M a little; discounted
+    like the rest, it tends to the same value from above and does so sooner.
+    """
+    model, gamma, scale, rush = plain_model(RETRY, {"g"}), 0.95, 5.0, {"x": "rush"}
+    problem = hand_problem(S3P, RETRY, 0.5, gamma)
+    weights = alpha, (1 - alpha) * scale
+    reply = stationary_player(problem).reply(*weights, 1e-12)
+    tails = [cost_tail(model, rush, gamma, scale, discounted=d) for d in (True, False)]
+    for cap, error in ((5, 1.0), (20, 1e-1), (80, 1e-4), (120, 1e-9)):
+        ours, printed = (
+            cost_game(model, "x", gamma, alpha, scale, cap, tail, bayes=False) for tail in tails
+        )
+        assert reply.bound - 1e-10 <= ours <= printed + 1e-12
+        assert printed == pytest.approx(reply.bound, abs=error)
+    reply = bayes_player(problem).reply(*weights, 1e-11)
+    exact = cost_game(model, "x", gamma, alpha, scale, 150, tails[1], bayes=True)
+    assert reply.payoff(*weights) == pytest.approx(exact, rel=1e-9)
