@@ -1,6 +1,21 @@
 """Formulations: one criterion of the literature per file, all solved by ``ssp_lp.solve``."""
 
+from formulations.alpha_mcmp import AlphaMCMP
+from formulations.finite_penalty import FinitePenalty
+from formulations.isspude import ISSPUDE
+from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
+from formulations.min_cost import MinCost
+from formulations.minprob import MinProb
 from formulations.s3p import S3P
 
-__all__ = ["MCMP", "S3P"]
+__all__ = [
+    "ISSPUDE",
+    "MCMP",
+    "S3P",
+    "AlphaMCMP",
+    "FinitePenalty",
+    "MaxProb",
+    "MinCost",
+    "MinProb",
+]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
 from ssp_lp.model import SSP
-from ssp_lp.problem import check_setting
+from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
 from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
 
 
@@ -41,9 +41,12 @@ class MCMP:
         discount: None for exact probabilities, or gamma in (0, 1).
         give_up: "anywhere", "attention" (the paper) or "dead_ends".
         charge_failing_step: charge the failing step (the paper's section 3.1.2).
+        reach_fraction: instead of a budget, the share of the greatest goal probability that must
+            be attained (of the real one, also under a discount).
 
     Raises:
-        ModelError: a budget or a discount out of range, an unknown start or ``give_up``.
+        ModelError: a budget, a share or a discount out of range, a budget and a share, an unknown
+            start or ``give_up``.
 
     Example:
         >>> from ssp_lp import SSP, solve
@@ -57,13 +60,14 @@ class MCMP:
 
     model: SSP
     start: Hashable | Mapping[Hashable, float]
-    failure_budget: float | None = None
+    failure_budget: FailureBudget = BUDGET_OR_SHARE
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = True
+    reach_fraction: float | None = None
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
+        check_setting(stated_budget(self), self.discount, self.reach_fraction)
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         start_distribution(self.model, self.start)
 

@@ -9,7 +9,7 @@ from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.problem import check_setting
+from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
 from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
 
 
@@ -41,9 +41,12 @@ class S3P:
         failure_budget: largest failure probability; None: as low as possible.
         discount: None for exact probabilities, or gamma in (0, 1).
         cost_cap: fix the cap M on accumulated cost; None: chosen as above.
+        reach_fraction: instead of a budget, the share of the greatest goal probability that must
+            be attained (of the real one, also under a discount).
 
     Raises:
-        ModelError: a budget, a discount or a cap out of range, or an unknown start.
+        ModelError: a budget, a share, a discount or a cap out of range, a budget and a share, or
+            an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve
@@ -57,12 +60,13 @@ class S3P:
 
     model: SSP
     start: Hashable | Mapping[Hashable, float]
-    failure_budget: float | None = None
+    failure_budget: FailureBudget = BUDGET_OR_SHARE
     discount: float | None = None
     cost_cap: float | None = None
+    reach_fraction: float | None = None
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
+        check_setting(stated_budget(self), self.discount, self.reach_fraction)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
         start_distribution(self.model, self.start)

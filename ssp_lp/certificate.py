@@ -7,10 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
 from ssp_lp.engines.row import Row, relative_gap
 from ssp_lp.errors import ModelError
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.problem import Problem
+from ssp_lp.process.semantics import Aim, start_distribution
 from ssp_lp.solution import Solution
 
 _BUDGET_ROUNDING = 1e-12
@@ -32,12 +34,15 @@ class Certificate:
     tail_gap: float  # case S: the part of the relative gap that the cap M leaves; 0 if lossless
     accepted: bool
     reason: str  # why it was refused; empty if accepted
+    upper_bound: float | None = None  # of a greatest probability; None where little is better
 
     @property
     def gap(self) -> float:
-        """Relative gap between the objective and the lower bound; infinite if refused."""
+        """Relative gap between the objective and the bound that limits it; infinite if refused."""
         if not self.accepted:
             return float("inf")
+        if self.upper_bound is not None:
+            return relative_gap(self.upper_bound, self.objective)
         return relative_gap(self.objective, self.lower_bound)
 
 
@@ -62,13 +67,17 @@ def certify(solution: Solution) -> Certificate:
     found = evaluate(solution.policy, problem)
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
+    if problem.semantics.aim is not Aim.LEAST_COST:
+        return _goal_certificate(problem, found, failure)
     if problem.failure_budget is None:
         return _least_failure_certificate(problem, found, failure)
     price, values = solution.failure_price, solution.value_function
     if price is None or values is None:
         raise ModelError("a certificate needs the failure price and its value function")
+    penalty = problem.semantics.penalty  # part of the cost: the price beyond it is what limits
+    price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):
-        reason = "the price is not a number >= 0"
+        reason = f"the price is not a number >= {penalty:g}"
         return _certificate(found, failure, 0.0, 0.0, problem.failure_budget, reason)
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     instance = problem.instance().matching(np.asarray(values))
@@ -111,6 +120,17 @@ def _certificate(
         accepted=not reason,
         reason=reason,
     )
+
+
+def _goal_certificate(problem: Problem, found: Evaluation, failure: float) -> Certificate:
+    """The probability attained, and a checked bound of what can be, above or below it."""
+    aim = problem.semantics.aim
+    start = start_distribution(problem.model, problem.start)
+    bound = float(start @ extreme_goal_reach(problem.model, aim).bound)
+    if aim is Aim.LEAST_GOAL:
+        return _certificate(found, failure, bound, 0.0, 1.0, "")
+    proved = _certificate(found, failure, found.objective, 0.0, 1.0, "")
+    return replace(proved, upper_bound=max(bound, found.objective))
 
 
 def _least_failure_certificate(problem: Problem, found: Evaluation, failure: float) -> Certificate:

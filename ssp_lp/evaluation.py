@@ -15,7 +15,7 @@ from ssp_lp.failing import give_up_costs, lost_costs
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
-from ssp_lp.process.semantics import Semantics, start_distribution, survival_of
+from ssp_lp.process.semantics import Aim, Semantics, start_distribution, survival_of
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Evaluation:
     success_cost: float  # E[total cost; goal]
     conditional_cost: float  # E[total cost | goal]; nan if the goal is never reached
     expected_cost: float  # E[r_tau]: until failure is declared, charges included, undiscounted
-    objective: float  # what the problem minimises, discounted where it is
+    objective: float  # what the problem optimises, discounted where it is; penalty included
     discounted_failure: float | None  # paper, eq. constrain_condition_approximate
     ends: Mapping[str, float]  # how episodes end: goal, each label, dead_end, gave_up, wandering
 
@@ -92,6 +92,11 @@ def _report(sums: Measures, problem: Problem) -> Evaluation:
     failure = _complement(sums.goal)
     surrogate = _complement(sums.discounted_goal)
     objective = sums.discounted_cost
+    semantics = problem.semantics
+    if semantics.aim is not Aim.LEAST_COST:
+        objective = sums.discounted_goal
+    elif semantics.penalty > 0.0 and not semantics.forbids_failing:
+        objective += semantics.penalty * surrogate
     if problem.ratio:
         reached = sums.discounted_goal
         objective = objective / reached if reached > 0 else float("nan")
@@ -149,6 +154,8 @@ def _until_failure(
 ) -> float:
     """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs."""
     lost = lost_costs(chain, hopeful, semantics, survival)
+    if semantics.forbids_failing:
+        lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
     charged = chain.give_up * give_up_costs(chain, semantics)
     endless = np.isinf(lost)
     if endless.any() and (chain.start[reaching(chain, endless)] > 0).any():

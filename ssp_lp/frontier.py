@@ -16,6 +16,7 @@ from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
+from ssp_lp.process.semantics import Aim
 
 _REFINEMENTS = 6
 
@@ -121,9 +122,11 @@ def trace_frontier(
         progress: called after each oracle call with (calls, turning points so far).
 
     Raises:
-        ModelError: an argument out of range.
+        ModelError: an argument out of range, or a problem without a failure budget.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
+    if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
+        raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
     if not 0.0 < gap < 1.0:
         raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
     if point_limit is not None and point_limit < 2:

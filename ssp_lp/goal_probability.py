@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-from ssp_lp.arrays import FloatArray, read_only
+from collections.abc import Hashable
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, read_only
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach, least_goal_reach
 from ssp_lp.model import SSP
+from ssp_lp.model.graph import attention_states, dead_ends
 
 
 def max_goal_probability(model: SSP) -> FloatArray:
@@ -22,3 +27,17 @@ def min_goal_probability(model: SSP) -> FloatArray:
     MINPROB (paper, section 2.3); exactly 0 at the attention states, which are found on the graph.
     """
     return read_only(least_goal_reach(model).goal)
+
+
+def dead_end_labels(model: SSP) -> frozenset[Hashable]:
+    """The states from which no policy reaches the goal, X_{d,all} of the paper, by their labels."""
+    return _labels(model, dead_ends(model))
+
+
+def attention_labels(model: SSP) -> frozenset[Hashable]:
+    """The states from which some policy surely avoids the goal, X_{d,or}, by their labels."""
+    return _labels(model, attention_states(model))
+
+
+def _labels(model: SSP, states: BoolArray) -> frozenset[Hashable]:
+    return frozenset(model.states[i] for i in np.flatnonzero(states).tolist())

@@ -4,20 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from numbers import Real
-from typing import Protocol
+from typing import Protocol, overload
 
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.process.semantics import Semantics
+from ssp_lp.process.semantics import Semantics, start_distribution
 
 
 class Problem(Protocol):
     """A criterion on a model with a start and a failure budget.
 
     ``formulations`` holds the criteria of the literature; a class of your own with these members
-    is a first-class problem too.
+    is a first-class problem too. Where failing is not limited but has its price, ``failure_budget``
+    is 1 and ``semantics`` names the penalty; where only the goal counts, ``semantics`` says so.
     """
 
     @property
@@ -47,7 +49,7 @@ class Problem(Protocol):
 
     @property
     def semantics(self) -> Semantics:
-        """What a failing episode costs."""
+        """What an episode is worth: what is counted and what failing costs."""
         ...
 
     def instance(self) -> Instance:
@@ -55,23 +57,111 @@ class Problem(Protocol):
         ...
 
 
-def check_setting(failure_budget: float | None, discount: float | None) -> None:
-    """Check budget and discount.
+class _WithReachFraction(Protocol):
+    """A problem whose budget may be stated as a share of the greatest goal probability."""
+
+    @property
+    def model(self) -> SSP: ...
+
+    @property
+    def start(self) -> Hashable | Mapping[Hashable, float]: ...
+
+    @property
+    def reach_fraction(self) -> float | None: ...
+
+
+class FailureBudget:
+    """The field ``failure_budget`` of a problem that may be given ``reach_fraction`` instead.
+
+    The budget is then ``1 - reach_fraction * greatest goal probability``, worked out when it is
+    first asked for: stating a problem solves nothing. (``dataclasses.replace`` hands on both: say
+    ``failure_budget=None`` where the share is to stay.)
+    """
+
+    def __set__(self, problem: _WithReachFraction, value: float | None) -> None:
+        """Keep what was stated."""
+        vars(problem)["_stated_budget"] = value
+
+    @overload
+    def __get__(self, problem: None, owner: type[object]) -> None: ...
+    @overload
+    def __get__(self, problem: _WithReachFraction, owner: type[object]) -> float | None: ...
+    def __get__(self, problem: _WithReachFraction | None, owner: type[object]) -> float | None:
+        """The budget; asked of the class, the default: least failure."""
+        if problem is None:
+            return None
+        share, known = problem.reach_fraction, vars(problem)
+        if share is None:
+            return stated_budget(problem)
+        if "_budget" not in known:
+            known["_budget"] = budget_of_share(problem.model, problem.start, share)
+        return float(known["_budget"])
+
+
+BUDGET_OR_SHARE = FailureBudget()
+"""The default of the field; what is stated is kept in the problem, so that one serves all."""
+
+
+def stated_budget(problem: _WithReachFraction) -> float | None:
+    """The budget that a problem was given, whatever its ``reach_fraction`` makes of it."""
+    stated: float | None = vars(problem)["_stated_budget"]
+    return stated
+
+
+def budget_of_share(
+    model: SSP, start: Hashable | Mapping[Hashable, float], reach_fraction: float
+) -> float:
+    """The failure budget that asks for a share of the greatest goal probability.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+        reach_fraction: the share, in [0, 1].
+    """
+    greatest = float(start_distribution(model, start) @ greatest_goal_reach(model).goal)
+    return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
+
+
+def check_penalty(penalty: float) -> None:
+    """Check the price of failing.
 
     Raises:
-        ModelError: a budget outside [0, 1], a discount outside (0, 1), or least failure together
-            with a discount.
+        ModelError: it is not a positive number, or is infinite.
     """
-    for name, value in (("failure_budget", failure_budget), ("discount", discount)):
+    if not isinstance(penalty, Real) or not 0.0 < penalty < float("inf"):
+        raise ModelError(
+            f"penalty must be a positive number, not {penalty!r}; MinCost forbids failing"
+        )
+
+
+def check_setting(
+    failure_budget: float | None, discount: float | None, reach_fraction: float | None = None
+) -> None:
+    """Check budget, discount and share.
+
+    Raises:
+        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1), or
+            least failure together with a discount.
+    """
+    named = {
+        "failure_budget": failure_budget,
+        "discount": discount,
+        "reach_fraction": reach_fraction,
+    }
+    for name, value in named.items():
         if value is not None and not isinstance(value, Real):
             raise ModelError(f"{name} must be a number or None, not {value!r}")
+    if reach_fraction is not None and failure_budget is not None:
+        raise ModelError("give failure_budget or reach_fraction, not both: each says the other")
+    if reach_fraction is not None and not 0.0 <= reach_fraction <= 1.0:
+        raise ModelError(f"reach_fraction must lie between 0 and 1, not {reach_fraction!r}")
     if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
         raise ModelError(f"failure_budget must be a probability or None, not {failure_budget!r}")
     if discount is not None and not 0.0 < discount < 1.0:
         raise ModelError(
             f"discount must lie strictly between 0 and 1, not {discount!r}; None means exact"
         )
-    if failure_budget is None and discount is not None:
+    if failure_budget is None and reach_fraction is None and discount is not None:
         raise ModelError(
             "failure_budget=None (least failure) is exact only: leave discount out, or give a "
             "budget for the discounted surrogate"

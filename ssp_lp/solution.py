@@ -12,6 +12,7 @@ from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.occupation import equivalent_randomised_policy
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.problem import Problem
+from ssp_lp.process.semantics import Aim
 
 
 @dataclass(frozen=True)
@@ -51,12 +52,13 @@ class Solution:
     problem: Problem
     policy: MixedPolicy
     objective: float  # c*: the exact value of the policy
-    lower_bound: float  # certified by value_function at the failure price
-    failure_price: float | None  # lambda >= 0; None at least failure
+    lower_bound: float  # of the optimum, certified; of a greatest probability, the one attained
+    failure_price: float | None  # lambda >= 0, or the penalty; None at least failure
     value_function: FloatArray | None  # sub-solution: [process states], or [layers, nodes]
     budget_used: float  # failure of the policy (discounted, if that is limited), as measured
     run: Run
     note: str = ""
+    upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -65,7 +67,9 @@ class Solution:
 
     @property
     def gap(self) -> float:
-        """Relative gap between the objective and its lower bound."""
+        """Relative gap between the objective and its bound on the other side."""
+        if self.upper_bound is not None:
+            return relative_gap(self.upper_bound, self.objective)
         return relative_gap(self.objective, self.lower_bound)
 
     @property
@@ -95,20 +99,32 @@ class Solution:
 
     @property
     def budget_slope(self) -> float | None:
-        """-d c* / d budget: the price in case M, price / (1 - budget) in case S."""
-        price, budget = self.failure_price, self.problem.failure_budget
+        """-d c* / d budget: the price in case M, price / (1 - budget) in case S.
+
+        Of the price only what lies beyond the penalty. None where there is no price to pay or it is
+        infinite.
+        """
+        price, budget = self._multiplier, self.problem.failure_budget
         if price is None or budget is None or not self.problem.ratio:
             return price
         return 0.0 if price == 0.0 else price / (1.0 - budget) if budget < 1.0 else float("inf")
+
+    @property
+    def _multiplier(self) -> float | None:
+        """The multiplier of the failure row: the price beyond the penalty."""
+        penalty = self.problem.semantics.penalty
+        if self.failure_price is None or penalty == float("inf"):
+            return None
+        return self.failure_price - penalty
 
     @property
     def adversary_weight(self) -> float | None:
         """alpha*: the weight of the objective MDP in the paper's game (section 3.2).
 
         Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
-        the failure e that attains the minimum. None at least failure.
+        the failure e that attains the minimum. None where ``budget_slope`` is.
         """
-        price, budget = self.failure_price, self.problem.failure_budget
+        price, budget = self._multiplier, self.problem.failure_budget
         if price is None or budget is None:
             return None
         mine, other = self.objective, price * budget
@@ -141,14 +157,14 @@ class Solution:
 
     def summary(self) -> str:
         """The answer in a few lines for a person."""
-        name, budget = type(self.problem).__name__, self.problem.failure_budget
-        asked = "least failure" if budget is None else f"failure budget {budget:g}"
+        name, bound = type(self.problem).__name__, self.upper_bound
         setting = (
             "exact" if self.problem.discount is None else f"discount {self.problem.discount:g}"
         )
+        side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
         rows = [
             ("objective c*", f"{self.objective:.9g}"),
-            ("lower bound", f"{self.lower_bound:.9g}   (relative gap {self.gap:.1e})"),
+            (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
@@ -163,4 +179,14 @@ class Solution:
         if self.note:
             rows.append(("note", self.note))
         body = "\n".join(f"  {label:<20} {value}" for label, value in rows)
-        return f"{name}, {asked}, {setting}\n{body}"
+        return f"{name}, {self._asked}, {setting}\n{body}"
+
+    @property
+    def _asked(self) -> str:
+        """What is asked about failing, in words."""
+        budget, semantics = self.problem.failure_budget, self.problem.semantics
+        if semantics.aim is not Aim.LEAST_COST:
+            return f"{str(semantics.aim).replace('_', ' ')} probability"
+        if semantics.penalty > 0.0:
+            return "no failure" if semantics.forbids_failing else f"penalty {semantics.penalty:g}"
+        return "least failure" if budget is None else f"failure budget {budget:g}"

@@ -13,13 +13,15 @@ from ssp_lp.crosscheck.stationary import stationary_game, value_function
 from ssp_lp.crosscheck.threshold import Patience
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
-from ssp_lp.engines.lp import BACKENDS
+from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
+from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
 from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.refinement import Effort, Outcome, optimise
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError
-from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.problem import Problem
+from ssp_lp.process.semantics import Aim
 from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
 ENGINES = ("auto", "columns", "lp", "game")
@@ -27,6 +29,7 @@ ENGINES = ("auto", "columns", "lp", "game")
 _REASONS = {
     "auto": "column generation, which scales best for one failure row",
     "columns": "column generation, as asked",
+    "unlimited": "no failure row: policy iteration at one price",
     "lp": "the full linear program, as asked; lottery recovered by pricing at its dual",
 }
 
@@ -58,11 +61,13 @@ def solve(
         progress: called after each oracle call with (calls, failure price, objective).
 
     Returns:
-        The solution; its numbers are recomputed from the model.
+        The solution; its numbers are recomputed from the model. Of a greatest probability the
+        certified side is ``upper_bound``, of everything else ``lower_bound``.
 
     Raises:
         ModelError: a wrong argument.
-        InfeasibleError: the budget is below the least failure probability, which it carries.
+        InfeasibleError: the budget is below the least failure probability, which it carries, or
+            failing is forbidden and cannot be avoided.
         SolverError: the engine delivered nothing that passes its check.
     """
     began = time.perf_counter()
@@ -76,6 +81,8 @@ def solve(
     deadline = np.inf if time_limit is None else began + time_limit
     if engine == "game":
         return _by_game(problem, instance, tolerance, Patience(deadline, progress), began)
+    if problem.semantics.aim is not Aim.LEAST_COST:
+        return _extreme_goal(problem, instance, engine, backend, began, deadline)
     if problem.failure_budget is None:
         return _at_least_failure(problem, checked_least_failure(instance, None), began)
     effort = Effort(
@@ -87,7 +94,8 @@ def solve(
     )
     outcome = optimise(instance, problem.failure_budget, effort)
     solution = _conclude(problem, outcome)
-    reason = f"{_REASONS[engine]}, {outcome.calls} oracle calls"
+    unlimited = engine != "lp" and not problem.ratio and problem.failure_budget >= 1.0
+    reason = f"{_REASONS['unlimited' if unlimited else engine]}, {outcome.calls} oracle calls"
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)
@@ -120,6 +128,37 @@ def _by_game(
     )
 
 
+def _extreme_goal(
+    problem: Problem,
+    instance: Instance,
+    engine: str,
+    backend: str | None,
+    began: float,
+    deadline: float,
+) -> Solution:
+    """The greatest or the least goal probability; the full program, where asked for, agrees."""
+    aim = problem.semantics.aim
+    reach = extreme_goal_reach(problem.model, aim)
+    objective, bound = float(instance.start @ reach.goal), float(instance.start @ reach.bound)
+    greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
+    if engine == "lp":
+        optimum = solve_program(instance, Row(1.0, ratio=False), backend, deadline)
+        check_agreement(optimum, 1.0 - objective if greatest else objective)
+        reason, program = "the full linear program agrees with policy iteration", optimum.report
+    seconds = time.perf_counter() - began
+    return Solution(
+        problem=problem,
+        policy=MixedPolicy((DeterministicPolicy(problem.model, reach.decision),), np.ones(1)),
+        objective=objective,
+        lower_bound=objective if greatest else min(bound, objective),
+        failure_price=None,
+        value_function=None,
+        budget_used=max(1.0 - objective, 0.0),
+        run=Run("lp" if engine == "lp" else "columns", reason, 1, seconds, program=program),
+        upper_bound=max(bound, objective) if greatest else None,
+    )
+
+
 def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> Solution:
     policy = MixedPolicy((least.policy,), np.ones(1))
     row = Row(least.column.failure, problem.ratio)
@@ -142,6 +181,7 @@ def _conclude(problem: Problem, outcome: Outcome) -> Solution:
     found, oracle, ratio = outcome.found, outcome.instance.oracle(), outcome.row.ratio
     policies = tuple(oracle.policy(c) for c in found.columns)
     price = max(found.price - found.objective, 0.0) if ratio else found.price
+    price += problem.semantics.penalty
     return Solution(
         problem=problem,
         policy=MixedPolicy(policies, found.weights),

@@ -1,7 +1,7 @@
 """The acceptance cases: published and independently computed values, at 1e-6 relative.
 
 All rows of the table are give_up="anywhere", charge_failing_step=False, no discount. The columns
-fSSPUDE and C-SSP belong to other criteria and are not read here.
+fSSPUDE and C-SSP belong to other criteria and are not read here (see test_criteria_cases).
 """
 
 import numpy as np

@@ -112,6 +112,24 @@ def test_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
     assert members(graph.pairs_into(model, some)) == expected
 
 
+@pytest.mark.parametrize(("seed", "n_states"), SEEDS)
+def test_states_from_which_the_goal_is_sure(path, seed, n_states):
+    model, _ = drawn_model(seed, n_states)
+    steps, goals = steps_of(model), members(model.goal_mask)
+    kept = set(range(n_states))
+    while True:
+        pairs = [p for p in range(model.n_pairs) if steps[p] | {int(model.pair_state[p])} <= kept]
+        near = set(goals)
+        for _ in range(n_states):
+            near |= {int(model.pair_state[p]) for p in pairs if steps[p] & near}
+        if near == kept:
+            break
+        kept &= near
+    states, staying = graph.surely_reaching(model)
+    assert members(states) == kept
+    assert members(staying) == set(pairs)
+
+
 @pytest.mark.parametrize("everything", [True, False])
 @pytest.mark.parametrize(("seed", "n_states"), SEEDS)
 def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, everything):

@@ -16,6 +16,11 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
         ModelError: the paper's construction needs a discount and a budget above 0.
     """
     budget, discount = problem.failure_budget, problem.discount
+    if not problem.semantics.counts_cost_alone:
+        raise ModelError(
+            f"the game is about cost and a failure budget, {type(problem).__name__} is not: leave "
+            "engine='game' out"
+        )
     if discount is None:
         raise ModelError(
             "the game needs a discount (paper, section 2.5): give discount=0.999, or solve the "

@@ -5,12 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from ssp_lp.arrays import FloatArray, IntArray
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.engines.instance import LeastFailure
 from ssp_lp.engines.oracles.explicit import ExplicitOracle
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.engines.oracles.oracle import Column, required
+from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
+from ssp_lp.model.graph import surely_reaching
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import label_failure
 from ssp_lp.process.semantics import Semantics, survival_of
@@ -29,19 +33,46 @@ class LabelInstance:
 
     @cached_property
     def _oracle(self) -> ExplicitOracle:
-        return ExplicitOracle(label_failure(self.model, self.start, self.semantics, self.discount))
+        return self._restricted_to(None)
+
+    def _restricted_to(self, usable: BoolArray | None) -> ExplicitOracle:
+        """The oracle over all pairs (None) or, without giving up, over some, [model pairs]."""
+        if self.semantics.forbids_failing:
+            self._check_sure()
+        return ExplicitOracle(
+            label_failure(self.model, self.start, self.semantics, self.discount, usable)
+        )
+
+    def _check_sure(self) -> None:
+        """Check that the goal can be reached surely, as must be where failing is forbidden."""
+        sure, _ = surely_reaching(self.model)
+        unsure = np.flatnonzero(~sure & (self.start > 0.0))
+        if not unsure.size:
+            return
+        greatest = greatest_goal_reach(self.model).goal
+        state = int(unsure[np.argmin(greatest[unsure])])
+        least = max(1.0 - float(self.start @ greatest), 0.0)
+        raise InfeasibleError(
+            f"no policy reaches the goal surely from state {self.model.states[state]!r} (at best "
+            f"with probability {greatest[state]:.12g}): the cost is infinite; every policy fails "
+            f"with probability at least {least:.12g}",
+            failure_budget=0.0,
+            least_failure=least,
+        )
 
     def oracle(self) -> ExplicitOracle:
-        """Policy iteration on the labelled process."""
+        """Policy iteration on the labelled process.
+
+        Raises:
+            InfeasibleError: failing is forbidden and cannot be avoided.
+        """
         return self._oracle
 
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least cost among its actions."""
         survival = survival_of(self.discount)
         usable = greatest_goal_reach(self.model, survival).usable
-        second = ExplicitOracle(
-            label_failure(self.model, self.start, self.semantics, self.discount, usable)
-        )
+        second = self._restricted_to(usable)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         policy = second.policy(column)

@@ -120,6 +120,8 @@ def _attempt(
         if row.budget > least.column.failure + LEAST_BUDGET:
             optimum = solve_program(instance, row, effort.backend, effort.deadline)
             hint = Hint(optimum.price, _SPREAD)
+    if hint is None and row.budget >= 1.0 and not row.ratio:
+        hint = Hint(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
     opening = _opening(instance, row, least, effort, hint)
     effort = effort.after(opening.calls)
     row, least = opening.edge.row, opening.least

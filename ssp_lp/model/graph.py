@@ -54,6 +54,30 @@ def attention_states(model: SSP) -> BoolArray:
     return np.asarray(~model.goal_mask & (idle | (open_counts > 0)))
 
 
+def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
+    """States from which some policy reaches the goal with probability one, and how.
+
+    The greatest set of states each of which can reach the goal by pairs that never leave the set.
+    In rounds: what cannot reach the goal is dropped, with all pairs that may lead there.
+
+    Returns:
+        The states, goals included, [states]; and the pairs that stay among them, [pairs].
+    """
+    open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
+    open_counts = np.diff(model.pair_offsets)
+    into_goal = pairs_into(model, model.goal_mask)
+    kept = np.ones(model.n_states, dtype=np.bool_)
+    while True:
+        nearer = approach_pairs(model, into_goal & open_pairs, open_pairs)
+        lost = kept & ~model.goal_mask & (nearer < 0)
+        if not lost.any():
+            return kept, open_pairs
+        open_pairs &= ~lost[model.pair_state]
+        open_counts[lost] = 0
+        _drain(model, open_pairs, open_counts, np.flatnonzero(lost))
+        kept = model.goal_mask | (open_counts > 0)
+
+
 def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
     """Pairs that may lead to one of the states, [pairs].
 

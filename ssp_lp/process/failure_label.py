@@ -13,11 +13,12 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, pairs_into
+from ssp_lp.model.graph import attention_states, pairs_into, surely_reaching
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.semantics import (
+    Aim,
     GiveUp,
     Semantics,
     dead_end_charges,
@@ -67,24 +68,49 @@ def label_failure(
     Args:
         model: the model.
         start: distribution over states, [states].
-        semantics: where giving up is allowed and whether failing is charged.
+        semantics: where giving up is allowed, what failing costs and what is counted as cost;
+            where failing is forbidden, only what keeps the goal sure is left of the model.
         discount: None keeps real probabilities; a number scales every transition by it, so that
             what leaks out of a non-goal state counts as failure (paper, section 3.5).
         usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
             the second stage of a least-failure problem (DESIGN, section 4).
     """
-    free = None if discount is not None else costless_pairs(model)
-    attention = attention_states(model)
+    free = None if discount is not None else _free_pairs(model, semantics.aim)
+    attention, unsure = attention_states(model), None
+    if semantics.forbids_failing:
+        sure, keeping = surely_reaching(model)
+        usable, unsure = keeping if usable is None else usable & keeping, ~sure
     exits = ~model.goal_mask & (attention | (semantics.give_up is GiveUp.ANYWHERE))
     if semantics.give_up is GiveUp.DEAD_ENDS or usable is not None:
         exits = np.zeros(model.n_states, dtype=np.bool_)
     skeleton = build_skeleton(
-        model, usable=usable, free=free, exits=exits, free_exits=usable is None
+        model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure
     )
     charges = give_up_charges(model, attention, skeleton.merged, semantics)
     entering = dead_end_charges(model, skeleton.dead, semantics)
     process = _fill(model, skeleton, charges, entering, survival_of(discount))
-    return FailureLabelled(_with_start(process, skeleton, start, entering), skeleton)
+    process = _with_start(process, skeleton, start, entering)
+    return FailureLabelled(replace(process, cost=_counted(process, semantics)), skeleton)
+
+
+def _free_pairs(model: SSP, aim: Aim) -> BoolArray:
+    """Pairs that add nothing to what is counted, [pairs]: moving among them for ever is free."""
+    if aim is Aim.GREATEST_GOAL:
+        return np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
+    if aim is Aim.LEAST_GOAL:
+        return ~pairs_into(model, model.goal_mask)
+    return costless_pairs(model)
+
+
+def _counted(process: ExplicitProcess, semantics: Semantics) -> FloatArray:
+    """What the aim counts at each pair, [pairs]: cost and penalty, failing, or the goal."""
+    if semantics.aim is Aim.GREATEST_GOAL:
+        return process.failure
+    if semantics.aim is Aim.LEAST_GOAL:
+        return process.goal
+    if semantics.penalty == 0.0 or semantics.forbids_failing:
+        return process.cost
+    return np.asarray(process.cost + semantics.penalty * process.failure)
 
 
 def _fill(

@@ -1,4 +1,4 @@
-"""Who may give up where, what failing costs, and where an episode starts."""
+"""What is counted, who may give up where, what failing costs, and where an episode starts."""
 
 from __future__ import annotations
 
@@ -28,12 +28,37 @@ class GiveUp(enum.StrEnum):
     DEAD_ENDS = "dead_ends"
 
 
+class Aim(enum.StrEnum):
+    """What a criterion asks for: little cost, or much or little of the goal."""
+
+    LEAST_COST = "least_cost"
+    GREATEST_GOAL = "greatest_goal"
+    LEAST_GOAL = "least_goal"
+
+
 @dataclass(frozen=True)
 class Semantics:
-    """The two choices that decide what a failing episode costs."""
+    """The choices that decide what an episode is worth.
+
+    A penalty is paid for failing, on top of the cost until then; under a discount it is paid for
+    the discounted failure. An infinite one forbids failing: only policies that reach the goal
+    surely are left.
+    """
 
     give_up: GiveUp
     charge_failing_step: bool
+    penalty: float = 0.0
+    aim: Aim = Aim.LEAST_COST
+
+    @property
+    def forbids_failing(self) -> bool:
+        """Whether a policy that may fail is worth nothing."""
+        return self.penalty == np.inf
+
+    @property
+    def counts_cost_alone(self) -> bool:
+        """Whether only a budget can keep a policy from failing: no penalty, no other aim."""
+        return self.penalty == 0.0 and self.aim is Aim.LEAST_COST
 
 
 def survival_of(discount: float | None) -> float:

@@ -20,6 +20,7 @@ from ssp_lp.model.graph import approach_pairs, attention_states, pairs_into
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.process.rows import RowChoice, live_rows
+from ssp_lp.process.semantics import Aim
 from ssp_lp.process.skeleton import Skeleton, build_skeleton
 
 _ONE = np.ones(1)
@@ -65,6 +66,11 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     best[settled.choice] = True
     bound = -sub_solution(offsets, transitions, -hit, -reach, floor=-1.0 - 1e-9)
     return _on_states(skeleton, reach, bound, best, settled.choice)
+
+
+def extreme_goal_reach(model: SSP, aim: Aim) -> GoalReach:
+    """MAXPROB or MINPROB, exact, as the aim says."""
+    return greatest_goal_reach(model) if aim is Aim.GREATEST_GOAL else least_goal_reach(model)
 
 
 def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:

@@ -1,0 +1,91 @@
+"""AlphaMCMP: minimum expected cost at a share of the greatest goal probability."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.model import SSP
+from ssp_lp.problem import BUDGET_OR_SHARE, check_setting
+from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class AlphaMCMP:
+    """Minimise ``E[r_tau]`` subject to ``Pr(goal) >= reach_fraction * greatest probability``.
+
+    Problem:
+        MCMP whose failure budget is stated relative to what can be attained at all, so that it is
+        feasible for every share up to 1.
+
+    Program:
+        that of ``MCMP`` with ``failure_budget = 1 - reach_fraction * max Pr(goal)``.
+
+    Guarantee:
+        a lottery over at most two deterministic stationary policies attains the optimum. The cost
+        is a convex function of the share; with the published semantics it is linear from 0 up to
+        the policy of least cost per probability, since giving up at the start is free.
+
+    Semantics:
+        as published, giving up is allowed anywhere and costs nothing. ``MCMP(reach_fraction=...)``
+        is the same criterion with the semantics of the paper.
+
+    Reference:
+        alpha-MCMP, BRACIS 2023; the program is that of Trevizan, Teichteil-Koenigsbuch and
+        Thiebaux, UAI 2017.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+        reach_fraction: alpha in [0, 1].
+        give_up: "anywhere", "attention" or "dead_ends".
+        charge_failing_step: charge the failing step.
+
+    Raises:
+        ModelError: a share out of range, an unknown start or ``give_up``.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> shares = (0.45, 0.9, 0.95)
+        >>> [round(solve(AlphaMCMP(model, "road", a)).objective, 9) for a in shares]
+        [0.5, 1.0, 2.0]
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    reach_fraction: float = 0.9
+    give_up: str | GiveUp = GiveUp.ANYWHERE
+    charge_failing_step: bool = False
+
+    failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
+
+    def __post_init__(self) -> None:
+        check_setting(None, None, self.reach_fraction)
+        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
+        start_distribution(self.model, self.start)
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """Cost is counted whether or not the goal is reached."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """What a failing episode costs."""
+        return Semantics(GiveUp(self.give_up), self.charge_failing_step)
+
+    def instance(self) -> Instance:
+        """The failure-labelled process."""
+        start = start_distribution(self.model, self.start)
+        return LabelInstance(self.model, start, self.semantics)

@@ -1,0 +1,95 @@
+"""FinitePenalty: expected cost plus a price for failing (fSSPUDE)."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.model import SSP
+from ssp_lp.problem import check_penalty, check_setting
+from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class FinitePenalty:
+    """Minimise ``E[r_tau] + penalty * failure probability``; failing is allowed and has its price.
+
+    Problem:
+        r_tau is the cost paid until the goal has become unreachable under the policy, all of it if
+        the goal is reached; whoever fails pays the penalty on top (fSSPUDE).
+
+    Program:
+        minimise <cost + penalty * failure, x> subject to flow balance, x >= 0, over the process of
+        ``MCMP``, without a failure row.
+
+    Guarantee:
+        a deterministic stationary policy attains the optimum. ``failure_price`` is the penalty, and
+        the policy is optimal for ``MCMP`` with its own failure as the budget: as the penalty grows
+        the optima run along the tangents of MCMP's frontier, each of slope minus the penalty.
+
+    Semantics:
+        ``give_up`` and ``charge_failing_step`` as in ``MCMP``, by default as published: whoever
+        gives up, anywhere, pays the penalty and nothing else. With a ``discount`` the cost is
+        discounted and the penalty falls on the discounted failure. ``expected_cost`` is the cost
+        without the penalty.
+
+    Reference:
+        Kolobov, Mausam and Weld, UAI 2012 (fSSPUDE). Their Theorem 7, on its relation to the
+        infinite penalty, was withdrawn; nothing here rests on it.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+        penalty: paid for failing, a positive number.
+        discount: None for exact probabilities, or gamma in (0, 1).
+        give_up: "anywhere", "attention" or "dead_ends".
+        charge_failing_step: charge the failing step as well.
+
+    Raises:
+        ModelError: a penalty that is not positive and finite, a discount out of range, an unknown
+            start or ``give_up``.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> [round(solve(FinitePenalty(model, "road", d)).objective, 9) for d in (1, 10, 100)]
+        [1.0, 2.0, 3.0]
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    penalty: float
+    discount: float | None = None
+    give_up: str | GiveUp = GiveUp.ANYWHERE
+    charge_failing_step: bool = False
+
+    def __post_init__(self) -> None:
+        check_setting(self.failure_budget, self.discount)
+        check_penalty(self.penalty)
+        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
+        start_distribution(self.model, self.start)
+
+    @property
+    def failure_budget(self) -> float:
+        """Failing is not limited."""
+        return 1.0
+
+    @property
+    def ratio(self) -> bool:
+        """Cost is counted whether or not the goal is reached."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """What a failing episode costs, penalty included."""
+        return Semantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))
+
+    def instance(self) -> Instance:
+        """The failure-labelled process, the penalty part of its costs."""
+        start = start_distribution(self.model, self.start)
+        return LabelInstance(self.model, start, self.semantics, self.discount)

@@ -1,0 +1,87 @@
+"""ISSPUDE: an infinite price for failing, the cost of the successful runs second."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.cost_instance import CostInstance
+from ssp_lp.engines.instance import Instance
+from ssp_lp.model import SSP
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class ISSPUDE:
+    """Minimise ``E[total cost | goal reached]`` among policies of greatest goal probability.
+
+    Problem:
+        the SSP with unavoidable dead-ends and an infinite penalty: policies are compared by their
+        goal probability first, and by the expected cost of their successful runs second.
+
+    Program:
+        two stages. MAXPROB; then minimise <cost * Pmax(successor), x> / Pmax(start) over the pairs
+        that attain it. No accumulated cost is needed, since Pmax says what every run is worth.
+
+    Guarantee:
+        a deterministic stationary policy attains the optimum; ``lower_bound`` comes from checked
+        bounds of both stages.
+
+    Semantics:
+        what a failing run costs does not matter. ``S3P(failure_budget=None)`` has the same optimum
+        and the same policies: S3P states the same two stages for costs of any kind, in dead-ends
+        too, and the relaxation to a budget is its own (``S3P(failure_budget=...)``). ``MCMP`` at
+        least failure shares the first stage and differs in the second, where it counts the cost of
+        failing runs too, up to the failure.
+
+    Reference:
+        Kolobov, Mausam and Weld, UAI 2012; Teichteil-Koenigsbuch, AAAI 2012 (S3P).
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+
+    Raises:
+        ModelError: an unknown start.
+
+    ``solve`` raises ``InfeasibleError`` if the goal cannot be reached from the start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.5, "home", 1.0), (0.5, "ditch", 7.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> solve(ISSPUDE(model, start="road")).objective, solve(MCMP(model, "road")).objective
+        (1.0, 4.0)
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+
+    def __post_init__(self) -> None:
+        start_distribution(self.model, self.start)
+
+    @property
+    def failure_budget(self) -> None:
+        """As low as possible."""
+        return
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """Cost is counted given success."""
+        return True
+
+    @property
+    def semantics(self) -> Semantics:
+        """Failing is free and happens where the goal can be avoided for sure."""
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False)
+
+    def instance(self) -> Instance:
+        """The accumulated-cost process, of which least failure needs one layer."""
+        return CostInstance(self.model, start_distribution(self.model, self.start))

@@ -1,0 +1,89 @@
+"""MaxProb: the greatest probability of reaching the goal."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.goal_probability import dead_end_labels
+from ssp_lp.model import SSP
+from ssp_lp.process.semantics import Aim, GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class MaxProb:
+    """Maximise the probability of reaching the goal; costs do not count (MAXPROB).
+
+    Problem:
+        max over policies of Pr(the goal is ever reached).
+
+    Program:
+        minimise <failure, x> subject to flow balance, x >= 0, on the process in which every end
+        component without a way out of it is one place; the optimum is 1 - ``objective``.
+
+    Guarantee:
+        a deterministic stationary policy attains the greatest probability from every state at
+        once. ``upper_bound``, a checked super-solution of the optimality equations, limits it from
+        above; ``lower_bound`` is what the policy attains, and ``gap`` lies between the two.
+
+    Semantics:
+        exact, wandering for ever is failure. Any policy of greatest probability may be returned:
+        ``MCMP`` and ``S3P`` at least failure choose the cheapest.
+
+    Reference:
+        Kolobov, Mausam, Weld and Geffner, 2011; paper, section 2.3.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+
+    Raises:
+        ModelError: an unknown start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "wait": [(1.0, "road", 0.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> problem = MaxProb(model, start="road")
+        >>> solve(problem).objective, sorted(problem.dead_ends)
+        (0.9, ['ditch'])
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+
+    def __post_init__(self) -> None:
+        start_distribution(self.model, self.start)
+
+    @property
+    def dead_ends(self) -> frozenset[Hashable]:
+        """States from which no policy reaches the goal, X_{d,all}: the probability is 0."""
+        return dead_end_labels(self.model)
+
+    @property
+    def failure_budget(self) -> float:
+        """Failing is not limited: it is what is minimised."""
+        return 1.0
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """No cost counts."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """Only the goal counts."""
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, aim=Aim.GREATEST_GOAL)
+
+    def instance(self) -> Instance:
+        """The failure-labelled process, failing its only cost."""
+        return LabelInstance(self.model, start_distribution(self.model, self.start), self.semantics)

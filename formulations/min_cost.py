@@ -1,0 +1,87 @@
+"""MinCost: the plain stochastic shortest path problem, without failing."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.model import SSP
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class MinCost:
+    """Minimise the expected cost of reaching the goal, which must be reached surely.
+
+    Problem:
+        min over proper policies, those that reach the goal with probability one, of E[total cost].
+
+    Program:
+        minimise <cost, x> subject to flow balance, x >= 0, over the pairs that keep the goal sure:
+        the greatest set of states in which the goal can be reached without ever leaving the set.
+
+    Guarantee:
+        a deterministic stationary policy attains the optimum; ``lower_bound`` comes from a checked
+        sub-solution of Bellman's equation. End components that cost nothing are collapsed first,
+        so that a policy must leave them: a loop of cost 0 is not a cheap answer.
+
+    Semantics:
+        exact. Where no proper policy exists from the start the value is infinite and ``solve``
+        raises; ``evaluate`` gives an improper policy the objective infinity. Whether a policy is
+        proper is read off the graph, so no probability is ever compared with 1.
+
+    Reference:
+        Bertsekas and Tsitsiklis, Mathematics of Operations Research 16, 1991.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+
+    Raises:
+        ModelError: an unknown start.
+
+    ``solve`` raises ``InfeasibleError`` naming a state of the start from which the goal cannot be
+    reached surely; it carries the least failure probability.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(0.5, "home", 3.0), (0.5, "road", 1.0)],
+        ...               "wait": [(1.0, "road", 0.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> solve(MinCost(model, start="road")).objective
+        4.0
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+
+    def __post_init__(self) -> None:
+        start_distribution(self.model, self.start)
+
+    @property
+    def failure_budget(self) -> float:
+        """No budget: the infinite penalty of ``semantics`` says it all."""
+        return 1.0
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """Every run reaches the goal, and its cost counts."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """Failing is forbidden."""
+        return Semantics(GiveUp.DEAD_ENDS, charge_failing_step=False, penalty=float("inf"))
+
+    def instance(self) -> Instance:
+        """The process of the pairs that keep the goal sure."""
+        return LabelInstance(self.model, start_distribution(self.model, self.start), self.semantics)

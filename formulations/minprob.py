@@ -1,0 +1,89 @@
+"""MinProb: the least probability of reaching the goal."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.goal_probability import attention_labels
+from ssp_lp.model import SSP
+from ssp_lp.process.semantics import Aim, GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class MinProb:
+    """Minimise the probability of reaching the goal; costs do not count (MINPROB).
+
+    Problem:
+        min over policies of Pr(the goal is ever reached): how much of the way to the goal cannot
+        be missed.
+
+    Program:
+        minimise <goal, x> subject to flow balance, x >= 0, where mass may leave for good at the
+        attention states, in which the goal can be avoided for ever.
+
+    Guarantee:
+        a deterministic stationary policy attains the least probability from every state at once.
+        ``lower_bound`` comes from a checked sub-solution of the optimality equations.
+
+    Semantics:
+        exact, wandering for ever is not reaching. At an attention state that is no dead-end the
+        policy gives up; ``policy.continue_after_give_up`` plays what avoids the goal from there.
+
+    Reference:
+        paper, section 2.3.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+
+    Raises:
+        ModelError: an unknown start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.5, "home", 1.0), (0.5, "inn", 1.0)]},
+        ...      "inn": {"stay": [(1.0, "inn", 1.0)], "leave": [(1.0, "home", 1.0)]}},
+        ...     goal={"home"})
+        >>> problem = MinProb(model, start="road")
+        >>> solve(problem).objective, sorted(problem.attention_states)
+        (0.5, ['inn'])
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+
+    def __post_init__(self) -> None:
+        start_distribution(self.model, self.start)
+
+    @property
+    def attention_states(self) -> frozenset[Hashable]:
+        """States from which some policy surely avoids the goal, X_{d,or}: the probability is 0."""
+        return attention_labels(self.model)
+
+    @property
+    def failure_budget(self) -> float:
+        """Failing is not limited: it is what is sought."""
+        return 1.0
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """No cost counts."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """Only the goal counts."""
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, aim=Aim.LEAST_GOAL)
+
+    def instance(self) -> Instance:
+        """The failure-labelled process, the goal its only cost."""
+        return LabelInstance(self.model, start_distribution(self.model, self.start), self.semantics)

@@ -1,0 +1,208 @@
+"""The criteria beside MCMP and S3P with a budget: closed forms, refusals, wrong proofs."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from checks import GAP, check_certificate
+from formulations import ISSPUDE, MCMP, S3P, AlphaMCMP, FinitePenalty, MaxProb, MinCost, MinProb
+from small_models import EXACT, FREE_LOOP, FREE_PAIR, TWO_MOVES, each_engine, model_of
+from ssp_lp import (
+    SSP,
+    DeterministicPolicy,
+    InfeasibleError,
+    MixedPolicy,
+    ModelError,
+    certify,
+    cross_check,
+    evaluate,
+    simulate,
+    solve,
+    trace_frontier,
+)
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.process.semantics import GiveUp, Semantics
+from ssp_lp.process.semantics import start_distribution as distribution_of
+
+
+@each_engine
+def test_loops_that_cost_nothing_do_not_fool_the_plain_problem(engine):
+    assert solve(MinCost(model_of(FREE_LOOP), "x"), engine).objective == pytest.approx(5, **EXACT)
+    assert solve(MinCost(model_of(FREE_PAIR), "x"), engine).objective == pytest.approx(6, **EXACT)
+
+
+@each_engine
+def test_extreme_probabilities_where_one_may_wander(engine):
+    model = model_of(FREE_PAIR)
+    assert solve(MaxProb(model, "x"), engine).objective == pytest.approx(1.0, **EXACT)
+    assert solve(MinProb(model, "x"), engine).objective == 0.0
+    assert MaxProb(model, "x").dead_ends == {"d"}
+    assert MinProb(model, "x").attention_states == {"x", "y", "d"}
+
+
+@pytest.mark.parametrize(
+    "backend", ["highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy"]
+)
+def test_every_backend_answers(backend):
+    model = model_of(TWO_MOVES)
+    for problem, value in (
+        (MaxProb(model, "x"), 1.0),
+        (MinProb(model, "x"), 0.95),
+        (MinCost(model, "x"), 2.0),
+        (FinitePenalty(model, "x", 10.0), 1.5),
+        (AlphaMCMP(model, "x", 0.975), 1.5),
+    ):
+        found = solve(problem, "lp", backend=backend)
+        assert found.objective == pytest.approx(value, **EXACT)
+        assert found.engine == "lp"
+        assert found.run.program
+
+
+def test_tiny_probabilities_keep_their_digits():
+    """A chain of ten moves at 1e-3 each: 1e-30, with a gap relative to that."""
+    chain = {k: {"go": [(1e-3, k + 1 if k < 9 else "g", 1), (0.999, "d", 1)]} for k in range(10)}
+    solution = solve(MaxProb(model_of({**chain, "d": {}}), 0))
+    assert solution.objective == pytest.approx(1e-30, rel=1e-12)
+    assert solution.gap <= GAP
+
+
+def test_an_improper_policy_costs_infinity_in_the_plain_problem():
+    model = model_of({**TWO_MOVES, "x": {**TWO_MOVES["x"], "wait": [(1.0, "x", 0)]}})
+    problem = MinCost(model, "x")
+    for action, cost in (("slow", 2.0), ("fast", np.inf), ("wait", np.inf)):
+        policy = DeterministicPolicy.from_actions(model, {"x": action})
+        assert evaluate(policy, problem).objective == cost
+        certificate = certify(replace(solve(problem), policy=MixedPolicy((policy,), np.ones(1))))
+        assert certificate.accepted is (cost == 2.0)
+
+
+def test_a_failure_that_floats_cannot_see_is_still_a_failure():
+    """Failing with 1e-18 leaves the goal probability at 1.0, but there is no proper policy."""
+    model = model_of({"x": {"go": [(1.0, "g", 1), (1e-18, "d", 1)]}, "d": {}})
+    assert solve(MaxProb(model, "x")).objective == 1.0
+    with pytest.raises(InfeasibleError, match="from state 'x'"):
+        solve(MinCost(model, "x"))
+
+
+def test_wrong_proofs_are_refused_or_widen_the_gap():
+    model = model_of(TWO_MOVES)
+    solution = solve(FinitePenalty(model, "x", 10.0))
+    for price in (9.0, -1.0, np.nan, np.inf):
+        assert not certify(replace(solution, failure_price=price)).accepted
+    for values in (2.0 * solution.value_function, 0.5 * solution.value_function):
+        wrong = certify(replace(solution, value_function=values))
+        assert wrong.lower_bound <= solution.objective * (1 + 1e-12)
+    slow = MixedPolicy((DeterministicPolicy.from_actions(model, {"x": "slow"}),), np.ones(1))
+    worse = certify(replace(solution, policy=slow))
+    assert worse.accepted
+    assert worse.gap == pytest.approx(0.25)
+    fast = MixedPolicy((DeterministicPolicy.from_actions(model, {"x": "fast"}),), np.ones(1))
+    timid = certify(replace(solve(MaxProb(model, "x")), policy=fast))
+    assert (timid.objective, timid.upper_bound) == pytest.approx((0.95, 1.0))
+    assert timid.gap == pytest.approx(0.05)
+
+
+def test_costs_do_not_matter_to_isspude_where_they_are_of_no_use():
+    """Dearer dead-ends change MCMP and leave iSSPUDE alone."""
+    values = []
+    for cost in (1, 50):
+        model = SSP.from_transitions(
+            {"x": {"go": [(0.5, "g", 1), (0.5, "d", cost)]}, "d": {"stay": [(1.0, "d", cost)]}},
+            goal={"g"},
+        )
+        values.append([solve(c(model, "x")).objective for c in (ISSPUDE, S3P, MCMP)])
+    assert values[0][:2] == values[1][:2] == [1.0, 1.0]
+    assert values[0][2] < values[1][2]
+
+
+FINED = Semantics(GiveUp.ANYWHERE, charge_failing_step=False, penalty=10.0)
+
+
+@dataclass(frozen=True)
+class Fined:
+    """A user's own problem: the penalty is one more word of the semantics."""
+
+    model: SSP
+    start: str
+    failure_budget: float
+    discount: None = None
+    ratio: bool = False
+    semantics: Semantics = FINED
+
+    def instance(self) -> LabelInstance:
+        return LabelInstance(self.model, distribution_of(self.model, self.start), self.semantics)
+
+
+def test_a_penalty_and_a_budget_go_together():
+    """Cost 1 + 10 * 0.05 beats 2; within a budget of 0.02 the lottery pays 2 - 0.4 * 0.5."""
+    solution = solve(Fined(model_of(TWO_MOVES), "x", failure_budget=0.02))
+    assert solution.objective == pytest.approx(1.8, **EXACT)
+    assert solution.failure_price == pytest.approx(20.0, **EXACT)
+    assert solution.budget_slope == pytest.approx(10.0, **EXACT)
+    assert trace_frontier(solution.problem).price == pytest.approx([10.0], **EXACT)
+    check_certificate(solution)
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda m: FinitePenalty(m, "x", 0.0),
+        lambda m: FinitePenalty(m, "x", float("inf")),
+        lambda m: FinitePenalty(m, "x", "much"),
+        lambda m: FinitePenalty(m, "x", 1.0, give_up="never"),
+        lambda m: AlphaMCMP(m, "x", 1.5),
+        lambda m: AlphaMCMP(m, "x", -0.1),
+        lambda m: MCMP(m, "x", failure_budget=0.1, reach_fraction=0.9),
+        lambda m: S3P(m, "x", failure_budget=0.1, reach_fraction=0.9),
+        lambda m: S3P(m, "x", reach_fraction=2.0),
+        lambda m: MaxProb(m, "nowhere"),
+        lambda m: MinCost(m, "nowhere"),
+        lambda m: solve(MaxProb(m, "x"), "game"),
+        lambda m: solve(FinitePenalty(m, "x", 1.0, discount=0.9), "game"),
+        lambda m: trace_frontier(MinCost(m, "x")),
+        lambda m: trace_frontier(MaxProb(m, "x")),
+    ],
+)
+def test_refusals(build):
+    with pytest.raises(ModelError):
+        build(model_of(TWO_MOVES))
+
+
+def test_stating_a_share_solves_nothing_and_asks_once():
+    problem = S3P(model_of(TWO_MOVES), "x", reach_fraction=0.98)
+    assert "_budget" not in vars(problem)
+    assert problem.failure_budget == pytest.approx(0.02)
+    assert vars(problem)["_budget"] == problem.failure_budget
+    assert solve(problem).objective == pytest.approx(79 / 49, rel=1e-9)
+    assert MCMP.failure_budget is None
+
+
+def test_words_for_people():
+    model = model_of(TWO_MOVES)
+    for problem, words in (
+        (MaxProb(model, "x"), "MaxProb, greatest goal probability, exact"),
+        (MinProb(model, "x"), "MinProb, least goal probability, exact"),
+        (MinCost(model, "x"), "MinCost, no failure, exact"),
+        (FinitePenalty(model, "x", 10), "FinitePenalty, penalty 10, exact"),
+    ):
+        assert solve(problem).summary().startswith(words)
+    assert "upper bound" in solve(MaxProb(model, "x")).summary()
+
+
+def test_the_other_verbs_take_every_criterion():
+    model = model_of(FREE_PAIR)
+    rng = np.random.default_rng(7)
+    for problem in (
+        MaxProb(model, "x"),
+        MinProb(model, "x"),
+        MinCost(model, "x"),
+        FinitePenalty(model, "x", 3.0),
+        AlphaMCMP(model, "x"),
+        ISSPUDE(model, "x"),
+    ):
+        solution = solve(problem)
+        agreement = cross_check(problem)
+        assert agreement.agrees, agreement.summary()
+        played = simulate(solution.policy, problem, episodes=200, rng=rng)
+        assert played.episodes == 200
