@@ -1,6 +1,7 @@
 """Formulations: one criterion of the literature per file, all solved by ``ssp_lp.solve``."""
 
 from formulations.alpha_mcmp import AlphaMCMP
+from formulations.comparison import CriteriaComparison, CriterionRow, compare_criteria
 from formulations.finite_penalty import FinitePenalty
 from formulations.isspude import ISSPUDE
 from formulations.maxprob import MaxProb
@@ -14,8 +15,11 @@ __all__ = [
     "MCMP",
     "S3P",
     "AlphaMCMP",
+    "CriteriaComparison",
+    "CriterionRow",
     "FinitePenalty",
     "MaxProb",
     "MinCost",
     "MinProb",
+    "compare_criteria",
 ]

@@ -1,0 +1,154 @@
+"""The criteria side by side: the same question asked in every way that the literature asks it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from formulations.alpha_mcmp import AlphaMCMP
+from formulations.finite_penalty import FinitePenalty
+from formulations.isspude import ISSPUDE
+from formulations.maxprob import MaxProb
+from formulations.mcmp import MCMP
+from formulations.min_cost import MinCost
+from formulations.minprob import MinProb
+from formulations.s3p import S3P
+from ssp_lp.errors import InfeasibleError
+from ssp_lp.model import SSP
+from ssp_lp.problem import Problem
+from ssp_lp.solution import Solution
+from ssp_lp.solve import solve
+
+
+@dataclass(frozen=True)
+class CriterionRow:
+    """What one criterion's optimal policy attains; without a solution only the note says why."""
+
+    criterion: str  # the formulation and what was asked of it
+    solution: Solution | None
+    note: str = ""
+
+    @property
+    def numbers(self) -> tuple[float | None, ...]:
+        """Objective, cost until failure, cost given success, failure probability, and price.
+
+        Each under the criterion's own semantics: ``FinitePenalty`` and ``AlphaMCMP`` do not charge
+        the step that fails and let a policy give up anywhere, ``MCMP`` by default does not.
+        """
+        found = self.solution
+        if found is None:
+            return (None,) * 5
+        return (
+            found.objective,
+            found.expected_cost,
+            found.conditional_cost,
+            found.failure_probability,
+            found.failure_price,
+        )
+
+
+@dataclass(frozen=True)
+class CriteriaComparison:
+    """One row per criterion, in the order in which they were asked."""
+
+    rows: tuple[CriterionRow, ...]
+
+    def __getitem__(self, criterion: str) -> CriterionRow:
+        """The row of a criterion by its name.
+
+        Raises:
+            KeyError: no row has this name.
+        """
+        for row in self.rows:
+            if row.criterion == criterion:
+                return row
+        raise KeyError(criterion)
+
+    def summary(self) -> str:
+        """The rows as an aligned table; what has no number says why."""
+        head = ["criterion", "objective", "cost", "given success", "failure", "price"]
+        table = [head]
+        for row in self.rows:
+            table.append([row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)])
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        lines = [
+            "  ".join([cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])])
+            for cells in table
+        ]
+        notes = [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
+        return "\n".join([*lines, *notes])
+
+
+def compare_criteria(
+    model: SSP,
+    start: Hashable | Mapping[Hashable, float],
+    *,
+    failure_budgets: Sequence[float] = (0.05,),
+    penalties: Sequence[float] = (10.0, 100.0),
+    reach_fractions: Sequence[float] = (0.9,),
+) -> CriteriaComparison:
+    """Solve a model under every criterion and put the answers side by side.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+        failure_budgets: budgets of ``MCMP`` and ``S3P``, besides least failure.
+        penalties: penalties D of ``FinitePenalty``, in units of cost.
+        reach_fractions: shares of the greatest goal probability asked of ``AlphaMCMP``.
+
+    Returns:
+        One row per criterion. One that no policy meets stays as a row with the reason.
+
+    Raises:
+        ModelError: an unknown start, or an argument out of range.
+
+    Example:
+        >>> from ssp_lp import SSP
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> print(compare_criteria(model, "road", penalties=(10.0,)).summary())
+        criterion                      objective  cost  given success  failure    price
+        MaxProb                                1     3              3        0        -
+        MinProb                              0.9     1              1      0.1        -
+        MinCost                                3     3              3        0      inf
+        MCMP, least failure                    3     3              3        0        -
+        S3P, least failure                     3     3              3        0        -
+        ISSPUDE                                3     3              3        0        -
+        MCMP, failure budget 0.05              2     2        2.05263     0.05       20
+        S3P, failure budget 0.05         2.05263     2        2.05263     0.05  18.9474
+        AlphaMCMP, reach fraction 0.9          1     1              1      0.1  1.11111
+        FinitePenalty, penalty 10              2     1              1      0.1       10
+    """
+    asked = _questions(model, start, failure_budgets, penalties, reach_fractions)
+    return CriteriaComparison(tuple(_row(name, problem) for name, problem in asked))
+
+
+def _questions(
+    model: SSP,
+    start: Hashable | Mapping[Hashable, float],
+    budgets: Sequence[float],
+    penalties: Sequence[float],
+    fractions: Sequence[float],
+) -> Iterator[tuple[str, Problem]]:
+    yield "MaxProb", MaxProb(model, start)
+    yield "MinProb", MinProb(model, start)
+    yield "MinCost", MinCost(model, start)
+    yield "MCMP, least failure", MCMP(model, start)
+    yield "S3P, least failure", S3P(model, start)
+    yield "ISSPUDE", ISSPUDE(model, start)
+    for budget in budgets:
+        yield f"MCMP, failure budget {budget:g}", MCMP(model, start, failure_budget=budget)
+        yield f"S3P, failure budget {budget:g}", S3P(model, start, failure_budget=budget)
+    for fraction in fractions:
+        yield f"AlphaMCMP, reach fraction {fraction:g}", AlphaMCMP(model, start, fraction)
+    for penalty in penalties:
+        yield f"FinitePenalty, penalty {penalty:g}", FinitePenalty(model, start, penalty)
+
+
+def _row(name: str, problem: Problem) -> CriterionRow:
+    try:
+        return CriterionRow(name, solve(problem))
+    except InfeasibleError as error:
+        return CriterionRow(name, None, str(error))

@@ -1,0 +1,49 @@
+"""The tour of the criteria: they are one picture, and the table says what each attains."""
+
+import pytest
+
+import criteria_tour
+from formulations import compare_criteria
+from small_models import EXACT, TWO_MOVES, model_of
+
+STOPS = list(criteria_tour.tour())
+
+
+@pytest.mark.parametrize(("name", "domain"), STOPS, ids=[name for name, _ in STOPS])
+def test_every_criterion_lies_on_the_frontier(name, domain):
+    """Alpha-MCMP walks along it, and the finite penalty D is its tangent of slope D."""
+    frontier = criteria_tour.free_frontier(domain)
+    rows = criteria_tour.shares(domain, frontier) + criteria_tour.tangents(domain, frontier)
+    assert len(rows) == len(criteria_tour.FRACTIONS) + len(criteria_tour.PENALTIES)
+    for what, found, theory in rows:
+        assert found == pytest.approx(theory, rel=1e-8, abs=1e-12), what
+
+
+def test_the_tour_prints_a_table_for_each_domain(capsys):
+    criteria_tour.main()
+    printed = capsys.readouterr().out
+    assert printed.count("MaxProb") == printed.count("one picture") == len(STOPS)
+
+
+def test_the_comparison_has_a_row_for_each_question():
+    """Slow costs 2 for sure; fast costs 1 and fails with 1/20."""
+    compared = compare_criteria(
+        model_of(TWO_MOVES), "x", failure_budgets=(0.02, 0.05), penalties=(10.0, 30.0)
+    )
+    assert compared["MCMP, failure budget 0.02"].solution.objective == pytest.approx(1.6, **EXACT)
+    assert compared["S3P, failure budget 0.02"].numbers[2] == pytest.approx(79 / 49, rel=1e-9)
+    assert compared["FinitePenalty, penalty 10"].numbers[0] == pytest.approx(1.5, **EXACT)
+    assert compared["FinitePenalty, penalty 30"].numbers[0] == pytest.approx(2.0, **EXACT)
+    assert compared["MaxProb"].numbers[0] == 1.0
+    with pytest.raises(KeyError):
+        compared["no such criterion"]
+
+
+def test_what_nobody_can_do_stays_in_the_table():
+    model = model_of({"x": {"go": [(0.5, "g", 1), (0.5, "d", 1)]}, "d": {}})
+    compared = compare_criteria(model, "x")
+    row = compared["MCMP, failure budget 0.05"]
+    assert row.solution is None
+    assert row.numbers == (None,) * 5
+    assert "0.5" in row.note
+    assert row.note in compared.summary()
