@@ -33,9 +33,12 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.engines.refinement import Outcome
+from ssp_lp.engines.row import relative_gap
 from ssp_lp.engines.single_policy import best_single_policy
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.solution import Solution
+
+_OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
 
 
 def best_deterministic(mixed: Solution, outcome: Outcome, deadline: float) -> Solution:
@@ -50,14 +53,17 @@ def best_deterministic(mixed: Solution, outcome: Outcome, deadline: float) -> So
         ModelError: the formulation is not supported, or its process is too large.
     """
     single = best_single_policy(outcome, deadline)
-    cost = max(single.objective - mixed.objective, 0.0)
+    is_open = relative_gap(single.objective, single.lower_bound) > _OPEN
+    cost = f"{'at most ' if is_open else ''}{max(single.objective - mixed.objective, 0.0):.9g}"
     remarks = [
-        f"deterministic: the mixed optimum is {mixed.objective:.9g}, determinism costs {cost:.9g}"
+        f"deterministic: the mixed optimum is {mixed.objective:.9g}, determinism costs {cost}"
     ]
     if mixed.note:
         remarks.append(mixed.note)
     if not single.finished and "stopped" not in mixed.note:
         remarks.append("stopped before the search was finished; the gap is honest")
+    if single.finished and is_open:
+        remarks.append("the gap is what policies outside the search could gain at most")
     return replace(
         mixed,
         policy=MixedPolicy((single.policy,), np.ones(1)),

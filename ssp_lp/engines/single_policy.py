@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -24,6 +24,8 @@ _ROUNDING = 1e-13
 
 _DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
 _RATIOS = 30  # Dinkelbach's iteration converges in a handful
+_SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances of prices, up and down
+_SKIPS = 8  # states skipped on the way between two policies
 _REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
 
 
@@ -46,18 +48,23 @@ class _Search:
     row: Row
     best: Single
     deadline: float
-    refused: int = field(default=0)
+    refused: int = 0
+    choice: IntArray | None = None  # [states] of the best policy, where it was found here
 
     def take(self, answer: IntegerAnswer) -> bool:
         """Measure an answer's policy and keep it if it is the best; whether it is within budget."""
         choice = None if answer.choice is None else self.completed(answer.choice)[0]
-        if choice is None:
-            return False
+        return choice is not None and self.offer(choice)
+
+    def offer(self, choice: IntArray) -> bool:
+        """Measure a choice that leaves from everywhere and keep it if it is the best."""
         kept = False
         for column in self.view.measure(choice):
             if column.failure > self.row.budget + _ROUNDING:
                 continue
             kept, value = True, self.row.objective(column.cost, column.goal)
+            if value <= self.best.objective:
+                self.choice = choice
             if value < self.best.objective:
                 policy = self.view.instance.oracle().policy(column)
                 self.best = replace(self.best, column=column, policy=policy, objective=value)
@@ -79,8 +86,8 @@ class _Search:
 def best_single_policy(outcome: Outcome, deadline: float) -> Single:
     """Search for the best deterministic policy, stationary in the states of the process.
 
-    The search begins with the best member of the best lottery that keeps to the budget; the
-    lottery's own bound is the first lower bound.
+    The search begins with the best member of the best lottery that keeps to the budget and the
+    policies between its members; the lottery's own bound is the first lower bound.
 
     Args:
         outcome: of the search for the best lottery.
@@ -103,6 +110,7 @@ def best_single_policy(outcome: Outcome, deadline: float) -> Single:
         return start
     view = process_view(outcome.instance, found.price)
     search = _Search(view, row, start, deadline)
+    _walk_between(search, found.price)
     is_loose = bool(view.free.any())
     bound, finished = _minimised(search, view.process, is_outer=False)
     if is_loose:
@@ -110,6 +118,55 @@ def best_single_policy(outcome: Outcome, deadline: float) -> Single:
     best = search.best
     bound = min(max(bound, found.lower_bound), best.objective)
     return replace(best, lower_bound=bound, finished=finished)
+
+
+def _walk_between(search: _Search, price: float) -> None:
+    """Begin with policies between two, as near to the budget as changing states allows.
+
+    The two that are best at prices just beside the lottery's are both optimal at it, and so is
+    every policy that follows the one in some states and the other elsewhere: of these, the one that
+    fails most within the budget is cheapest. Farther prices differ in more states.
+    """
+    instance = search.view.instance
+    for spread in _SPREADS:
+        if time.perf_counter() > search.deadline:
+            return
+        safe, risky = (
+            instance.explicit_choice(instance.oracle().minimise(price * factor))
+            for factor in (1.0 + spread, 1.0 / (1.0 + spread))
+        )
+        differing = np.flatnonzero(safe != risky)
+        for order in (differing, differing[::-1]):
+            if search.offer(safe):
+                _walk(search, safe, risky, order)
+
+
+def _walk(search: _Search, safe: IntArray, risky: IntArray, order: IntArray) -> None:
+    """Change states in order while that keeps to the budget, by bisection; skip one that does not.
+
+    Args:
+        search: keeps the policies on the way.
+        safe: a choice that keeps to the budget, [states].
+        risky: another, [states].
+        order: states in which they differ.
+    """
+    here = safe
+    for _ in range(_SKIPS):
+        kept, broken = 0, order.size + 1  # states changed, and too many
+        while broken - kept > 1 and time.perf_counter() < search.deadline:
+            middle = (kept + broken) // 2
+            within = search.offer(_changed(here, risky, order[:middle]))
+            kept, broken = (middle, broken) if within else (kept, middle)
+        here, order = _changed(here, risky, order[:kept]), order[kept + 1 :]
+        if order.size == 0:
+            return
+
+
+def _changed(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
+    """The first choice, in some states the second, [states]."""
+    changed = first.copy()
+    changed[states] = second[states]
+    return changed
 
 
 def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> tuple[float, bool]:
@@ -149,8 +206,8 @@ def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> 
 
 def _begin(search: _Search, program: IntegerProgram, cost: FloatArray) -> None:
     """Begin at the best policy so far, where it is one of the process's."""
-    choice = search.best.column.choice
-    if choice is None or choice.shape != (program.process.n_states,):
+    choice = search.choice
+    if choice is None:
         return
     chain = sp.csc_array(program.process.transitions[choice].T)
     stay = sp.csc_array(sp.eye_array(len(choice)) - chain)
