@@ -41,19 +41,23 @@ from ssp_lp.solution import Solution
 _OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
 
 
-def best_deterministic(mixed: Solution, outcome: Outcome, deadline: float) -> Solution:
+def best_deterministic(
+    mixed: Solution, outcome: Outcome, tolerance: float, deadline: float
+) -> Solution:
     """The best single deterministic policy, beside the best lottery.
 
     Args:
         mixed: the best lottery; its price of failure and its value function are kept.
         outcome: of the search that found it.
+        tolerance: relative gap at which to stop.
         deadline: on the clock of ``time.perf_counter``.
 
     Raises:
         ModelError: the formulation is not supported, or its process is too large.
     """
-    single = best_single_policy(outcome, deadline)
-    is_open = relative_gap(single.objective, single.lower_bound) > _OPEN
+    single = best_single_policy(outcome, tolerance, deadline)
+    gap = relative_gap(single.objective, single.lower_bound)
+    is_open = gap > _OPEN
     cost = f"{'at most ' if is_open else ''}{max(single.objective - mixed.objective, 0.0):.9g}"
     remarks = [
         f"deterministic: the mixed optimum is {mixed.objective:.9g}, determinism costs {cost}"
@@ -62,7 +66,7 @@ def best_deterministic(mixed: Solution, outcome: Outcome, deadline: float) -> So
         remarks.append(mixed.note)
     if not single.finished and "stopped" not in mixed.note:
         remarks.append("stopped before the search was finished; the gap is honest")
-    if single.finished and is_open:
+    if single.finished and gap > max(_OPEN, 2.0 * tolerance):
         remarks.append("the gap is what policies outside the search could gain at most")
     return replace(
         mixed,

@@ -108,7 +108,7 @@ def solve(
     outcome = optimise(instance, problem.failure_budget, effort)
     solution = _conclude(problem, outcome)
     if policy_class == "deterministic":
-        solution = best_deterministic(solution, outcome, deadline)
+        solution = best_deterministic(solution, outcome, tolerance, deadline)
     unlimited = engine != "lp" and not problem.ratio and problem.failure_budget >= 1.0
     reason = f"{_REASONS['unlimited' if unlimited else engine]}, {outcome.calls} oracle calls"
     if policy_class == "deterministic":

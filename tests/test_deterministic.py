@@ -217,6 +217,15 @@ def test_no_time_gives_the_safest_member_and_an_honest_gap():
     assert solution.budget_used <= 0.15
 
 
+@pytest.mark.parametrize("tolerance", [0.5, 0.1, 1e-3])
+def test_a_tolerance_ends_the_search_early(tolerance):
+    problem = MCMP(roads(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
+    best = solve(problem, policy_class="deterministic").objective
+    solution = solve(problem, policy_class="deterministic", tolerance=tolerance)
+    assert solution.gap <= tolerance * 1.001 + 1e-8
+    assert best - 1e-9 <= solution.objective <= best * (1 + 2 * tolerance)
+
+
 def test_problems_whose_optimum_is_one_policy_are_left_alone():
     model = roads(TWO_ROADS, "home")
     for problem in (MCMP(model, start="road"), MaxProb(model, start="road")):

@@ -15,7 +15,7 @@ from ssp_lp.engines.lp.visits import Limit, most_visits, within_reach
 from ssp_lp.engines.oracles.oracle import Column
 from ssp_lp.engines.process_view import ProcessView, process_view
 from ssp_lp.engines.refinement import Outcome
-from ssp_lp.engines.row import Row
+from ssp_lp.engines.row import Row, relative_gap
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.explicit import ExplicitProcess
 
@@ -47,6 +47,7 @@ class _Search:
     view: ProcessView
     row: Row
     best: Single
+    tolerance: float  # relative
     deadline: float
     refused: int = 0
     choice: IntArray | None = None  # [states] of the best policy, where it was found here
@@ -83,7 +84,7 @@ class _Search:
         return np.where(reached, choice, self.view.safe), reached
 
 
-def best_single_policy(outcome: Outcome, deadline: float) -> Single:
+def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> Single:
     """Search for the best deterministic policy, stationary in the states of the process.
 
     The search begins with the best member of the best lottery that keeps to the budget and the
@@ -91,6 +92,7 @@ def best_single_policy(outcome: Outcome, deadline: float) -> Single:
 
     Args:
         outcome: of the search for the best lottery.
+        tolerance: relative gap at which to stop.
         deadline: on the clock of ``time.perf_counter``.
 
     Raises:
@@ -109,11 +111,12 @@ def best_single_policy(outcome: Outcome, deadline: float) -> Single:
     if len(found.columns) == 1 or time.perf_counter() > deadline:
         return start
     view = process_view(outcome.instance, found.price)
-    search = _Search(view, row, start, deadline)
+    search = _Search(view, row, start, tolerance, deadline)
     _walk_between(search, found.price)
-    is_loose = bool(view.free.any())
+    if relative_gap(search.best.objective, found.lower_bound) <= tolerance:
+        return replace(search.best, finished=True)
     bound, finished = _minimised(search, view.process, is_outer=False)
-    if is_loose:
+    if view.free.any():
         bound, finished = _minimised(search, view.outer, is_outer=True)
     best = search.best
     bound = min(max(bound, found.lower_bound), best.objective)
@@ -187,6 +190,8 @@ def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> 
         return 0.0, False
     free = search.view.free if is_outer else np.zeros_like(search.view.free)
     program = IntegerProgram(process, row.budget + _ROUNDING, visits, free)
+    if not row.ratio:
+        program.stop_at(search.tolerance)
     if program.pairs.size == 0:
         return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
     ratio, bound = known if row.ratio else 0.0, 0.0

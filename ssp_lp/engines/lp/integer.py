@@ -22,11 +22,13 @@ from ssp_lp.errors import SolverError
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.program import LinearProgram, occupation_program
 
+_LEAST_GAP = 1e-10
+
 _OPTIONS: dict[str, bool | int | float] = {
     "output_flag": False,
     "threads": 1,
-    "mip_rel_gap": 1e-10,
-    "mip_abs_gap": 1e-10,
+    "mip_rel_gap": _LEAST_GAP,
+    "mip_abs_gap": _LEAST_GAP,
     "mip_feasibility_tolerance": 1e-9,
     "primal_feasibility_tolerance": 1e-9,
     "dual_feasibility_tolerance": 1e-9,
@@ -104,6 +106,10 @@ class IntegerProgram:
         columns = (self.process.n_pairs + position).astype(np.int32)
         most = float(position.size) - 1.0
         self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
+
+    def stop_at(self, tolerance: float) -> None:
+        """Stop at a relative gap."""
+        self._solver.setOptionValue("mip_rel_gap", max(tolerance, _LEAST_GAP))
 
     def start_at(self, x: FloatArray, choice: IntArray) -> None:
         """Tell HiGHS of a policy with which to begin."""
