@@ -77,19 +77,7 @@ def solve(
         SolverError: the engine delivered nothing that passes its check.
     """
     began = time.perf_counter()
-    if engine not in ENGINES:
-        raise ModelError(f"engine must be one of {', '.join(ENGINES)}, not {engine!r}")
-    if backend is not None and (backend not in BACKENDS or engine != "lp"):
-        raise ModelError(f"backend {backend!r}: engine='lp' takes one of {', '.join(BACKENDS)}")
-    if policy_class not in POLICY_CLASSES:
-        known = ", ".join(POLICY_CLASSES)
-        raise ModelError(f"policy_class must be one of {known}, not {policy_class!r}")
-    if policy_class == "deterministic" and engine not in ("auto", "lp"):
-        raise ModelError(
-            f"policy_class='deterministic' needs engine 'auto' or 'lp', not {engine!r}"
-        )
-    if not 0.0 < tolerance < 1.0:
-        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
+    _check_arguments(engine, backend, policy_class, tolerance)
     instance = problem.instance()
     deadline = np.inf if time_limit is None else began + time_limit
     if engine == "game":
@@ -116,6 +104,23 @@ def solve(
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)
+
+
+def _check_arguments(engine: str, backend: str | None, policy_class: str, tolerance: float) -> None:
+    """Raise :class:`ModelError` for a wrong argument of ``solve``."""
+    if engine not in ENGINES:
+        raise ModelError(f"engine must be one of {', '.join(ENGINES)}, not {engine!r}")
+    if backend is not None and (backend not in BACKENDS or engine != "lp"):
+        raise ModelError(f"backend {backend!r}: engine='lp' takes one of {', '.join(BACKENDS)}")
+    if policy_class not in POLICY_CLASSES:
+        known = ", ".join(POLICY_CLASSES)
+        raise ModelError(f"policy_class must be one of {known}, not {policy_class!r}")
+    if policy_class == "deterministic" and engine not in ("auto", "lp"):
+        raise ModelError(
+            f"policy_class='deterministic' needs engine 'auto' or 'lp', not {engine!r}"
+        )
+    if not 0.0 < tolerance < 1.0:
+        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
 
 
 def _by_game(

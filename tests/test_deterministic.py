@@ -205,6 +205,25 @@ def test_a_loop_is_bounded_by_what_it_may_cost():
     assert solve_single(problem) == pytest.approx(best, rel=1e-9)
 
 
+def test_ways_between_two_policies_may_go_in_circles():
+    """Each of two corridors leads to the other: half of either policy never leaves."""
+    choices = {
+        k: {
+            "left": [(0.95, k - 1 if k else "home", 1.0), (0.05, "pit", 1.0)],
+            "right": [(1.0, k + 1 if k < 5 else "home", 3.0)],
+        }
+        for k in range(6)
+    } | {"pit": {}}
+    for start in range(6):
+        points = mcmp.points(plain_model(choices, {"home"}), start, give_up="dead_ends")
+        for budget in (0.03, 0.08, 0.12, 0.2):
+            problem = MCMP(
+                roads(choices, "home"), start=start, failure_budget=budget, give_up="dead_ends"
+            )
+            best = min(cost for failure, cost in points if failure <= budget)
+            assert solve_single(problem) == pytest.approx(best, rel=1e-8)
+
+
 def test_no_time_gives_the_safest_member_and_an_honest_gap():
     problem = MCMP(roads(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
     mixed = solve(problem)

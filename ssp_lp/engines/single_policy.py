@@ -54,18 +54,20 @@ class _Search:
 
     def take(self, answer: IntegerAnswer) -> bool:
         """Measure an answer's policy and keep it if it is the best; whether it is within budget."""
-        choice = None if answer.choice is None else self.completed(answer.choice)[0]
-        return choice is not None and self.offer(choice)
+        return answer.choice is not None and self.offer(answer.choice)
 
     def offer(self, choice: IntArray) -> bool:
-        """Measure a choice that leaves from everywhere and keep it if it is the best."""
+        """Measure a choice and keep it if it is the best; whether it is within budget."""
+        whole = self.completed(choice)[0]
+        if whole is None:
+            return False
         kept = False
-        for column in self.view.measure(choice):
+        for column in self.view.measure(whole):
             if column.failure > self.row.budget + _ROUNDING:
                 continue
             kept, value = True, self.row.objective(column.cost, column.goal)
             if value <= self.best.objective:
-                self.choice = choice
+                self.choice = whole
             if value < self.best.objective:
                 policy = self.view.instance.oracle().policy(column)
                 self.best = replace(self.best, column=column, policy=policy, objective=value)
