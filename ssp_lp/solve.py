@@ -11,6 +11,7 @@ import numpy as np
 from ssp_lp.arrays import RELATIVE_GAP, read_only
 from ssp_lp.crosscheck.stationary import stationary_game, value_function
 from ssp_lp.crosscheck.threshold import Patience
+from ssp_lp.deterministic import best_deterministic
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
@@ -25,6 +26,7 @@ from ssp_lp.process.semantics import Aim
 from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
 ENGINES = ("auto", "columns", "lp", "game")
+POLICY_CLASSES = ("mixed", "deterministic")
 
 _REASONS = {
     "auto": "column generation, which scales best for one failure row",
@@ -41,6 +43,7 @@ def solve(
     engine: str = "auto",
     *,
     backend: str | None = None,
+    policy_class: str = "mixed",
     tolerance: float = RELATIVE_GAP,
     time_limit: float | None = None,
     progress: Progress | None = None,
@@ -56,6 +59,9 @@ def solve(
             "cvxpy"; None: chosen by the size of the program. "highs-warm" is a check of optimality
             by HiGHS's simplex method, started at column generation's policies, not a cold solve;
             ``run.program`` tells how many iterations it took from there.
+        policy_class: "mixed" (lotteries, the optimum) or "deterministic": the best single policy
+            that never tosses a coin, stationary in the model's states, in case S in (state,
+            accumulated cost); see ``ssp_lp.deterministic``. With engine "auto" or "lp" only.
         tolerance: relative gap to reach.
         time_limit: seconds after which the best policy so far is returned with its honest gap.
         progress: called after each oracle call with (calls, failure price, objective).
@@ -71,12 +77,7 @@ def solve(
         SolverError: the engine delivered nothing that passes its check.
     """
     began = time.perf_counter()
-    if engine not in ENGINES:
-        raise ModelError(f"engine must be one of {', '.join(ENGINES)}, not {engine!r}")
-    if backend is not None and (backend not in BACKENDS or engine != "lp"):
-        raise ModelError(f"backend {backend!r}: engine='lp' takes one of {', '.join(BACKENDS)}")
-    if not 0.0 < tolerance < 1.0:
-        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
+    _check_arguments(engine, backend, policy_class, tolerance)
     instance = problem.instance()
     deadline = np.inf if time_limit is None else began + time_limit
     if engine == "game":
@@ -94,11 +95,32 @@ def solve(
     )
     outcome = optimise(instance, problem.failure_budget, effort)
     solution = _conclude(problem, outcome)
+    if policy_class == "deterministic":
+        solution = best_deterministic(solution, outcome, tolerance, deadline)
     unlimited = engine != "lp" and not problem.ratio and problem.failure_budget >= 1.0
     reason = f"{_REASONS['unlimited' if unlimited else engine]}, {outcome.calls} oracle calls"
+    if policy_class == "deterministic":
+        reason += "; then one policy by mixed-integer programs"
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)
+
+
+def _check_arguments(engine: str, backend: str | None, policy_class: str, tolerance: float) -> None:
+    """Raise :class:`ModelError` for a wrong argument of ``solve``."""
+    if engine not in ENGINES:
+        raise ModelError(f"engine must be one of {', '.join(ENGINES)}, not {engine!r}")
+    if backend is not None and (backend not in BACKENDS or engine != "lp"):
+        raise ModelError(f"backend {backend!r}: engine='lp' takes one of {', '.join(BACKENDS)}")
+    if policy_class not in POLICY_CLASSES:
+        known = ", ".join(POLICY_CLASSES)
+        raise ModelError(f"policy_class must be one of {known}, not {policy_class!r}")
+    if policy_class == "deterministic" and engine not in ("auto", "lp"):
+        raise ModelError(
+            f"policy_class='deterministic' needs engine 'auto' or 'lp', not {engine!r}"
+        )
+    if not 0.0 < tolerance < 1.0:
+        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
 
 
 def _by_game(

@@ -23,7 +23,7 @@ ORDER = [
     ("evaluation", "occupation", "simulation"),
     ("solution", "frontier"),
     ("certificate",),
-    ("crosscheck",),
+    ("crosscheck", "deterministic"),
     ("solve",),
     ("road",),
     ("judge",),
