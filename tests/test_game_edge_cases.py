@@ -85,6 +85,22 @@ def test_a_budget_just_above_the_least_failure_is_feasible():
         assert bayes_adaptive(tight).objective >= stationary_game(tight).lower_bound
 
 
+def test_of_two_policies_that_fail_least_the_cheaper_is_found():
+    """Their failures are one number, computed twice: 5 steps of cost 1 or of cost 2 in the mean."""
+    choices = {
+        "x": {"dear": [(0.2, "g", 0), (0.8, "x", 2)], "fair": [(0.2, "g", 2), (0.8, "x", 1)]}
+    }
+    for discount in (0.9, 0.9999, 0.999999):
+        goal = 0.2 * discount / (1 - 0.8 * discount)
+        for criterion in (MCMP, S3P):
+            problem = criterion(
+                model_of(choices), start="x", failure_budget=1 - goal, discount=discount
+            )
+            found, column = solve(problem, engine="game"), solve(problem)
+            assert found.objective == pytest.approx(column.objective, rel=1e-8)
+            assert found.gap <= 1e-8
+
+
 def test_a_policy_of_unknown_memory_has_no_equivalent():
     class Secretive(Policy):
         """A user's own policy, whose memory nobody else understands."""

@@ -27,6 +27,9 @@ _CANCELLED = 4.0 * MACHINE_EPSILON
 _LEAST_ACCURACY = 1e-9
 """Relative accuracy of the least failure, on which feasibility hangs, however coarse the search."""
 
+_SAME = 1e-13
+"""Failures this near to the least are the least, computed twice: the cheaper policy may be used."""
+
 _MOST_GAMES = 100
 
 _STALLED = 0.75
@@ -109,8 +112,9 @@ def find_threshold(
         patience: when to stop before that, with the bracket as it is.
     """
     accuracy = 0.1 * tolerance
-    budget = max(budget, min(r.condition for r in known))
     replies = [*known, *_near_least(player, budget, known, accuracy)]
+    least = min(r.condition for r in replies)
+    budget = max([budget, *(r.condition for r in replies if r.condition <= least + _SAME)])
     low, high = 0.0, cheapest_mixture(replies, budget)[2] / share
     trials: list[Trial] = []
     width = np.inf  # of the bracket after the last game at its upper end
