@@ -79,6 +79,7 @@ def matrix_game(game: Game, minus: Reply, plus: Reply) -> float:
     weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
 
     def worst(weight: float) -> float:
+        """What the mixture pays against the worse MDP for it."""
         objective = (1.0 - weight) * minus.objective + weight * plus.objective
         condition = (1.0 - weight) * minus.condition + weight * plus.condition
         return max(objective, game.scale * condition)

@@ -88,6 +88,7 @@ def _of_case_s(instance: CostInstance, price: float) -> ProcessView:
     prices = (price, 0.0, _ENDLESS * (1.0 + price))
 
     def measure(choice: IntArray) -> list[Column]:
+        """A choice followed by the tails of each price, measured."""
         within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
         shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
         return [oracle.measure((within - shift).astype(np.int32), tail) for tail in prices]
