@@ -13,6 +13,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import staying_pairs
 from ssp_lp.process.expectations import cost_means
+from ssp_lp.process.measure import Measure
 
 
 class GiveUp(enum.StrEnum):
@@ -42,13 +43,14 @@ class Semantics:
 
     A penalty is paid for failing, on top of the cost until then; under a discount it is paid for
     the discounted failure. An infinite one forbids failing: only policies that reach the goal
-    surely are left.
+    surely are left. Where a measure is named, it is what counts of the total cost of a success.
     """
 
     give_up: GiveUp
     charge_failing_step: bool
     penalty: float = 0.0
     aim: Aim = Aim.LEAST_COST
+    measure: Measure | None = None
 
     @property
     def forbids_failing(self) -> bool:
