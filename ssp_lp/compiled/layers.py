@@ -21,10 +21,10 @@ def back_up_layer(
     cost: Array,
     slope: Array,
     layer: float,
+    charge: Array,
+    growth: Array,
     gain: Array,
-    gain_cost: Array,
     failure: Array,
-    unit: float,
     survival: float,
     values: Array,
     measured: Array,
@@ -32,7 +32,7 @@ def back_up_layer(
     position: Array,
     totals: Array,
 ) -> None:
-    """Least values of a layer, who attains them, and the (cost, failure, goal) of that choice.
+    """Least values of a layer, who attains them, and the (charge, failure, goal) of that choice.
 
     The chosen row is read again while it is still near.
     """
@@ -55,6 +55,8 @@ def back_up_layer(
             paid += weight * measured[column, 0]
             failed += weight * measured[column, 1]
             reached += weight * measured[column, 2]
-        totals[s, 0] = (gain[pick] * (layer * unit) + gain_cost[pick]) + paid
+        if layer != 0.0:
+            paid += layer * growth[pick]
+        totals[s, 0] = charge[pick] + paid
         totals[s, 1] = failure[pick] + failed
         totals[s, 2] = survival * gain[pick] + reached

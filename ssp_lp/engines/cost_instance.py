@@ -23,6 +23,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.accumulated_cost import AccumulatedCost, accumulate_cost
+from ssp_lp.process.charge import TailValues
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess, Tails
 from ssp_lp.process.materialise import chosen_pairs, materialise
@@ -197,9 +198,12 @@ class CostInstance:
         both = (first, riskiest)
         return Tails(
             decisions=np.stack([p.decision for p in both]).astype(np.int32),
-            goal=np.stack([at(p.goal) for p in both]),
-            early=np.stack([at(p.early) for p in both]),
-            cost=np.stack([at(p.cost) for p in both]),
+            values=TailValues(
+                goal=np.stack([at(p.goal) for p in both]),
+                early=np.stack([at(p.early) for p in both]),
+                cost=np.stack([at(p.cost) for p in both]),
+                moment=np.zeros((2, self.base.n_nodes)),
+            ),
             greatest_goal=greatest,
             least_goal=at(least.bound),
             exact=exact,
@@ -213,7 +217,7 @@ class CostInstance:
             layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
         else:
             tails = self._tails
-            cost = float(base.start @ tails.cost[0])
+            cost = float(base.start @ tails.first.cost)
             goal = float(base.start @ tails.goal[0]) + base.start_goal
             typical = cost / max(goal, 1e-300) / base.unit
             layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width

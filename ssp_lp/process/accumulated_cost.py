@@ -8,11 +8,12 @@ here, so where the goal can be avoided for sure (attention states) a policy may 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
 
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means, uniform_cost
@@ -38,6 +39,8 @@ class AccumulatedCost:
     start: FloatArray  # [nodes]
     start_goal: float  # start mass on goals
     start_failure: float  # start mass on dead-ends
+    exact_unit: Fraction  # the unit as the fraction that it is
+    arrivals: sp.csr_array | None = None  # [pairs, width] steps into the goal by layers ahead
 
     @property
     def n_nodes(self) -> int:
@@ -55,21 +58,34 @@ class AccumulatedCost:
         return sp.csr_array(sp.hstack([self.instant, self.later]))
 
 
-def accumulate_cost(model: SSP, start: FloatArray, discount: float | None) -> AccumulatedCost:
+def accumulate_cost(
+    model: SSP,
+    start: FloatArray,
+    discount: float | None,
+    *,
+    arrivals: bool = False,
+    usable: BoolArray | None = None,
+) -> AccumulatedCost:
     """Build the process of case S.
 
     Args:
         model: the model.
         start: distribution over states, [states].
         discount: None keeps real probabilities; a number scales every transition by it.
+        arrivals: place the costs of arriving at the goal on the lattice too, so that any function
+            of the total cost can be charged.
+        usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
+            the second stage of a least-failure problem (DESIGN, section 4).
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
     survival = survival_of(discount)
     free = costless_pairs(model) if discount is None else None
-    skeleton = build_skeleton(model, free=free, exits=attention_states(model))
-    lattice = lattice_of(model, skeleton.node_of >= 0)
+    exits = attention_states(model) if usable is None else None
+    skeleton = build_skeleton(model, usable=usable, free=free, exits=exits)
+    going_on = skeleton.node_of >= 0
+    lattice = lattice_of(model, going_on | model.goal_mask if arrivals else going_on)
     instant, later = _steps(skeleton, lattice, survival)
     to_dead = skeleton.at_pairs(successor_means(model, skeleton.dead), 1.0)
     acting = skeleton.pair_at >= 0
@@ -86,7 +102,18 @@ def accumulate_cost(model: SSP, start: FloatArray, discount: float | None) -> Ac
         start=skeleton.gather(start),
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[skeleton.dead].sum()),
+        exact_unit=lattice.unit,
+        arrivals=_arrivals(skeleton, lattice) if arrivals else None,
     )
+
+
+def _arrivals(skeleton: Skeleton, lattice: Lattice) -> sp.csr_array:
+    """Probability of stepping into the goal by the layers that the step passes, [pairs, width]."""
+    at_goal = np.where(skeleton.model.goal_mask, 0, -1).astype(np.int32)
+    rows = RowChoice(
+        skeleton.model, at_goal, 1, skeleton.pair_at, ahead=lattice.ahead, width=lattice.width
+    )
+    return live_rows(rows)[0]
 
 
 def _steps(

@@ -18,6 +18,11 @@ from ssp_lp.process.expectations import uniform_cost
 _MOST_LAYERS_PER_STEP = 1_000_000
 
 
+def exact_cost(cost: float | Fraction) -> Fraction:
+    """The number that a cost stands for: a float means its shortest decimal (0.1 is 1/10)."""
+    return cost if isinstance(cost, Fraction) else Fraction(repr(float(cost)))
+
+
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     """The greatest number of which every cost is a whole multiple, found exactly.
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.bellman import PairCost
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.process.accumulated_cost import AccumulatedCost
+from ssp_lp.process.charge import TOTAL_COST, Charge, TailValues, TotalCost
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,20 +23,39 @@ class Tails:
     """
 
     decisions: IntArray  # [tails, states]
-    goal: FloatArray  # [tails, nodes] E[gamma^T; goal]
-    early: FloatArray  # [tails, nodes] E[gamma^(T - 1); goal]
-    cost: FloatArray  # [tails, nodes] E[gamma^(T - 1) * cost; goal]
+    values: TailValues  # [tails, nodes] each
     greatest_goal: FloatArray  # [nodes] checked upper bound of E[gamma^T; goal]
     least_goal: FloatArray  # [nodes] checked lower bound of it
     exact: bool = True  # whether row 0 and the upper bound are those of the least failure
+    least_cost: FloatArray | None = None  # [nodes] checked: of E[cost; goal], none where it is 0
+    greatest_moment: FloatArray | None = None  # [nodes] checked: of E[exp(rate * cost); goal]
 
-    def threshold(self, unit: float, failure_price: float) -> FloatArray:
+    @property
+    def goal(self) -> FloatArray:
+        """E[gamma^T; goal], [tails, nodes]."""
+        return self.values.goal
+
+    def best_moment(self, goal: FloatArray) -> TailValues:
+        """As if one policy had a goal probability and the greatest moment, like ``goal``."""
+        nothing = np.zeros_like(goal)
+        moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
+        return TailValues(goal, nothing, nothing, moment)
+
+    @property
+    def first(self) -> TailValues:
+        """The values of row 0, [nodes] each."""
+        return self.values.row(0)
+
+    def threshold(self, unit: float, failure_price: float, charge: Charge) -> FloatArray:
         """Layer from which the last tail is no worse than the first at this price, [nodes].
 
-        The value of tail k at accumulated cost r is price * (1 - goal_k) + r * early_k + cost_k.
+        The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
+        cost_k) + offset * goal_k.
         """
-        saved = self.early[0] - self.early[-1]
-        owed = failure_price * (self.goal[0] - self.goal[-1]) + self.cost[-1] - self.cost[0]
+        first, last = self.values.row(0), self.values.row(-1)
+        saved = charge.slope * (first.early - last.early)
+        owed = (failure_price - charge.offset) * (first.goal - last.goal)
+        owed = owed + charge.slope * (last.cost - first.cost)
         with np.errstate(divide="ignore", invalid="ignore"):
             layer = np.ceil(owed / (saved * unit) - 1e-9)
         return np.where(saved > 0, layer, np.where(owed < 0, -np.inf, np.inf))
@@ -46,42 +68,71 @@ class LayeredProcess:
     base: AccumulatedCost
     cap: int
     tails: Tails
+    charge: Charge = TOTAL_COST
+
+    @cached_property
+    def _growth(self) -> FloatArray:
+        """What a layer adds to the charge of each pair in case S, [pairs]."""
+        return np.asarray(self.base.gain * self.base.unit)
+
+    @property
+    def grows_evenly(self) -> bool:
+        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
+        return isinstance(self.charge, TotalCost)
+
+    def charged(self, layer: int) -> PairCost:
+        """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
+        base = self.base
+        if self.grows_evenly or base.arrivals is None:
+            return PairCost(base.gain_cost, self._growth, float(layer))
+        ahead = layer + np.arange(base.arrivals.shape[1])
+        return PairCost(np.asarray(base.arrivals @ self.charge.at(ahead, base.exact_unit)))
+
+    @property
+    def start_charge(self) -> float:
+        """Charge of the start mass that lies on goals."""
+        base = self.base
+        at_once = float(self.charge.at(np.zeros(1, dtype=np.int64), base.exact_unit)[0])
+        return base.start_goal * at_once
 
     def threshold(self, price: float) -> FloatArray:
         """Layer from which the last tail is followed at a price of failure, [nodes].
 
         -infinity where it is followed from the cap on, so that equal rules compare equal.
         """
-        layer = self.tails.threshold(self.base.unit, price)
+        layer = self.tails.threshold(self.base.unit, price, self.charge)
         return np.where(layer <= self.cap, -np.inf, layer)
 
     def beyond(self, price: float) -> tuple[FloatArray, FloatArray]:
-        """(cost, goal) of the tails chosen by a price at (node, cap + i), 2 x [i, nodes]."""
+        """(charge, goal) of the tails chosen by a price at (node, cap + i), 2 x [i, nodes]."""
         layer = self.cap + np.arange(self.base.width - 1)[:, None]
         last = layer >= self.threshold(price)[None, :]
-        tails = self.tails
-        early = np.where(last, tails.early[-1], tails.early[0])
-        cost = np.where(last, tails.cost[-1], tails.cost[0])
-        goal = np.where(last, tails.goal[-1], tails.goal[0])
-        return cost + layer * self.base.unit * early, goal
+        chosen = self.tails.values.chosen(last)
+        return self.charge.beyond(layer, self.base.unit, chosen), chosen.goal
 
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
         """Lower bound of every policy's value at (node, cap + i), [width - 1, nodes].
 
-        Every success pays at least the r that has been paid: r * early + price * (1 - goal) with
-        early = goal / gamma (DESIGN, section 5: r + (kappa - r) F). It is exact where it is best
-        to fail and possible.
+        Every success is charged at least what it would be if it came at once: charge(r) * early +
+        price * (1 - goal) with early = goal / gamma (DESIGN, section 5: r + (kappa - r) F). It is
+        exact where it is best to fail and possible.
 
         Args:
             failure_price: kappa.
             failing: what failing counts: kappa, or 0 with -kappa for success.
         """
         layer = self.cap + np.arange(self.base.width - 1)[:, None]
-        paid = layer * self.base.unit / self.base.survival
-        goal = np.where(paid < failure_price, self.tails.greatest_goal, self.tails.least_goal)
+        tails, unit = self.tails, self.base.exact_unit
+        paid = self.charge.at(layer, unit) / self.base.survival
+        goal = np.where(paid < failure_price, tails.greatest_goal, tails.least_goal)
         rest = failing * (1.0 - goal) - (failure_price - failing) * goal
-        size = np.where(goal == 0, 0.0, (paid + failure_price) * MACHINE_EPSILON)
-        return np.asarray(rest + paid * goal - 8.0 * size)
+        least = paid * goal
+        if tails.greatest_moment is not None:
+            least = self.charge.beyond(layer, self.base.unit, tails.best_moment(goal))
+        if tails.least_cost is not None:
+            least = least + self.charge.slope * tails.least_cost
+        size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)
+        return np.asarray(rest + least - 8.0 * size)
 
     def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
         """Pull a choice back to the model.

@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.process.charge import TailValues
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess
 
@@ -27,8 +28,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
     entry = sp.csr_array(
         (base.start, (np.zeros(n, dtype=np.int64), np.arange(n))), shape=(1, n_states)
     )
-    layers = np.arange(cap)[:, None]
-    cost = base.gain * layers * base.unit + base.gain_cost
+    cost = np.stack([process.charged(layer).total for layer in range(cap)])
     own_pairs = np.tile(np.diff(base.pair_offsets), cap)
     counts = np.concatenate([own_pairs, np.full(n_beyond, tails_cost.shape[1]), [1]])
     start = np.zeros(n_states)
@@ -39,7 +39,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
             sp.vstack([steps, sp.csr_array((tails_cost.size, n_states)), entry])
         ),
         start=start,
-        cost=np.concatenate([cost.ravel(), tails_cost.ravel(), [0.0]]),
+        cost=np.concatenate([cost.ravel(), tails_cost.ravel(), [process.start_charge]]),
         failure=np.concatenate(
             [np.tile(base.failure, cap), 1.0 - tails_goal.ravel(), [base.start_failure]]
         ),
@@ -81,9 +81,11 @@ def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
 
 
 def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray]:
-    """Cost and goal mass of following each tail from beyond the cap, [layers * nodes, tails]."""
+    """Charge and goal mass of following each tail from beyond the cap, [layers * nodes, tails]."""
     base, tails = process.base, process.tails
-    paid = (process.cap + np.arange(base.width - 1)) * base.unit
-    cost = tails.cost.T[None] + paid[:, None, None] * tails.early.T[None]
+    layer = process.cap + np.arange(base.width - 1)
+    values = tails.values
+    each = TailValues(values.goal.T, values.early.T, values.cost.T, values.moment.T)
+    cost = process.charge.beyond(layer[:, None, None], base.unit, each)
     goal = np.broadcast_to(tails.goal.T[None], cost.shape)
     return cost.reshape(-1, cost.shape[-1]), goal.reshape(-1, cost.shape[-1])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,7 @@ from ssp_lp.bellman import (
     safe_minima,
     unsigned_parts,
 )
+from ssp_lp.engines.oracles.layer_costs import Summands, priced_layers, summed_layers
 from ssp_lp.engines.oracles.oracle import Column, Proof, Work, required
 from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import sub_solution
@@ -44,15 +45,6 @@ _ONE = np.ones(1)
 
 
 @dataclass(frozen=True, eq=False)
-class _Sums:
-    """The parts of each pair's backup, for counting rounding (see ``safe_minima``)."""
-
-    cost: PairCost
-    magnitude: FloatArray  # [pairs]
-    alone: FloatArray  # [pairs]
-
-
-@dataclass(frozen=True, eq=False)
 class LayeredOracle:
     """Column generation's oracle for case S; the process is never written out.
 
@@ -65,29 +57,33 @@ class LayeredOracle:
     def first(self) -> Column:
         """The first tail, which goes for the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
-        cost, goal = float(base.start @ tails.cost[0]), float(base.start @ tails.goal[0])
+        nothing_paid = self.process.charge.beyond(
+            np.zeros(base.n_nodes, int), base.unit, tails.first
+        )
+        cost, goal = float(base.start @ nothing_paid), float(base.start @ tails.goal[0])
+        cost += self.process.start_charge
         failure = float(base.start @ (1.0 - tails.goal[0])) + base.start_failure
         policy = DeterministicPolicy(base.skeleton.model, tails.decisions[0])
         return Column(cost, failure, goal + base.start_goal, None, policy=policy)
 
     def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
-        """A policy of least ``E[cost; goal] + failure_price * failure``, measured exactly."""
+        """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         choice = self._blank_choice()
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
-        paid = PairCost(base.gain_cost + owed, base.gain * base.unit)
+        priced = priced_layers(self.process, owed)
         ahead = Window(self._tail_values(failure_price, failing))
         measured = self._measures_beyond(failure_price)
         totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
         for layer in reversed(range(self.process.cap)):
-            cost = replace(paid, factor=float(layer))
+            cost, charge = priced(layer), self.process.charged(layer)
             if self._acyclic and accelerated(base.later.nnz):
-                values, totals = self._fused(cost, ahead, measured, choice[layer])
+                values, totals = self._fused(cost, charge, ahead, measured, choice[layer])
             else:
                 inner, values = self._best(cost, ahead, inner)
                 choice[layer] = inner - offsets[:-1]
-                totals = self._measured(inner, layer, measured)
+                totals = self._measured(inner, charge, measured)
             ahead.push(values)
             measured.push(totals)
         return self._column(totals, choice, failure_price, self.process.cap)
@@ -103,7 +99,7 @@ class LayeredOracle:
         return settled.choice, settled.values
 
     def _fused(
-        self, cost: PairCost, ahead: Window, measured: Window, position: IntArray
+        self, cost: PairCost, charge: PairCost, ahead: Window, measured: Window, position: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """The same and its measures in one compiled pass, which writes the choice to position."""
         from ssp_lp.compiled.layers import back_up_layer
@@ -112,7 +108,7 @@ class LayeredOracle:
         values, totals = np.empty(base.n_nodes), np.empty((base.n_nodes, 3))
         back_up_layer(matrix.nnz)(
             *unsigned_parts(base.pair_offsets, matrix), *cost.parts,
-            base.gain, base.gain_cost, base.failure, base.unit, base.survival,
+            *charge.parts[:2], base.gain, base.failure, base.survival,
             ahead.flat, measured.flat, values, position, totals,
         )  # fmt: skip
         return values, totals
@@ -127,15 +123,18 @@ class LayeredOracle:
         base = self.process.base
         measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
-            totals = self._measured(base.pair_offsets[:-1] + choice[layer], layer, measured)
+            chosen = base.pair_offsets[:-1] + choice[layer]
+            totals = self._measured(chosen, self.process.charged(layer), measured)
             measured.push(totals)
         return self._column(totals, choice, tail_price, 0)
 
-    def _measured(self, chosen: IntArray, layer: int, ahead: Window) -> FloatArray:
-        """(cost, failure, goal) of a layer's choice, [nodes, 3]."""
+    def _measured(self, chosen: IntArray, charge: PairCost, ahead: Window) -> FloatArray:
+        """(charge, failure, goal) of a layer's choice, [nodes, 3]."""
         base = self.process.base
         totals = np.empty((base.n_nodes, 3))
-        totals[:, 0] = base.gain[chosen] * (layer * base.unit) + base.gain_cost[chosen]
+        totals[:, 0] = charge.fixed[chosen]
+        if charge.slope is not None:
+            totals[:, 0] += charge.factor * charge.slope[chosen]
         totals[:, 1] = base.failure[chosen]
         totals[:, 2] = base.survival * base.gain[chosen]
         totals += chosen_product(base.later, chosen, ahead.flat)
@@ -153,6 +152,7 @@ class LayeredOracle:
         base, work = self.process.base, Work(backups, self.process.cap)
         cost, failure, goal = (base.start @ totals).tolist()
         failure, goal = failure + base.start_failure, goal + base.start_goal
+        cost += self.process.start_charge
         return Column(cost, failure, goal, choice, tail_price, work=work)
 
     def _blank_choice(self) -> IntArray:
@@ -201,41 +201,39 @@ class LayeredOracle:
         """Lower values layer by layer, from what is given beyond the cap."""
         base, success = self.process.base, price - failing
         owed, saved = failing * base.failure, success * base.survival * base.gain
-        paid = base.gain_cost + owed
-        sums = _Sums(PairCost(paid - saved, base.gain * base.unit), paid + saved, owed)
-        floor = -success * (1.0 + _BELOW_EVERY_VALUE)
+        summed = summed_layers(self.process, owed, saved)
+        floor = -(success - self.process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
         kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else None
         window, inner, lowest = Window(beyond), self._first_choice, np.zeros(base.n_nodes)
         for layer in reversed(range(self.process.cap)):
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
-                lowest = np.minimum(self._safe_layer(sums, layer, window), given)
+                lowest = np.minimum(self._safe_layer(summed(layer), window), given)
             else:
-                lowest, inner = self._safe_cycles(sums, layer, window, given, inner, floor)
+                lowest, inner = self._safe_cycles(summed(layer), window, given, inner, floor)
             if kept is not None:
                 kept[layer] = lowest
             window.push(lowest)
-        parts = np.append(base.start * lowest, [failing * base.start_failure,
-                                                -success * base.start_goal])  # fmt: skip
+        ended = [failing * base.start_failure, -success * base.start_goal]
+        parts = np.append(base.start * lowest, [*ended, self.process.start_charge])
         loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
         bound = float(parts.sum()) - max(float(loss), 0.0)
         checked = self._anything if kept is None else kept
         return Proof(price, failing, bound, checked, Work(self.process.cap, 0))
 
-    def _safe_layer(self, sums: _Sums, layer: int, window: Window) -> FloatArray:
+    def _safe_layer(self, sums: Summands, window: Window) -> FloatArray:
         """Checked values of a layer whose steps all lead on to later ones, [nodes]."""
-        base, cost = self.process.base, replace(sums.cost, factor=float(layer))
+        base = self.process.base
         return safe_minima(
-            base.pair_offsets, base.later, cost, sums.magnitude, sums.alone, window.flat
+            base.pair_offsets, base.later, sums.cost, sums.magnitude, sums.alone, window.flat
         )
 
     def _safe_cycles(
-        self, sums: _Sums, layer: int, window: Window, given: FloatArray, inner: IntArray,
-        floor: float,
-    ) -> tuple[FloatArray, IntArray]:  # fmt: skip
+        self, sums: Summands, window: Window, given: FloatArray, inner: IntArray, floor: float
+    ) -> tuple[FloatArray, IntArray]:
         """Checked values of a layer with steps inside it, [nodes], and its best choice."""
         base, offsets = self.process.base, self.process.base.pair_offsets
-        growth = float(layer) * base.gain * base.unit
+        growth = 0.0 if sums.cost.slope is None else sums.cost.factor * sums.cost.slope
         size = (sums.magnitude + growth) + base.later @ np.abs(window.flat)
         ahead = (sums.cost.fixed + growth) + base.later @ window.flat
         ahead = np.where(size == sums.alone, ahead, ahead - backup_rounding(base.later) * size)
