@@ -93,7 +93,7 @@ def _lower_bound(
     instance: Instance, problem: Problem, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
     """Lower bound of the objective, and the relative gap that truncation leaves in it."""
-    row = Row(max(problem.failure_budget or 0.0, 0.0), problem.ratio)
+    row = Row(max(problem.failure_budget or 0.0, 0.0), problem.ratio, instance.lowest)
     slack = slack and problem.ratio
     price = price * (1.0 - _BELOW) if slack else price
     proof = instance.oracle().check(price, np.asarray(solution.value_function), slack=slack)

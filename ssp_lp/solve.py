@@ -23,6 +23,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.process.semantics import Aim
+from ssp_lp.reward import solve_for_worth
 from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
 ENGINES = ("auto", "columns", "lp", "game")
@@ -84,8 +85,6 @@ def solve(
         return _by_game(problem, instance, tolerance, Patience(deadline, progress), began)
     if problem.semantics.aim is not Aim.LEAST_COST:
         return _extreme_goal(problem, instance, engine, backend, began, deadline)
-    if problem.failure_budget is None:
-        return _at_least_failure(problem, checked_least_failure(instance, None), began)
     effort = Effort(
         engine="columns" if engine == "auto" else engine,
         backend=backend,
@@ -93,6 +92,12 @@ def solve(
         deadline=deadline,
         progress=progress,
     )
+    if problem.semantics.measure is not None:
+        if policy_class == "deterministic":
+            raise ModelError("policy_class='deterministic' knows costs, not measures of their law")
+        return _timed(solve_for_worth(problem, instance, effort), began)
+    if problem.failure_budget is None:
+        return _at_least_failure(problem, checked_least_failure(instance, None), began)
     outcome = optimise(instance, problem.failure_budget, effort)
     solution = _conclude(problem, outcome)
     if policy_class == "deterministic":
@@ -103,6 +108,11 @@ def solve(
         reason += "; then one policy by mixed-integer programs"
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
+    return replace(solution, run=run)
+
+
+def _timed(solution: Solution, began: float) -> Solution:
+    run = replace(solution.run, seconds=time.perf_counter() - began)
     return replace(solution, run=run)
 
 

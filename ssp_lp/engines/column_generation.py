@@ -77,7 +77,7 @@ class Edge:
     def improved_by(self, found: Column, price: float, tolerance: float) -> bool:
         """Whether a column lies below the line through ``inside`` at this price."""
         below = self.inside.cost - found.cost - price * excess_failure(found, self.inside)
-        scale = self.objective * (self.inside.goal if self.row.ratio else 1.0)
+        scale = abs(self.objective) * (self.inside.goal if self.row.ratio else 1.0)
         return below > 0.1 * tolerance * max(scale, 1e-300)
 
     def updated(self, found: Column) -> Edge:
@@ -95,7 +95,7 @@ class Edge:
         """Whether a column is the one beyond the budget again, up to rounding."""
         if self.outside is None or abs(found.failure - self.outside.failure) > _SAME_FAILURE:
             return False
-        return found.cost >= self.outside.cost * (1.0 - _SAME_FAILURE)
+        return found.cost >= self.outside.cost - _SAME_FAILURE * abs(self.outside.cost)
 
 
 def search(

@@ -63,6 +63,7 @@ class CostInstance:
     cap: int | None = None  # layers
     exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
     ratio: bool = field(default=True, init=False)
+    lowest: float = field(default=0.0, init=False)
 
     @property
     def survival(self) -> float:

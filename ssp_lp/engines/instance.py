@@ -47,6 +47,11 @@ class Instance(Protocol):
         ...
 
     @property
+    def lowest(self) -> float:
+        """No objective is less; at most 0, and 0 where every cost is at least 0."""
+        ...
+
+    @property
     def is_trial(self) -> bool:
         """Whether this instance is only to learn the price, from which its size will follow."""
         ...

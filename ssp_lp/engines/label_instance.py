@@ -30,6 +30,7 @@ class LabelInstance:
     discount: float | None = None
     ratio: bool = False
     is_trial: bool = False
+    lowest: float = 0.0
 
     @cached_property
     def _oracle(self) -> ExplicitOracle:

@@ -72,7 +72,8 @@ def optimise(instance: Instance, budget: float, effort: Effort) -> Outcome:
     """
     gaps: list[float] = []
     instance = instance.for_program() if effort.engine == "lp" else instance
-    outcome = _attempt(instance, Row(budget, instance.ratio), None, effort, None)
+    row = Row(budget, instance.ratio, instance.lowest)
+    outcome = _attempt(instance, row, None, effort, None)
     while True:
         found, here = outcome.found, outcome.instance
         gaps.append(relative_gap(found.objective, found.lower_bound))

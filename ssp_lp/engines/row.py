@@ -15,6 +15,7 @@ class Row:
 
     budget: float
     ratio: bool
+    lowest: float = 0.0  # no objective is less
 
     def objective(self, cost: float, goal: float) -> float:
         """Objective of a point of the hull."""
@@ -32,7 +33,7 @@ class Row:
         """
         bound, price, share = proof.bound, proof.price, 1.0 - self.budget
         if not self.ratio:
-            return max(bound - price * self.budget, 0.0)
+            return max(bound - price * self.budget, self.lowest)
         if proof.failing == 0.0:
             if bound >= 0.0:
                 return price + bound

@@ -18,7 +18,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.process.lattice import exact_cost
-from ssp_lp.process.measure import Utility
+from ssp_lp.process.measure import Utility, utilities
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,18 +178,16 @@ class UtilityReward(Charge):
         Raises:
             ModelError: the utility is no non-increasing function with this limit.
         """
-        cost = np.asarray(np.asarray(layers) * float(unit), dtype=np.float64)
-        worth = np.asarray(self.utility(cost), dtype=np.float64) - self.at_infinity
-        if worth.shape != cost.shape or not np.isfinite(worth).all():
-            raise ModelError("utility must map an array of costs to as many finite numbers")
+        cost = np.asarray(np.ravel(layers) * float(unit), dtype=np.float64)
+        worth = utilities(self.utility, cost) - self.at_infinity
         wrong = (worth < 0.0) | np.append(np.diff(worth) > 0.0, False)
         if wrong.any():
             where = float(cost[int(np.argmax(wrong))])
             raise ModelError(
-                f"utility must not increase with the cost nor fall below utility_at_infinity "
+                f"utility must not increase with the cost nor fall below utility_at_infinity = "
                 f"{self.at_infinity:g}: it does at cost {where:g}"
             )
-        return -(worth + self.bonus)
+        return np.asarray(-(worth + self.bonus)).reshape(np.shape(layers))
 
     def settled(self, unit: Fraction) -> None:
         """Never, as far as is known."""

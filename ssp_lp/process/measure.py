@@ -11,10 +11,28 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
 
+import numpy as np
+
 from ssp_lp.arrays import FloatArray
+from ssp_lp.errors import ModelError
 
 Utility = Callable[[FloatArray], FloatArray]
 """A non-increasing function of the total cost, on arrays."""
+
+
+def utilities(utility: Utility, costs: FloatArray) -> FloatArray:
+    """The utility of each cost, like ``costs``.
+
+    Raises:
+        ModelError: the function does not take an array, or does not return as many finite numbers.
+    """
+    try:
+        worth = np.asarray(utility(costs), dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"utility must take an array of costs: {error}") from error
+    if worth.shape != costs.shape or not np.isfinite(worth).all():
+        raise ModelError("utility must map an array of costs to as many finite numbers")
+    return worth
 
 
 class Law(Protocol):
@@ -59,6 +77,11 @@ class Measure(Protocol):
         """Whether more is better."""
         ...
 
+    @property
+    def failing(self) -> float:
+        """What a run that fails is worth, where the measure is an expectation."""
+        ...
+
     def of(self, law: Law) -> float:
         """The number."""
         ...
@@ -70,6 +93,7 @@ class WithinBound:
 
     bound: float | Fraction
     maximised: bool = True
+    failing: float = 0.0
 
     def of(self, law: Law) -> float:
         """The probability."""
@@ -85,6 +109,11 @@ class ExpectedUtility:
     at_infinity: float
     maximised: bool = True
 
+    @property
+    def failing(self) -> float:
+        """The utility of an infinite cost."""
+        return self.at_infinity
+
     def of(self, law: Law) -> float:
         """The expected utility."""
         reached = law.expectation(self.utility, self.at_infinity) + self.bonus * law.goal
@@ -98,6 +127,7 @@ class ExponentialUtility:
     rate: float
     bonus: float
     maximised: bool = True
+    failing: float = 0.0
 
     def of(self, law: Law) -> float:
         """The expected utility."""
@@ -110,6 +140,7 @@ class CostQuantileOf:
 
     level: float
     maximised: bool = False
+    failing: float = float("inf")
 
     def of(self, law: Law) -> float:
         """The least B with Pr(C <= B | goal) >= level."""
@@ -126,6 +157,7 @@ class TailMeanOf:
 
     level: float
     maximised: bool = False
+    failing: float = float("inf")
 
     def of(self, law: Law) -> float:
         """The mean of the worst ``1 - level`` of the runs that succeed."""

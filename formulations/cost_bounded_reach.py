@@ -1,0 +1,98 @@
+"""CostBoundedReach: the greatest probability of reaching the goal within a total cost."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+
+from ssp_lp.engines.charge_instance import ChargeInstance
+from ssp_lp.engines.instance import Instance
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.problem import check_setting
+from ssp_lp.process.charge import Late
+from ssp_lp.process.measure import WithinBound
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class CostBoundedReach:
+    """Maximise ``Pr(goal, total cost <= cost_bound)`` subject to ``failure <= failure_budget``.
+
+    Problem:
+        a deadline or a tank: reach the goal before the cost exceeds the bound. A run that reaches
+        the goal later is late but has not failed; the failure budget limits the runs that never
+        reach it at any cost.
+
+    Program:
+        minimise <-in time, x> subject to flow balance, <failure, x> <= failure_budget, x >= 0 over
+        states x accumulated cost (paper, section 3.1.1), with one layer per unit of cost up to the
+        bound and none beyond it: there only the goal probability still counts.
+
+    Guarantee:
+        a lottery over at most two deterministic policies of (state, accumulated cost) attains the
+        optimum, without a budget a single one. The table of costs ends at the bound: nothing is
+        truncated. ``upper_bound`` comes from a checked sub-solution of the priced problem.
+
+    Semantics:
+        exact; costs and bound are compared as the decimals or fractions that they are, so that
+        three steps of 0.1 keep to a bound of 0.3. Wandering for ever is failure.
+        ``failure_budget=1.0`` limits nothing; ``None`` counts only policies that fail least.
+
+    Reference:
+        Andova, Hermanns and Katoen, FORMATS 2003 (reward-bounded reachability); Hartmanns, Junges,
+        Katoen and Quatmann, TACAS 2018 (by unfolding the cost). The budget is ours.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``; one budget for the mean.
+        cost_bound: greatest total cost, a number or a fraction, not negative.
+        failure_budget: largest failure probability; None: as low as possible.
+
+    Raises:
+        ModelError: a bound or a budget out of range, or an unknown start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.6, "home", 1.0), (0.3, "road", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> [round(solve(CostBoundedReach(model, "road", b)).objective, 9) for b in (0.5, 1, 2, 3)]
+        [0.0, 0.6, 0.78, 1.0]
+        >>> round(solve(CostBoundedReach(model, "road", 2, failure_budget=0.05)).objective, 9)
+        0.39
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    cost_bound: float | Fraction
+    failure_budget: float | None = 1.0
+
+    def __post_init__(self) -> None:
+        check_setting(self.failure_budget, None)
+        if not 0 <= self.cost_bound < float("inf"):
+            raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")
+        start_distribution(self.model, self.start)
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """A plain probability, not one given success."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """Arriving in time is what counts."""
+        measure = WithinBound(self.cost_bound)
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+
+    def instance(self) -> Instance:
+        """The accumulated-cost process, an arrival in time its only reward."""
+        start = start_distribution(self.model, self.start)
+        return ChargeInstance(self.model, start, Late(self.cost_bound, rewarded=True))

@@ -1,0 +1,104 @@
+"""EGUBS: expected exponential utility of the total cost together with a bonus for the goal."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+from ssp_lp.engines.charge_instance import ChargeInstance
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.process.charge import ExponentialReward
+from ssp_lp.process.measure import ExponentialUtility
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class EGUBS:
+    """Maximise ``E[exp(risk_factor * C); goal] + goal_bonus * Pr(goal)``, risk_factor < 0.
+
+    Problem:
+        ``GUBS`` with the exponential utility: C is the total cost, infinite if the goal is not
+        reached, so that failing is worth 0.
+
+    Program:
+        minimise <-worth, x> subject to flow balance, x >= 0 over states x accumulated cost (paper,
+        section 3.1.1), the worth of an arrival at total cost c being exp(risk_factor * c) +
+        goal_bonus.
+
+    Guarantee:
+        a deterministic policy of (state, accumulated cost) attains the optimum. From a finite
+        accumulated cost on, ``cost_horizon``, a stationary policy is optimal: the greatest goal
+        probability first, then the greatest exponential moment. The table of costs ends there, so
+        that nothing is truncated; ``upper_bound`` is checked.
+
+    Semantics:
+        exact. Wandering for ever is failure. Without a bonus the optimum is the stationary
+        risk-sensitive policy, and the horizon is 0.
+
+    Reference:
+        Freire and Delgado, AAMAS 2017 (GUBS); Freire, Delgado and Reis, AAAI 2019 (eGUBS and its
+        exact cost horizon).
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+        risk_factor: lambda < 0, per unit of cost.
+        goal_bonus: K_g >= 0.
+
+    Raises:
+        ModelError: a risk factor that is not negative, a negative bonus, an unknown start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> [round(solve(EGUBS(model, "road", -0.5, k)).objective, 9) for k in (0.0, 10.0)]
+        [0.545877594, 10.22313016]
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    risk_factor: float
+    goal_bonus: float
+
+    def __post_init__(self) -> None:
+        if not (self.risk_factor < 0.0 and isfinite(self.risk_factor)):
+            raise ModelError(f"risk_factor must be a number below 0, not {self.risk_factor!r}")
+        if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
+            raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
+        start_distribution(self.model, self.start)
+
+    @property
+    def cost_horizon(self) -> float:
+        """Accumulated cost from which a stationary policy is optimal (C_max)."""
+        return self.instance().cost_horizon
+
+    @property
+    def failure_budget(self) -> float:
+        """Failing is not limited: the utility weighs it."""
+        return 1.0
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """A plain expectation."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """The utility is what counts."""
+        measure = ExponentialUtility(self.risk_factor, self.goal_bonus)
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+
+    def instance(self) -> ChargeInstance:
+        """The accumulated-cost process, rewarded on arrival."""
+        reward = ExponentialReward(self.risk_factor, self.goal_bonus)
+        return ChargeInstance(self.model, start_distribution(self.model, self.start), reward)

@@ -1,0 +1,108 @@
+"""GUBS: the greatest expected utility of the total cost together with a bonus for the goal."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+
+from ssp_lp.engines.charge_instance import ChargeInstance
+from ssp_lp.engines.instance import Instance
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.process.charge import UtilityReward
+from ssp_lp.process.measure import ExpectedUtility, Utility
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class GUBS:
+    """Maximise ``E[utility(C)] + goal_bonus * Pr(goal)``; whoever fails pays an infinite cost.
+
+    Problem:
+        C is the total cost of a run, infinite if the goal is not reached (goals with
+        utility-based semantics). The bonus says how much cost a little more probability is worth,
+        which neither a lexicographic order nor a penalty can say consistently.
+
+    Program:
+        minimise <-worth, x> subject to flow balance, x >= 0 over states x accumulated cost (paper,
+        section 3.1.1): an arrival at total cost c is worth utility(c) + goal_bonus -
+        utility_at_infinity more than failing. The process is that of ``S3P`` with another charge.
+
+    Guarantee:
+        a deterministic policy of (state, accumulated cost) attains the optimum. Beyond the table
+        of costs the utility is bounded by its limit from below and by its value at the table's end
+        from above; the table grows until the certified gap meets the tolerance. A utility that
+        does not come near its limit within 100,000 layers leaves an honest gap.
+
+    Semantics:
+        exact. Wandering for ever is failure. ``utility`` must not increase, maps arrays to arrays
+        and is evaluated at multiples of the unit of cost only.
+
+    Reference:
+        Freire and Delgado, AAMAS 2017 (GUBS). For the exponential utility see ``EGUBS``.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``.
+        utility: non-increasing function of the total cost, on arrays.
+        goal_bonus: K_g >= 0.
+        utility_at_infinity: what the utility falls to, and what failing is worth.
+
+    Raises:
+        ModelError: a negative or infinite bonus, an infinite limit, an unknown start; when solved,
+            a utility that increases, or that falls below its limit.
+
+    Example:
+        >>> import numpy as np
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.9, "home", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> def patience(cost):
+        ...     return np.maximum(1.0 - cost / 4.0, 0.0)
+        >>> [round(solve(GUBS(model, "road", patience, k)).objective, 9) for k in (0.0, 10.0)]
+        [0.675, 10.25]
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    utility: Utility
+    goal_bonus: float
+    utility_at_infinity: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
+            raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
+        if not isfinite(self.utility_at_infinity):
+            raise ModelError(
+                f"utility_at_infinity must be a number, not {self.utility_at_infinity!r}"
+            )
+        start_distribution(self.model, self.start)
+
+    @property
+    def failure_budget(self) -> float:
+        """Failing is not limited: the utility weighs it."""
+        return 1.0
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """A plain expectation."""
+        return False
+
+    @property
+    def semantics(self) -> Semantics:
+        """The utility is what counts."""
+        measure = ExpectedUtility(self.utility, self.goal_bonus, self.utility_at_infinity)
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+
+    def instance(self) -> Instance:
+        """The accumulated-cost process, rewarded on arrival."""
+        reward = UtilityReward(self.utility, self.utility_at_infinity, self.goal_bonus)
+        return ChargeInstance(self.model, start_distribution(self.model, self.start), reward)

@@ -1,0 +1,221 @@
+"""Any charge of the total cost as an instance: bounded reach, utilities, and risk given success."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.engines.instance import LeastFailure
+from ssp_lp.engines.oracles.goal_reach import (
+    GoalReach,
+    ReachPolicy,
+    cheapest,
+    greatest_goal_reach,
+    least_goal_reach,
+)
+from ssp_lp.engines.oracles.layered import LayeredOracle
+from ssp_lp.engines.oracles.moment_reach import MomentReach, cost_horizon, greatest_moment
+from ssp_lp.engines.oracles.oracle import Column, required
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.process.accumulated_cost import AccumulatedCost, accumulate_cost
+from ssp_lp.process.charge import Charge, ExponentialReward, TailValues
+from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.process.layered import LayeredProcess, Tails
+from ssp_lp.process.materialise import chosen_pairs, materialise
+
+_MOST_ENTRIES = 200_000_000
+"""Largest table of decisions, nodes x layers."""
+
+_FIRST_LAYERS = 64
+"""Layers of a first attempt where nothing says how many are needed."""
+
+_MOST_LAYERS = 100_000
+"""Layers of a charge that does not settle, after which the gap that is left is left."""
+
+_MARGIN = 1.02  # layers beyond what a price asks for: the price still moves a little
+_LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
+
+
+@dataclass(frozen=True, eq=False)
+class ChargeInstance:
+    """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited; exact.
+
+    The table of accumulated costs ends where the charge has become affine: what is best beyond it
+    follows in closed form, or, where the charge still grows, as in case S from the price on at
+    which it is best to fail. A charge that never settles is cut and refined.
+    """
+
+    model: SSP
+    start: FloatArray  # [states]
+    charge: Charge
+    ratio: bool = False
+    safest_only: bool = False  # only policies of least failure
+    cap: int | None = None  # layers; None: as the charge asks
+    discount: None = None
+    is_trial: bool = False
+
+    @cached_property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        usable = self.greatest.usable if self.safest_only else None
+        return accumulate_cost(self.model, self.start, None, arrivals=True, usable=usable)
+
+    @cached_property
+    def greatest(self) -> GoalReach:
+        """The greatest goal probability."""
+        return greatest_goal_reach(self.model)
+
+    @cached_property
+    def _safest(self) -> ReachPolicy:
+        """The cheapest policy of greatest goal probability."""
+        return cheapest(self.model, self.greatest)
+
+    @cached_property
+    def _riskiest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
+        least = least_goal_reach(self.model)
+        return least, cheapest(self.model, least)
+
+    @cached_property
+    def _moments(self) -> MomentReach | None:
+        """The tail of an exponential utility."""
+        if not isinstance(self.charge, ExponentialReward):
+            return None
+        usable = self.greatest.usable if self.charge.bonus > 0.0 else None
+        return greatest_moment(self.model, self.charge.rate, usable)
+
+    @cached_property
+    def cost_horizon(self) -> float:
+        """Accumulated cost from which a stationary policy is optimal; 0 for other charges."""
+        charge, moments = self.charge, self._moments
+        if moments is None or not isinstance(charge, ExponentialReward) or charge.bonus == 0.0:
+            return 0.0
+        return cost_horizon(self.model, self.greatest, moments, charge.rate, charge.bonus)
+
+    @cached_property
+    def process(self) -> LayeredProcess:
+        """The process cut at the cap."""
+        cap = self._first_cap() if self.cap is None else self.cap
+        if (cap + self.base.width) * self.base.n_nodes > _MOST_ENTRIES:
+            raise ModelError(
+                f"{cap:,} layers of accumulated cost (unit {self.base.unit:g}) on "
+                f"{self.base.n_nodes:,} states are too many; round the costs to a coarser grid"
+            )
+        return LayeredProcess(self.base, cap, self._tails, self.charge)
+
+    def _first_cap(self) -> int:
+        """Layers that are surely needed, and enough where the charge settles for good."""
+        settled = self.charge.settled(self.base.exact_unit)
+        if settled is None:
+            return _FIRST_LAYERS + self.base.width
+        if isinstance(self.charge, ExponentialReward):
+            settled = int(min(np.ceil(self.cost_horizon / self.base.unit), 1e15))
+        return max(settled, 1)
+
+    @cached_property
+    def _tails(self) -> Tails:
+        at, moments = self.base.skeleton.least_over_members, self._moments
+        first: ReachPolicy | MomentReach = self._safest if moments is None else moments
+        last, least_goal, least_cost = first, at(self.greatest.goal) * (1.0 - _LEAST), None
+        if self.safest_only:
+            least_cost = at(self._safest.cost_bound)
+        elif moments is None:
+            least, last = self._riskiest
+            least_goal = at(least.bound)
+        both = (first, last)
+        costs = [p.cost if isinstance(p, ReachPolicy) else np.zeros_like(p.goal) for p in both]
+        early = [p.early if isinstance(p, ReachPolicy) else p.goal for p in both]
+        moment = [p.moment if isinstance(p, MomentReach) else np.zeros_like(p.goal) for p in both]
+        return Tails(
+            decisions=np.stack([p.decision for p in both]).astype(np.int32),
+            values=TailValues(
+                goal=np.stack([at(p.goal) for p in both]),
+                early=np.stack([at(e) for e in early]),
+                cost=np.stack([at(c) for c in costs]),
+                moment=np.stack([at(m) for m in moment]),
+            ),
+            greatest_goal=-at(-self.greatest.bound),
+            least_goal=least_goal,
+            least_cost=least_cost,
+            greatest_moment=None if moments is None else -at(-moments.bound),
+        )
+
+    @property
+    def lowest(self) -> float:
+        """No objective is less."""
+        return self.charge.lowest
+
+    def least_failure(self) -> LeastFailure:
+        """The least charged of the policies that fail least, which may remember the cost."""
+        oracle = self.safest().oracle()
+        best = oracle.minimise(0.0)
+        policy = oracle.policy(best)
+        bound = oracle.prove(0.0, best).bound
+        if self.ratio:
+            bound = bound / min(float(self.start @ self.greatest.bound), 1.0)
+        return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
+
+    def oracle(self) -> LayeredOracle:
+        """One backward sweep over the layers."""
+        return LayeredOracle(self.process)
+
+    def explicit(self) -> ExplicitProcess:
+        """All layers below the cap, written out."""
+        return materialise(self.process)
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The column's pairs in all layers, its tails beyond them and the source's only pair."""
+        return chosen_pairs(self.process, required(column.choice), column.tail_price)
+
+    def refined(self, price: float) -> ChargeInstance | None:
+        """More layers: as the price asks where the charge grows, else twice as many."""
+        here, charge, unit = self.process.cap, self.charge, self.base.exact_unit
+        wanted = 2 * here
+        if charge.settled(unit) is None:
+            wanted = min(wanted, _MOST_LAYERS)
+        else:
+            if charge.slope == 0.0 or self.safest_only or isinstance(charge, ExponentialReward):
+                return None
+            failing_pays = (price - charge.offset) / charge.slope / float(unit)
+            lossless = int(min(np.ceil(_MARGIN * failing_pays), 1e15)) + 1
+            wanted = lossless if here < lossless <= 4 * here else wanted
+        too_large = (wanted + self.base.width) * self.base.n_nodes > _MOST_ENTRIES
+        if too_large or wanted <= here:
+            return None
+        return self.charging(self.charge, wanted)
+
+    def charging(self, charge: Charge, cap: int | None = None) -> ChargeInstance:
+        """The same process with another charge and cap, handing on what has been worked out."""
+        other = replace(self, charge=charge, cap=cap)
+        kept = ["base", "greatest", "_safest", "_riskiest"]
+        if charge == self.charge:
+            kept += ["_moments", "_tails", "cost_horizon"]
+        vars(other).update((name, vars(self)[name]) for name in kept if name in vars(self))
+        return other
+
+    def safest(self) -> ChargeInstance:
+        """The same among the policies of least failure."""
+        return replace(self, safest_only=True, cap=None)
+
+    def for_program(self) -> ChargeInstance:
+        """The instance itself: its tails are optimal beyond it."""
+        return self
+
+    def matching(self, values: FloatArray) -> ChargeInstance:
+        """The same problem with as many layers as the value function, [layers, nodes].
+
+        Raises:
+            ModelError: the array has fewer layers than the charge needs to settle.
+        """
+        least = 1 if self.charge.settled(self.base.exact_unit) is None else self._first_cap()
+        if values.ndim != 2 or values.shape[0] < least:
+            raise ModelError(f"a value function of {least} or more layers is needed")
+        return self.charging(self.charge, values.shape[0])
+
+    def tail_loss(self, price: float, *, slack: bool = False) -> float:
+        """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
+        return self.oracle().tail_loss(price, slack=slack)

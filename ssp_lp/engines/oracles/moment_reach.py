@@ -1,0 +1,122 @@
+"""Exponential utility of the cost of reaching the goal, and from what cost on a tail is optimal.
+
+A run that has paid r and follows a stationary policy is worth ``exp(rate * r) * E[exp(rate * C);
+goal] + bonus * Pr(goal)``: the utility factors. As r grows the first term vanishes, so that from a
+finite cost on it is optimal to maximise the goal probability first and the exponential moment
+second (Freire, Delgado and Reis, AAAI 2019: the cost horizon C_max of eGUBS).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
+from ssp_lp.bellman import ChosenRows
+from ssp_lp.engines.oracles.goal_reach import GoalReach
+from ssp_lp.engines.oracles.policy_iteration import approach, improve
+from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.linear import accumulate
+from ssp_lp.model import SSP
+from ssp_lp.process.expectations import costless_pairs, successor_means
+from ssp_lp.process.skeleton import Skeleton, build_skeleton
+
+_ROUNDING = 2.0
+"""A pair's loss of goal probability may be half of what is computed: the horizon then lies a little
+farther than it need, and no rounding matters."""
+
+_ONE = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class MomentReach:
+    """A policy of greatest E[exp(rate * C); goal] among those allowed."""
+
+    decision: IntArray  # [states]
+    goal: FloatArray  # [states] Pr(goal)
+    moment: FloatArray  # [states] E[exp(rate * C); goal], 1 at goals
+    bound: FloatArray  # [states] checked upper bound of the moment of every allowed policy
+
+
+def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> MomentReach:
+    """Maximise E[exp(rate * C); goal] over the policies that use some pairs only.
+
+    Every step that costs something shrinks what is to come, so that this is an ordinary problem
+    on a substochastic process; loops that cost nothing are collapsed, and a policy leaves them.
+
+    Args:
+        model: the model.
+        rate: negative.
+        usable: pairs, [model pairs], such as those of greatest goal probability; None: all.
+    """
+    skeleton = build_skeleton(model, usable=usable, free=costless_pairs(model))
+    offsets, shrinking = skeleton.pair_offsets, _shrunk(skeleton, rate)
+    gain = skeleton.at_pairs(_shrunk_arrivals(model, rate))
+    hit = skeleton.at_pairs(successor_means(model, model.goal_mask))
+    plain, _ = skeleton.transitions(1.0, departing=False)
+    first = approach(offsets, plain, hit > 0)
+    settled = improve(offsets, shrinking, gain[:, None], -_ONE, first)
+    moment = settled.totals[:, 0]
+    bound = -sub_solution(offsets, shrinking, -gain, -moment, floor=-1.0 - 1e-9)
+    reached = accumulate(ChosenRows(plain, settled.choice), hit[settled.choice])
+    at_goal = model.goal_mask
+    return MomentReach(
+        decision=skeleton.pull_back(settled.choice),
+        goal=np.where(at_goal, 1.0, skeleton.lift(reached)),
+        moment=np.where(at_goal, 1.0, skeleton.lift(moment)),
+        bound=np.where(at_goal, 1.0, skeleton.lift(bound)),
+    )
+
+
+def cost_horizon(
+    model: SSP, greatest: GoalReach, tail: MomentReach, rate: float, bonus: float
+) -> float:
+    """Accumulated cost from which the tail is optimal whatever comes: C_max of eGUBS.
+
+    At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
+    * (Q_V(s, a) - V(s)) for all pairs, with P the greatest goal probability and V the tail's
+    moment. Pairs that keep P satisfy it by V's optimality; each other one from some r on.
+
+    Args:
+        model: the model.
+        greatest: greatest goal probabilities and the pairs that keep them.
+        tail: the greatest moment among those.
+        rate: negative.
+        bonus: positive.
+
+    Returns:
+        The cost; 0 if the tail is optimal from the start.
+    """
+    losing = ~greatest.usable & (greatest.goal > 0.0)[model.pair_state]
+    losing &= ~model.goal_mask[model.pair_state]
+    lost = greatest.goal[model.pair_state] - successor_means(model, greatest.goal)
+    ahead = _shrunk_arrivals(model, rate, np.where(model.goal_mask, 1.0, tail.moment))
+    gained = ahead - tail.moment[model.pair_state]
+    tempting = losing & (gained > 0.0)
+    if not tempting.any():
+        return 0.0
+    share = bonus * lost[tempting] / _ROUNDING / gained[tempting]
+    with np.errstate(divide="ignore"):
+        return float(max(np.log(share).min() / rate, 0.0))
+
+
+def _shrunk_arrivals(model: SSP, rate: float, values: FloatArray | None = None) -> FloatArray:
+    """E[exp(rate * stage cost) * value of the successor], 1 at goals if none are given, [pairs]."""
+    worth = model.goal_mask.astype(np.float64) if values is None else values
+    terms = model.probabilities * np.exp(rate * model.costs) * worth[model.successors]
+    return segment_sums(terms, model.outcome_offsets)
+
+
+def _shrunk(skeleton: Skeleton, rate: float) -> sp.csr_array:
+    """Transitions weighted by exp(rate * stage cost), [pairs, nodes]."""
+    model = skeleton.model
+    node = skeleton.node_of[model.successors]
+    live = node >= 0
+    pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
+    weight = model.probabilities * np.exp(rate * model.costs)
+    every = sp.csr_array(
+        (weight[live], (pair[live], node[live])), shape=(model.n_pairs, skeleton.n_nodes)
+    )
+    return sp.csr_array(every[skeleton.pair_at])
