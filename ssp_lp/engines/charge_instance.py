@@ -33,6 +33,8 @@ _MOST_ENTRIES = 200_000_000
 _FIRST_LAYERS = 64
 """Layers of a first attempt where nothing says how many are needed."""
 
+_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+
 _MOST_LAYERS = 100_000
 """Layers of a charge that does not settle, after which the gap that is left is left."""
 
@@ -99,7 +101,7 @@ class ChargeInstance:
     @cached_property
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
-        cap = self._first_cap() if self.cap is None else self.cap
+        cap = self._first_guess() if self.cap is None else self.cap
         if (cap + self.base.width) * self.base.n_nodes > _MOST_ENTRIES:
             raise ModelError(
                 f"{cap:,} layers of accumulated cost (unit {self.base.unit:g}) on "
@@ -107,14 +109,23 @@ class ChargeInstance:
             )
         return LayeredProcess(self.base, cap, self._tails, self.charge)
 
-    def _first_cap(self) -> int:
-        """Layers that are surely needed, and enough where the charge settles for good."""
-        settled = self.charge.settled(self.base.exact_unit)
-        if settled is None:
-            return _FIRST_LAYERS + self.base.width
+    def _settled_layers(self) -> int:
+        """Layers after which the charge is affine, or the tail optimal; 1 where it never is."""
+        settled = self.charge.settled(self.base.exact_unit) or 0
         if isinstance(self.charge, ExponentialReward):
             settled = int(min(np.ceil(self.cost_horizon / self.base.unit), 1e15))
         return max(settled, 1)
+
+    def _first_guess(self) -> int:
+        """As many layers as are surely needed, and some more where that is not enough."""
+        if self.charge.settled(self.base.exact_unit) is None:
+            return _FIRST_LAYERS + self.base.width
+        if self.charge.slope == 0.0 or self.safest_only:
+            return self._settled_layers()
+        goal = float(self.base.start @ self._tails.goal[0])
+        cost = float(self.base.start @ self._tails.first.cost)
+        typical = cost / max(goal, 1e-300) / self.base.unit
+        return self._settled_layers() + int(min(_TYPICAL * typical, 1e15)) + self.base.width
 
     @cached_property
     def _tails(self) -> Tails:
@@ -171,28 +182,40 @@ class ChargeInstance:
         """The column's pairs in all layers, its tails beyond them and the source's only pair."""
         return chosen_pairs(self.process, required(column.choice), column.tail_price)
 
+    def lossless_layers(self, price: float) -> int:
+        """Layers beyond which it is best to fail at this price of failure, with some room.
+
+        As many as the charge needs to settle where it grows no more from there.
+        """
+        charge, unit = self.charge, self.base.exact_unit
+        settled = self._settled_layers()
+        if charge.slope == 0.0:
+            return settled
+        failing_pays = (price - charge.offset) / charge.slope / float(unit)
+        return max(settled, int(min(np.ceil(_MARGIN * failing_pays), 1e15)) + 1)
+
     def refined(self, price: float) -> ChargeInstance | None:
         """More layers: as the price asks where the charge grows, else twice as many."""
-        here, charge, unit = self.process.cap, self.charge, self.base.exact_unit
+        here, charge = self.process.cap, self.charge
         wanted = 2 * here
-        if charge.settled(unit) is None:
+        if charge.settled(self.base.exact_unit) is None:
             wanted = min(wanted, _MOST_LAYERS)
+        elif charge.slope == 0.0 or self.safest_only:
+            return None
         else:
-            if charge.slope == 0.0 or self.safest_only or isinstance(charge, ExponentialReward):
-                return None
-            failing_pays = (price - charge.offset) / charge.slope / float(unit)
-            lossless = int(min(np.ceil(_MARGIN * failing_pays), 1e15)) + 1
+            lossless = self.lossless_layers(price)
             wanted = lossless if here < lossless <= 4 * here else wanted
         too_large = (wanted + self.base.width) * self.base.n_nodes > _MOST_ENTRIES
         if too_large or wanted <= here:
             return None
-        return self.charging(self.charge, wanted)
+        return self.charging(charge, wanted)
 
     def charging(self, charge: Charge, cap: int | None = None) -> ChargeInstance:
         """The same process with another charge and cap, handing on what has been worked out."""
         other = replace(self, charge=charge, cap=cap)
         kept = ["base", "greatest", "_safest", "_riskiest"]
-        if charge == self.charge:
+        exponential = (isinstance(c, ExponentialReward) for c in (charge, self.charge))
+        if charge == self.charge or not any(exponential):
             kept += ["_moments", "_tails", "cost_horizon"]
         vars(other).update((name, vars(self)[name]) for name in kept if name in vars(self))
         return other
@@ -211,7 +234,7 @@ class ChargeInstance:
         Raises:
             ModelError: the array has fewer layers than the charge needs to settle.
         """
-        least = 1 if self.charge.settled(self.base.exact_unit) is None else self._first_cap()
+        least = self._settled_layers()
         if values.ndim != 2 or values.shape[0] < least:
             raise ModelError(f"a value function of {least} or more layers is needed")
         return self.charging(self.charge, values.shape[0])

@@ -168,7 +168,11 @@ class LayeredOracle:
         return column if np.array_equal(here, there) else self.measure(column.choice, price)
 
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
-        """Prove the best lower bound that a sweep gives; no policy is needed for it."""
+        """The best lower bound that a sweep gives; no policy is needed for it."""
+        return self.best_bound(price, slack=slack)
+
+    def best_bound(self, price: float, *, slack: bool = False) -> Proof:
+        """Prove the best lower bound of every policy's value that one sweep gives."""
         return self.check(price, self._anything, slack=slack)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:

@@ -1,0 +1,155 @@
+"""The least conditional value at risk of the total cost given success.
+
+For any policy it is the least over z of z + E[(C - z)^+ | goal] / (1 - level) (Rockafellar and
+Uryasev 2000), attained at the quantile, which lies on the lattice of costs. So the optimum is the
+least over z on the lattice of F(z), the least E[charge | goal] with that integrand as the charge:
+S3P with a kink. The search alternates between the best policy at z and that policy's own quantile.
+The proof then refutes every z: most by one backward sweep at the price of failure that was optimal
+nearby; many by their neighbours, since with z the integrand rises by at most the step and falls by
+at most level / (1 - level) of it; all that are dearer than the optimum because F(z) >= z.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+from ssp_lp.cost_law import success_costs
+from ssp_lp.engines.refinement import Effort
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.problem import Problem
+from ssp_lp.process.charge import Excess
+from ssp_lp.risk.trial import Question, Trial, attempt, charging, refuted_below
+from ssp_lp.solution import Run, Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Best:
+    """The least value so far, who attains it, and what its search took."""
+
+    value: float
+    policy: MixedPolicy
+    layer: int  # the policy's quantile
+    kappa: float  # price of failure
+    calls: int
+
+
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """What does not change from threshold to threshold."""
+
+    problem: Problem
+    question: Question
+    level: float
+    effort: Effort
+
+    def charge(self, layer: int) -> Excess:
+        """The integrand at a threshold."""
+        return Excess(layer, 1.0 - self.level, self.question.instance.base.exact_unit)
+
+    def attempt(self, layer: int, best: Best | None, kappa: float = 0.0) -> tuple[Best, Trial]:
+        """The better of the best so far and the best policy at a threshold, and the trial."""
+        trial = attempt(self.question, self.charge(layer), self.effort, kappa)
+        law = success_costs(trial.policy, self.problem)
+        value, calls = law.tail_mean(self.level), trial.calls
+        if best is not None:
+            calls += best.calls
+            if best.value <= value:
+                return replace(best, calls=calls), trial
+        quantile = self.question.layer_of(law.quantile(self.level))
+        return Best(value, trial.policy, quantile, trial.kappa, calls), trial
+
+    def target(self, best: Best) -> float:
+        """The value below which no threshold may lie."""
+        return best.value * (1.0 - self.effort.tolerance)
+
+    def refute(self, best: Best, layer: int, step: int) -> tuple[Best, float]:
+        """Bound all thresholds from a layer on, upwards or downwards.
+
+        Returns:
+            The best, which may have been found on the way, and the least bound; minus infinity
+            where time ran out.
+        """
+        question, least = self.question, best.value
+        slope = self.level / (1.0 - self.level) if step > 0 else 1.0
+        kappa = best.kappa
+        while layer >= 0 and question.cost_of(layer) < (target := self.target(best)):
+            if time.perf_counter() > self.effort.deadline:
+                return best, float("-inf")
+            priced = max(kappa, target)
+            instance = charging(question, self.charge(layer), priced)
+            here = refuted_below(question, instance, priced)
+            if here < target:
+                best, trial = self.attempt(layer, best, kappa)
+                here, kappa = max(here, trial.lower_bound), trial.kappa
+            room = max(here - self.target(best), 0.0)
+            skipped = int(room / (slope * question.unit))
+            least = min(least, here if skipped == 0 else self.target(best))
+            layer += step * (1 + skipped)
+        return best, min(least, self.target(best))
+
+
+def least_tail_mean(problem: Problem, question: Question, level: float, effort: Effort) -> Solution:
+    """Find a policy by alternating, and prove that no other threshold gives a better one.
+
+    Args:
+        problem: the problem.
+        question: the policies that count.
+        level: in [0, 1).
+        effort: engine, tolerance and limits.
+    """
+    search = _Search(problem, question, level, effort)
+    best, first = search.attempt(0, None)
+    bounds = {0: first.lower_bound}
+    while level > 0.0 and best.layer not in bounds and time.perf_counter() < effort.deadline:
+        layer = best.layer
+        best, trial = search.attempt(layer, best, best.kappa)
+        bounds[layer] = trial.lower_bound
+    best, bound = _proved(search, best, bounds)
+    remarks = [question.note] if question.note else []
+    if bound == float("-inf"):
+        bound = first.lower_bound * (1.0 - level)  # no mean of a tail is below the whole mean
+        remarks.append("stopped by the time limit; the gap is honest")
+    reason = f"thresholds on the lattice of costs, {best.calls} oracle calls"
+    return Solution(
+        problem=problem,
+        policy=best.policy,
+        objective=best.value,
+        lower_bound=min(bound, best.value),
+        failure_price=None if question.budget is None else max(best.kappa - best.value, 0.0),
+        value_function=None,
+        budget_used=1.0 - success_costs(best.policy, problem).goal,
+        run=Run(effort.engine, reason, best.calls, 0.0),
+        note="; ".join(remarks),
+    )
+
+
+def tail_mean_bound(
+    problem: Problem, question: Question, level: float, quantile: float, effort: Effort
+) -> float:
+    """Prove a lower bound of every policy's tail mean afresh; 0 if that fails.
+
+    Args:
+        problem: the problem.
+        question: the policies that count.
+        level: in [0, 1).
+        quantile: of a good policy: where to begin.
+        effort: tolerance and limits.
+    """
+    search = _Search(problem, question, level, effort)
+    best, first = search.attempt(0, None)
+    layer = search.question.layer_of(quantile)
+    best, trial = search.attempt(layer, best, best.kappa)
+    _, least = _proved(search, best, {0: first.lower_bound, layer: trial.lower_bound})
+    return max(least, 0.0)
+
+
+def _proved(search: _Search, best: Best, bounds: dict[int, float]) -> tuple[Best, float]:
+    """Refute all thresholds on both sides of the best one, whose own bound is known."""
+    if search.level == 0.0:
+        return best, bounds[0]  # the whole mean: the least threshold is best
+    middle = best.layer
+    own = bounds.get(middle, float("-inf"))
+    best, above = search.refute(best, middle + 1, +1)
+    best, below = search.refute(best, middle - 1, -1)
+    return best, min(own, above, below)

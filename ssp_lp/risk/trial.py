@@ -1,0 +1,107 @@
+"""The least E[charge(total cost) | goal] within a failure budget: what every measure is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.engines.charge_instance import ChargeInstance
+from ssp_lp.engines.instance import checked_least_failure
+from ssp_lp.engines.refinement import Effort, optimise
+from ssp_lp.engines.row import Row
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.problem import Problem
+from ssp_lp.process.charge import TOTAL_COST, Charge
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """The policies among which the least risk is sought."""
+
+    instance: ChargeInstance  # of one charge or another
+    budget: float | None  # of failure; None: only policies of least failure
+    note: str = ""
+
+    @property
+    def unit(self) -> float:
+        """Cost of a layer."""
+        return self.instance.base.unit
+
+    def cost_of(self, layer: int) -> float:
+        """The total cost of so many layers, as the nearest float."""
+        return float(layer * self.instance.base.exact_unit)
+
+    def layer_of(self, cost: float) -> int:
+        """The layer of a total cost."""
+        return round(cost / self.unit)
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The least E[charge | goal], with its proof."""
+
+    value: float
+    lower_bound: float
+    policy: MixedPolicy
+    kappa: float  # price of failure at the optimum
+    calls: int
+
+
+def pose(problem: Problem, instance: ChargeInstance) -> Question:
+    """Check the budget, and say which policies count.
+
+    Args:
+        problem: says the budget.
+        instance: the accumulated-cost process, a ratio of whatever charge.
+
+    Raises:
+        InfeasibleError: the budget is below the least failure, or the goal is out of reach.
+    """
+    budget, total = problem.failure_budget, instance.charging(TOTAL_COST)
+    least = checked_least_failure(total, budget).column.failure
+    if budget is not None and budget > least + LEAST_BUDGET:
+        return Question(total, budget)
+    note = ""
+    if budget is not None and budget < least:
+        note = f"the budget lies {least - budget:.1e} below the least failure and counts as equal"
+    return Question(total.safest(), None, note)
+
+
+def attempt(question: Question, charge: Charge, effort: Effort, kappa: float = 0.0) -> Trial:
+    """Minimise E[charge | goal].
+
+    Args:
+        question: the policies that count.
+        charge: of the total cost.
+        effort: engine, tolerance and limits.
+        kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
+    """
+    instance = charging(question, charge, kappa)
+    if question.budget is None:
+        oracle = instance.oracle()
+        column = oracle.minimise(0.0)
+        policy = MixedPolicy((oracle.policy(column),), np.ones(1))
+        value = column.cost / column.goal
+        return Trial(value, min(refuted_below(question, instance, 0.0), value), policy, 0.0, 2)
+    outcome = optimise(instance, question.budget, effort)
+    found, oracle = outcome.found, outcome.instance.oracle()
+    policy = MixedPolicy(tuple(oracle.policy(c) for c in found.columns), found.weights)
+    return Trial(found.objective, found.lower_bound, policy, found.price, outcome.calls)
+
+
+def charging(question: Question, charge: Charge, kappa: float) -> ChargeInstance:
+    """The process with a charge, as large as a price of failure asks for."""
+    instance = question.instance.charging(charge)
+    if kappa <= 0.0 or question.budget is None:
+        return instance
+    return question.instance.charging(charge, instance.lossless_layers(kappa))
+
+
+def refuted_below(question: Question, instance: ChargeInstance, kappa: float) -> float:
+    """One sweep's lower bound of E[charge | goal], at a guess of the price of failure."""
+    proof = instance.oracle().best_bound(kappa)
+    if question.budget is None:
+        return max(proof.bound, 0.0) / min(float(instance.start @ instance.greatest.bound), 1.0)
+    return Row(question.budget, ratio=True).lower_bound(proof)
