@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -16,6 +16,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.linear import accumulate, without_self_loops
 from ssp_lp.process.lattice import common_unit, layers_of
 
+_FIRST_LAYERS = 64
 _MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
 _MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
 _WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
@@ -175,6 +176,26 @@ class Arrivals:
             else:
                 self.settled += ahead
                 self._settle_one()
+
+    def followed(self, enough: int | None = None) -> Iterator[int]:
+        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
+
+        Yields:
+            How many layers are settled; at least once.
+
+        Raises:
+            ModelError: this would take too long.
+        """
+        yield self.settled
+        while not self.exhausted:
+            ahead = max(2 * self.settled, _FIRST_LAYERS)
+            self.settle(ahead if enough is None else min(ahead, enough))
+            yield self.settled
+
+    @property
+    def frontier(self) -> float:
+        """The total cost from which on nothing is settled."""
+        return float(self.cost_of(np.array(self.settled)))
 
     def remaining(self) -> tuple[float, float]:
         """Of the runs that arrive at an unsettled layer: Pr(goal), and E[C - settled; goal]."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -22,7 +22,6 @@ from ssp_lp.problem import Problem
 from ssp_lp.process.measure import TailMeanOf, Utility
 from ssp_lp.process.semantics import start_distribution
 
-_FIRST_LAYERS = 64
 _LAST_LAYER = 2**62  # as good as infinitely many
 _NOTHING = 1e-17  # of a sum: less than its rounding
 _UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
@@ -86,18 +85,12 @@ class CostLaw:
     @cached_property
     def goal(self) -> float:
         """The probability of reaching the goal."""
-        return sum(
-            float(w) * float(p.chain.start @ p.goal)
-            for p, w in zip(self._prospects, self._weights, strict=True)
-        )
+        return self._mean(lambda p: float(p.chain.start @ p.goal))
 
     @cached_property
     def cost(self) -> float:
         """E[C; goal]."""
-        return sum(
-            float(w) * float(p.chain.start @ p.cost)
-            for p, w in zip(self._prospects, self._weights, strict=True)
-        )
+        return self._mean(lambda p: float(p.chain.start @ p.cost))
 
     @property
     def conditional_mean(self) -> float:
@@ -113,7 +106,7 @@ class CostLaw:
         if bound == inf:
             return self.goal
         last = self._last_layer(bound)
-        for settled in self._followed(last + 1):
+        for settled in self._arrivals.followed(last + 1):
             if settled > last or self._arrivals.remaining()[0] <= _NOTHING * self.goal:
                 break
         layers, masses = self._arrivals.atoms()
@@ -126,7 +119,7 @@ class CostLaw:
         if threshold == inf:
             return 0.0
         last = self._last_layer(float(threshold))
-        for settled in self._followed(last + 1):
+        for settled in self._arrivals.followed(last + 1):
             if settled > last:
                 break
             if self._arrivals.remaining()[1] <= _NOTHING * self.cost:
@@ -135,7 +128,7 @@ class CostLaw:
         layers, masses = arrivals.atoms()
         known = float(masses @ np.maximum(arrivals.cost_of(layers) - threshold, 0.0))
         goal, cost = arrivals.remaining()
-        return known + (self._frontier - threshold) * goal + cost
+        return known + (self._arrivals.frontier - threshold) * goal + cost
 
     def quantile(self, level: float) -> float:
         """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached.
@@ -150,7 +143,7 @@ class CostLaw:
         if self.goal == 0.0:
             return nan
         needed = level * self.goal * (1.0 - QUANTILE)
-        for _ in self._followed():
+        for _ in self._arrivals.followed():
             layers, masses = self._arrivals.atoms()
             total = np.cumsum(masses)
             if total.size and total[-1] >= needed:
@@ -179,10 +172,7 @@ class CostLaw:
         """
         if not -inf < rate <= 0.0:
             raise ModelError(f"rate must be a number of at most 0, not {rate!r}")
-        return sum(
-            float(w) * _exponential(p, rate)
-            for p, w in zip(self._prospects, self._weights, strict=True)
-        )
+        return self._mean(lambda p: _exponential(p, rate))
 
     def expectation(self, utility: Utility, at_infinity: float) -> float:
         """E[utility(C); goal], followed until the rest cannot matter.
@@ -198,10 +188,10 @@ class CostLaw:
         gain = _gain(utility, at_infinity)
         if self.goal == 0.0:
             return 0.0
-        for _ in self._followed():
+        for _ in self._arrivals.followed():
             layers, masses = self._arrivals.atoms()
             known = float(masses @ gain(self._arrivals.cost_of(layers)))
-            there = abs(float(gain(np.array([self._frontier]))[0]))
+            there = abs(float(gain(np.array([self._arrivals.frontier]))[0]))
             if self._arrivals.remaining()[0] * there <= _UTILITY_LEFT * abs(known):
                 break
         return at_infinity * self.goal + known
@@ -211,7 +201,7 @@ class CostLaw:
         if bound == inf:
             raise ModelError("give a finite bound, or all_but(mass)")
         last = self._last_layer(bound)
-        for settled in self._followed(last + 1):
+        for settled in self._arrivals.followed(last + 1):
             if settled > last:
                 break
         layers, masses = self._arrivals.atoms()
@@ -225,7 +215,7 @@ class CostLaw:
         """
         if not mass > 0.0:
             raise ModelError(f"mass must be above 0, not {mass!r}: the support may be infinite")
-        for _ in self._followed():
+        for _ in self._arrivals.followed():
             if self._arrivals.remaining()[0] <= mass:
                 break
         layers, masses = self._arrivals.atoms()
@@ -233,29 +223,15 @@ class CostLaw:
         kept = int(np.argmax(beyond <= mass))
         return Atoms(self._arrivals.cost_of(layers[:kept]), masses[:kept])
 
+    def _mean(self, of: Callable[[Prospect], float]) -> float:
+        """The lottery's mean of a number of each member."""
+        numbers = zip(self._prospects, self._weights, strict=True)
+        return sum((float(w) * of(p) for p, w in numbers), start=0.0)
+
     @cached_property
     def _arrivals(self) -> Arrivals:
         exact = self._prospects[0].chain.model.exact_costs
         return Arrivals(Live.of(self._prospects, self._weights), exact)
-
-    @property
-    def _frontier(self) -> float:
-        """The total cost from which on nothing is settled."""
-        return float(self._arrivals.cost_of(np.array(self._arrivals.settled)))
-
-    def _followed(self, enough: int | None = None) -> Iterator[int]:
-        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
-
-        Yields:
-            How many layers are settled; at least once.
-        """
-        arrivals = self._arrivals
-        while True:
-            yield arrivals.settled
-            if arrivals.exhausted and arrivals.settled > 0:
-                return
-            ahead = max(2 * arrivals.settled, _FIRST_LAYERS)
-            arrivals.settle(ahead if enough is None else min(ahead, enough))
 
     def _last_layer(self, bound: float | Fraction) -> int:
         """The last layer of a total cost of at most ``bound``; -1 where there is none."""
