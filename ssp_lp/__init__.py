@@ -2,6 +2,7 @@
 
 from ssp_lp.agreement import Agreement, cross_check
 from ssp_lp.certificate import Certificate, certify
+from ssp_lp.cost_law import CostLaw, success_costs
 from ssp_lp.errors import (
     InfeasibleError,
     MissingDependencyError,
@@ -33,6 +34,7 @@ __all__ = [
     "Agreement",
     "Certificate",
     "CostAwarePolicy",
+    "CostLaw",
     "DeterministicPolicy",
     "Evaluation",
     "Frontier",
@@ -51,5 +53,6 @@ __all__ = [
     "evaluate",
     "simulate",
     "solve",
+    "success_costs",
     "trace_frontier",
 ]

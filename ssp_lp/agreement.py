@@ -90,11 +90,16 @@ def cross_check(
         large to solve from nothing.
 
     Raises:
-        ModelError: a wrong argument.
+        ModelError: a wrong argument, or a problem with a measure, for which there is one road.
         InfeasibleError: every road says that no policy keeps to the budget.
     """
     if not (0.0 < tolerance < 1.0 and 0.0 < weight_tolerance < 1.0):
         raise ModelError("tolerances must lie strictly between 0 and 1")
+    if problem.semantics.measure is not None:
+        raise ModelError(
+            f"{type(problem).__name__} measures the law of the total cost, which one road alone "
+            "can do: call solve, and evaluate for a second opinion of its policy"
+        )
     roads = [take_road(name, problem, lp_backend, time_limit) for name in ROADS]
     for road in roads:
         if road.infeasible is not None and not any(r.answered for r in roads):

@@ -29,6 +29,13 @@ LEAST_BUDGET: Final = 1e-10
 IMPROVEMENT: Final = 1e-13
 """Relative gain below which policy iteration keeps an action: the accuracy of a refined solve."""
 
+QUANTILE: Final = 1e-12
+"""Relative slack with which a mass reaches a quantile's level.
+
+The masses of many total costs add up to 1e-15 .. 1e-13 of what they are: an atom that ends exactly
+at the level must not be missed, for the next one may lie anywhere.
+"""
+
 RELATIVE_GAP: Final = 1e-9
 """Default relative gap between the objective and its certified lower bound."""
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.chain import Chain, policy_chain, reaching
+from ssp_lp.cost_law import success_costs
 from ssp_lp.ends import end_marks
 from ssp_lp.errors import ModelError
 from ssp_lp.failing import give_up_costs, lost_costs
@@ -27,7 +28,7 @@ class Evaluation:
     success_cost: float  # E[total cost; goal]
     conditional_cost: float  # E[total cost | goal]; nan if the goal is never reached
     expected_cost: float  # E[r_tau]: until failure is declared, charges included, undiscounted
-    objective: float  # what the problem optimises, discounted where it is; penalty included
+    objective: float  # what the problem optimises, discounted where it is; penalty or measure
     discounted_failure: float | None  # paper, eq. constrain_condition_approximate
     ends: Mapping[str, float]  # how episodes end: goal, each label, dead_end, gave_up, wandering
 
@@ -57,8 +58,13 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
     start = start_distribution(problem.model, problem.start)
     if isinstance(policy, MixedPolicy):
         parts = [_measure(p, problem, start) for p in policy.policies]
-        return _report(_mean(parts, policy.weights), problem)
-    return _report(_measure(policy, problem, start), problem)
+        evaluation = _report(_mean(parts, policy.weights), problem)
+    else:
+        evaluation = _report(_measure(policy, problem, start), problem)
+    measure = problem.semantics.measure
+    if measure is None:
+        return evaluation
+    return replace(evaluation, objective=measure.of(success_costs(policy, problem)))
 
 
 @dataclass(frozen=True)

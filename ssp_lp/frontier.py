@@ -127,6 +127,8 @@ def trace_frontier(
     """
     if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
+    if problem.semantics.measure is not None:
+        raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
     if not 0.0 < gap < 1.0:
         raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
     if point_limit is not None and point_limit < 2:

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.ends import end_marks
 from ssp_lp.errors import ModelError
 from ssp_lp.estimate import Estimate, mean_estimate, proportion_estimate
@@ -87,6 +87,7 @@ class SimulationReport:
     goal_probability: Estimate
     conditional_cost: Estimate  # mean total cost of the episodes that reached the goal
     expected_cost: Estimate  # mean cost until the end, failing charged as the problem says
+    success_costs: FloatArray  # [successes] total costs of the episodes that reached the goal
     mean_steps: float
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
 
@@ -215,6 +216,7 @@ def _report(problem: Problem, played: _Played, confidence: float) -> SimulationR
         goal_probability=proportion_estimate(int(reached.sum()), len(played.mark), confidence),
         conditional_cost=mean_estimate(played.cost[reached], confidence),
         expected_cost=mean_estimate(played.cost + played.charge, confidence),
+        success_costs=read_only(played.cost[reached]),
         mean_steps=float(played.steps.mean()),
         paths=played.paths,
     )

@@ -20,6 +20,8 @@ ORDER = [
     ("engines", "goal_probability"),
     ("problem",),
     ("chain", "ends", "failing", "estimate", "players"),
+    ("arrivals",),
+    ("cost_law",),
     ("evaluation", "occupation", "simulation"),
     ("solution", "frontier"),
     ("certificate",),

@@ -160,6 +160,8 @@ class TailMeanOf:
     failing: float = float("inf")
 
     def of(self, law: Law) -> float:
-        """The mean of the worst ``1 - level`` of the runs that succeed."""
+        """The mean of the worst ``1 - level`` of the runs that succeed; nan if none does."""
+        if law.goal == 0.0:
+            return float("nan")
         value = law.quantile(self.level)
         return value + law.excess(value) / ((1.0 - self.level) * law.goal)

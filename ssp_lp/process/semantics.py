@@ -59,8 +59,8 @@ class Semantics:
 
     @property
     def counts_cost_alone(self) -> bool:
-        """Whether only a budget can keep a policy from failing: no penalty, no other aim."""
-        return self.penalty == 0.0 and self.aim is Aim.LEAST_COST
+        """Whether only a budget can keep a policy from failing: no penalty, aim or measure."""
+        return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None
 
 
 def survival_of(discount: float | None) -> float:
