@@ -2,7 +2,12 @@
 
 from formulations.alpha_mcmp import AlphaMCMP
 from formulations.comparison import CriteriaComparison, CriterionRow, compare_criteria
+from formulations.cost_bounded_reach import CostBoundedReach
+from formulations.cost_quantile import CostQuantile
+from formulations.cvar import CVaR
+from formulations.egubs import EGUBS
 from formulations.finite_penalty import FinitePenalty
+from formulations.gubs import GUBS
 from formulations.isspude import ISSPUDE
 from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
@@ -11,10 +16,15 @@ from formulations.minprob import MinProb
 from formulations.s3p import S3P
 
 __all__ = [
+    "EGUBS",
+    "GUBS",
     "ISSPUDE",
     "MCMP",
     "S3P",
     "AlphaMCMP",
+    "CVaR",
+    "CostBoundedReach",
+    "CostQuantile",
     "CriteriaComparison",
     "CriterionRow",
     "FinitePenalty",

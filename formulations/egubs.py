@@ -38,7 +38,7 @@ class EGUBS:
         risk-sensitive policy, and the horizon is 0.
 
     Reference:
-        Freire and Delgado, AAMAS 2017 (GUBS); Freire, Delgado and Reis, AAAI 2019 (eGUBS and its
+        Freire and Delgado, AAMAS 2017 (GUBS); Freire, Delgado and Reis, ICAPS 2019 (eGUBS and its
         exact cost horizon).
 
     Args:

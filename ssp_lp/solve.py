@@ -12,6 +12,7 @@ from ssp_lp.arrays import RELATIVE_GAP, read_only
 from ssp_lp.crosscheck.stationary import stationary_game, value_function
 from ssp_lp.crosscheck.threshold import Patience
 from ssp_lp.deterministic import best_deterministic
+from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
@@ -24,6 +25,7 @@ from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.process.semantics import Aim
 from ssp_lp.reward import solve_for_worth
+from ssp_lp.risk import solve_for_risk
 from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
 ENGINES = ("auto", "columns", "lp", "game")
@@ -95,7 +97,7 @@ def solve(
     if problem.semantics.measure is not None:
         if policy_class == "deterministic":
             raise ModelError("policy_class='deterministic' knows costs, not measures of their law")
-        return _timed(solve_for_worth(problem, instance, effort), began)
+        return _timed(_by_measure(problem, instance, effort), began)
     if problem.failure_budget is None:
         return _at_least_failure(problem, checked_least_failure(instance, None), began)
     outcome = optimise(instance, problem.failure_budget, effort)
@@ -109,6 +111,13 @@ def solve(
     seconds = time.perf_counter() - began
     run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
     return replace(solution, run=run)
+
+
+def _by_measure(problem: Problem, instance: Instance, effort: Effort) -> Solution:
+    """The best worth of arriving, or the least risk given success."""
+    if isinstance(instance, ChargeInstance) and instance.ratio:
+        return solve_for_risk(problem, instance, effort)
+    return solve_for_worth(problem, instance, effort)
 
 
 def _timed(solution: Solution, began: float) -> Solution:

@@ -24,6 +24,7 @@ ORDER = [
     ("cost_law",),
     ("evaluation", "occupation", "simulation"),
     ("solution", "frontier"),
+    ("risk",),
     ("certificate",),
     ("crosscheck", "deterministic", "reward"),
     ("solve",),

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
+from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, RELATIVE_GAP
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import check_agreement, solve_program
@@ -39,6 +39,10 @@ class Effort:
         if progress is None:
             return self
         return replace(self, progress=lambda more, *rest: progress(calls + more, *rest))
+
+
+CERTIFYING = Effort("columns", None, RELATIVE_GAP, float("inf"), None)
+"""The effort of a certificate that has to search for its bound."""
 
 
 @dataclass(frozen=True, eq=False)

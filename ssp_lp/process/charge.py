@@ -17,7 +17,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.process.lattice import exact_cost
+from ssp_lp.process.lattice import last_layer
 from ssp_lp.process.measure import Utility, utilities
 
 
@@ -120,7 +120,7 @@ class Late(Charge):
 
     def settled(self, unit: Fraction) -> int:
         """The first layer beyond the bound."""
-        return int(exact_cost(self.bound) // unit) + 1
+        return last_layer(self.bound, unit) + 1
 
 
 @dataclass(frozen=True)

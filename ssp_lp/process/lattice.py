@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from math import gcd, lcm
+from numbers import Rational
 
 import numpy as np
 
@@ -20,7 +21,20 @@ _MOST_LAYERS_PER_STEP = 1_000_000
 
 def exact_cost(cost: float | Fraction) -> Fraction:
     """The number that a cost stands for: a float means its shortest decimal (0.1 is 1/10)."""
-    return cost if isinstance(cost, Fraction) else Fraction(repr(float(cost)))
+    return Fraction(cost) if isinstance(cost, Rational) else Fraction(repr(float(cost)))
+
+
+def last_layer(bound: float | Fraction, unit: Fraction) -> int:
+    """The last layer whose cost is at most a finite bound; negative where there is none.
+
+    A float means its shortest decimal (three steps of 0.1 are within 0.3), or the whole number of
+    layers of which it is the nearest float (2/3, where the unit is 1/3).
+    """
+    if not isinstance(bound, Rational):
+        nearest = round(Fraction(float(bound)) / unit)
+        if float(nearest * unit) == float(bound):
+            return nearest
+    return int(exact_cost(bound) // unit)
 
 
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:

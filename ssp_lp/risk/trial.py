@@ -86,8 +86,8 @@ def attempt(question: Question, charge: Charge, effort: Effort, kappa: float = 0
         value = column.cost / column.goal
         return Trial(value, min(refuted_below(question, instance, 0.0), value), policy, 0.0, 2)
     outcome = optimise(instance, question.budget, effort)
-    found, oracle = outcome.found, outcome.instance.oracle()
-    policy = MixedPolicy(tuple(oracle.policy(c) for c in found.columns), found.weights)
+    found, pricing = outcome.found, outcome.instance.oracle()
+    policy = MixedPolicy(tuple(pricing.policy(c) for c in found.columns), found.weights)
     return Trial(found.objective, found.lower_bound, policy, found.price, outcome.calls)
 
 

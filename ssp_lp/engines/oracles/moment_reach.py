@@ -3,7 +3,7 @@
 A run that has paid r and follows a stationary policy is worth ``exp(rate * r) * E[exp(rate * C);
 goal] + bonus * Pr(goal)``: the utility factors. As r grows the first term vanishes, so that from a
 finite cost on it is optimal to maximise the goal probability first and the exponential moment
-second (Freire, Delgado and Reis, AAAI 2019: the cost horizon C_max of eGUBS).
+second (Freire, Delgado and Reis, ICAPS 2019: the cost horizon C_max of eGUBS).
 """
 
 from __future__ import annotations

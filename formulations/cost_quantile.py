@@ -1,0 +1,95 @@
+"""CostQuantile: the least quantile of the total cost given success, within a failure budget."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.charge_instance import ChargeInstance
+from ssp_lp.engines.instance import Instance
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.problem import check_setting
+from ssp_lp.process.charge import TOTAL_COST
+from ssp_lp.process.measure import CostQuantileOf
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class CostQuantile:
+    """Minimise the ``level``-quantile of the total cost given success.
+
+    Problem:
+        the least B for which some policy within the failure budget keeps ``Pr(C <= B | goal) >=
+        level``: a promise of the form "in 95 of 100 runs that succeed the cost is at most B".
+
+    Program:
+        for a bound B, minimise <late, x> / <goal, x> subject to flow balance, <failure, x> <=
+        failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1), where late
+        counts the arrivals beyond B: the program of ``S3P`` with another charge. Its optimum falls
+        as B grows, and B is found by bisection over the lattice of costs.
+
+    Guarantee:
+        a lottery over at most two deterministic policies of (state, accumulated cost) attains the
+        optimum. ``lower_bound`` is the least B that no checked sub-solution refutes; it equals the
+        objective unless time runs out.
+
+    Semantics:
+        exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. Without a
+        budget (1.0) the least cost with which the goal can be reached at all is the answer, since
+        whoever is unlucky may fail. The comparison has a relative slack of 1e-12.
+
+    Reference:
+        quantiles: Baier, Daum, Dubslaff, Klein and Klueppelholz, NFM 2014; Randour, Raskin and
+        Sankur, CAV 2015. Given success within a budget: ours.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``; one budget for the mean.
+        level: strictly between 0 and 1.
+        failure_budget: largest failure probability; None: as low as possible.
+
+    Raises:
+        ModelError: a level or a budget out of range, or an unknown start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.5, "home", 1.0), (0.4, "road", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 4.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> [solve(CostQuantile(model, "road", 0.75, e)).objective for e in (None, 0.1, 0.2)]
+        [4.0, 2.0, 2.0]
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    level: float
+    failure_budget: float | None = None
+
+    def __post_init__(self) -> None:
+        check_setting(self.failure_budget, None)
+        if not 0.0 < self.level < 1.0:
+            raise ModelError(f"level must lie strictly between 0 and 1, not {self.level!r}")
+        start_distribution(self.model, self.start)
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """Given success."""
+        return True
+
+    @property
+    def semantics(self) -> Semantics:
+        """The quantile is what counts."""
+        measure = CostQuantileOf(self.level)
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+
+    def instance(self) -> Instance:
+        """The accumulated-cost process."""
+        start = start_distribution(self.model, self.start)
+        return ChargeInstance(self.model, start, TOTAL_COST, ratio=True)

@@ -1,0 +1,96 @@
+"""CVaR: the least conditional value at risk of the total cost given success."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+from ssp_lp.engines.charge_instance import ChargeInstance
+from ssp_lp.engines.instance import Instance
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.problem import check_setting
+from ssp_lp.process.charge import TOTAL_COST
+from ssp_lp.process.measure import TailMeanOf
+from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+
+
+@dataclass(frozen=True, eq=False)
+class CVaR:
+    """Minimise the mean of the costliest ``1 - level`` of the runs that succeed.
+
+    Problem:
+        min over policies within the failure budget of CVaR_level(C | goal) = min over z of ``z +
+        E[(C - z)^+ | goal] / (1 - level)``. Level 0 is ``S3P``; as the level grows to 1 the worst
+        runs are all that counts.
+
+    Program:
+        for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure,
+        x> <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the
+        program of ``S3P`` with a kink in what an arrival is charged. The least over z, which for
+        any policy is attained at its quantile and so on the lattice of costs.
+
+    Guarantee:
+        a lottery over at most two deterministic policies of (state, accumulated cost) attains the
+        optimum. Every threshold is refuted by a checked sub-solution, by a neighbour's, or
+        because no tail mean is below its own threshold: ``lower_bound`` is the least of these
+        bounds.
+
+    Semantics:
+        exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. The tail of
+        a law with an atom at its quantile counts as much of the atom as belongs to the share.
+
+    Reference:
+        Rockafellar and Uryasev, Journal of Risk 2, 2000; for stochastic shortest paths
+        Meggendorfer, AAAI 2022. Given success within a budget: ours.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``; one budget for the mean.
+        level: at least 0 and below 1.
+        failure_budget: largest failure probability; None: as low as possible.
+
+    Raises:
+        ModelError: a level or a budget out of range, or an unknown start.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.5, "home", 1.0), (0.4, "road", 1.0), (0.1, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 4.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> [round(solve(CVaR(model, "road", x, 0.2)).objective, 6) for x in (0.0, 0.5, 0.9)]
+        [1.653333, 2.306667, 4.0]
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    level: float
+    failure_budget: float | None = None
+
+    def __post_init__(self) -> None:
+        check_setting(self.failure_budget, None)
+        if not 0.0 <= self.level < 1.0:
+            raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}")
+        start_distribution(self.model, self.start)
+
+    @property
+    def discount(self) -> None:
+        """Exact."""
+        return
+
+    @property
+    def ratio(self) -> bool:
+        """Given success."""
+        return True
+
+    @property
+    def semantics(self) -> Semantics:
+        """The mean of the tail is what counts."""
+        measure = TailMeanOf(self.level)
+        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+
+    def instance(self) -> Instance:
+        """The accumulated-cost process."""
+        start = start_distribution(self.model, self.start)
+        return ChargeInstance(self.model, start, TOTAL_COST, ratio=True)
