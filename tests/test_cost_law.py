@@ -190,6 +190,29 @@ def test_the_quantile_of_a_lottery_is_that_of_the_mixture():
     assert law.conditional_mean == pytest.approx(5.5)
 
 
+@pytest.mark.parametrize("kind", ["dense", "sparse", "cyclic"])
+def test_larger_chains_against_powers_of_their_matrix(kind):
+    """Of unit costs P(C = n) = start Q^(n-1) h, whichever way the mass is sent on."""
+    n, rng = 40, np.random.default_rng(5)
+    matrix = rng.random((n, n + 1)) * (rng.random((n, n + 1)) < (1.0 if kind == "dense" else 0.1))
+    matrix[:, -1] += 0.01
+    if kind == "cyclic":  # mass travels as one block: few nodes are active at a time
+        matrix[:, :-1] = 5.0 * np.roll(np.eye(n), 1, axis=1)
+    matrix /= matrix.sum(axis=1, keepdims=True)
+    choices = {
+        i: {"go": [(float(p), "G" if j == n else j, 1.0) for j, p in enumerate(row) if p > 0]}
+        for i, row in enumerate(matrix)
+    }
+    law = law_of(SSP.from_transitions(choices, goal={"G"}), dict.fromkeys(choices, "go"), 0)
+    mass, expected = np.eye(n)[0], []
+    for _ in range(30):
+        expected.append(mass @ matrix[:, -1])
+        mass = mass @ matrix[:, :-1]
+    assert law.upto(30).probabilities == pytest.approx(expected, rel=1e-12)
+    assert law.excess(30) == pytest.approx(law.cost - np.minimum(
+        np.arange(1, 31), 30) @ expected - 30 * (1 - sum(expected)), rel=1e-9)  # fmt: skip
+
+
 # Edges
 
 
@@ -208,6 +231,17 @@ def test_free_cycles_stay_in_their_layer_and_free_wandering_fails():
     assert law.within(1.9) == 0.0
     assert law.within(2) == pytest.approx(2 / 3)
     assert law.within(inf) == law.goal
+
+
+def test_a_free_loop_that_is_hardly_ever_left():
+    """What leaves is never formed as 1 - p: the goal is reached for 1, the pit as often for 2."""
+    law = one_way(
+        [(1 - 2e-13, "a", 0), (1e-13, "b", 1), (1e-13, "pit", 2)],
+        b={"go": [(0.25, "b", 0), (0.75, "G", 1)]},
+        pit={},
+    )
+    assert law.within(1) == 0.0
+    assert law.within(2) == pytest.approx(0.5, rel=1e-12)
 
 
 def test_paid_wandering_fails_and_ends_the_sweep():
