@@ -143,6 +143,16 @@ def test_a_level_at_an_atoms_edge(level, value):
     assert law.quantile(0.95 * (1 - 1e-9)) == 1.0
 
 
+@pytest.mark.parametrize("chance", [0.3, 0.05, 0.1])
+def test_levels_that_a_geometric_law_attains_exactly(chance):
+    """Summed in floats, 1 - 0.7^6 comes out below itself: the quantile is 6 all the same."""
+    law = one_way([(chance, "G", 1), (1 - chance, "a", 1)])
+    for n in range(1, 12):
+        level = float(1 - (1 - Fraction(repr(chance))) ** n)
+        assert law.quantile(level) == n
+        assert law.quantile(level + 1e-9) == n + 1
+
+
 def test_a_level_at_an_edge_given_success():
     """0.76 of a goal probability of 0.8 is level 0.95."""
     parts = [(0.04, "G", 1)] * 19 + [(0.04, "G", 9), (0.2, "pit", 5)]
