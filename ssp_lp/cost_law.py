@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from math import floor, inf, isfinite, isnan, nan
+from math import inf, isfinite, isnan, nan
 from numbers import Rational
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
+from ssp_lp.process.lattice import last_layer
 from ssp_lp.process.measure import TailMeanOf, Utility
 from ssp_lp.process.semantics import start_distribution
 
@@ -235,20 +236,12 @@ class CostLaw:
 
     def _last_layer(self, bound: float | Fraction) -> int:
         """The last layer of a total cost of at most ``bound``; -1 where there is none."""
+        if isnan(bound):
+            raise ModelError("the bound must be a number")
         unit = self._arrivals.unit
-        if not isinstance(bound, Rational):
-            bound = float(bound)
-            if isnan(bound):
-                raise ModelError("the bound must be a number")
-            if bound == -inf:
-                return -1
-            if bound >= float(_LAST_LAYER * unit):
-                return _LAST_LAYER
-            nearest = round(Fraction(bound) / unit)
-            if nearest >= 0 and float(nearest * unit) == bound:
-                return nearest
-            bound = Fraction(repr(bound))
-        return min(max(floor(Fraction(bound) / unit), -1), _LAST_LAYER)
+        if not isinstance(bound, Rational) and (bound <= 0.0 or bound >= float(_LAST_LAYER * unit)):
+            return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
+        return min(max(last_layer(bound, unit), -1), _LAST_LAYER)
 
     def __repr__(self) -> str:
         """One line: the goal probability and the mean."""

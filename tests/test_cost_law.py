@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from checks import library_model, plain
 from formulations import MCMP, S3P
+from ledger import Ledger
 from plain_policies import memory_chain
 from references import cost_law as reference
 from references.chain import STOP, start_distribution
@@ -33,7 +34,6 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.chain import policy_chain
-from ssp_lp.policies.ledger import Ledger
 from ssp_lp.policies.policy import Branches, Policy
 from ssp_lp.process.measure import (
     CostQuantileOf,
