@@ -1,5 +1,6 @@
 """The references of the criteria of success costs, against one another and closed forms."""
 
+from dataclasses import replace
 from math import exp
 
 import numpy as np
@@ -7,8 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import cost_law_models as models
 from checks import plain
 from references import accumulated, accumulated_policies, accumulated_program, s3p, s3p_program
+from references.chain import plain_model
+from references.iteration import kept_actions, success
 from strategies import Draw, acyclic_problems, problems
 
 EXACT = {"rel": 1e-11, "abs": 1e-12}
@@ -127,3 +131,125 @@ def test_cvar_at_level_zero_against_the_other_program(drawn, share):
     low, high = accumulated_program.conditional_value_at_risk(model, start, 0.0, budget)
     under, over = s3p_program.ratio_bounds(model, start, budget)
     assert max(low, under) <= min(high, over) + 1e-7 * max(1.0, high)
+
+
+@often(40)
+@given(problems(), st.sampled_from([0.0, 0.3, 2.0]))
+def test_utilities_against_programs_on_any_model(drawn, bonus):
+    """The same product by a linear program, free loops and endless runs included."""
+    model, start = plain(drawn), drawn.start
+    best = {s: float(p) for s, p in success(model).items()}
+
+    def utility(cost):
+        return exp(-0.5 * cost)
+
+    data = accumulated_program.program(
+        model,
+        start,
+        9,
+        lambda cost: utility(cost) + bonus,
+        lambda state, _: [(best[state], bonus * best[state])],
+    )
+    low, high = accumulated.expected_utility(model, start, utility, bonus, 9)
+    assert accumulated_program.greatest(data, 1.0) == pytest.approx(low, **CLOSE)
+    value = accumulated.exponential_utility(model, start, -0.5, bonus)
+    assert low - 1e-12 <= value <= high + 1e-12
+
+
+@often(60)
+@given(problems(), st.integers(0, 5))
+def test_least_failure_against_programs_on_any_model(drawn, z):
+    """Kept actions, no way to stay: E[(C - z)^+; goal] and Pr(C <= z) by a linear program."""
+    model, start = plain(drawn), drawn.start
+    best = {s: float(p) for s, p in success(model).items()}
+    onward, kept = accumulated.success_cost(model), kept_actions(model)
+    must = replace(
+        model,
+        choices={
+            state: {action: actions[action] for action in kept.get(state, [])}
+            for state, actions in model.choices.items()
+        },
+        attention=model.dead_ends,
+    )
+    data = accumulated_program.program(
+        must,
+        start,
+        z + 2,
+        lambda cost: -max(cost - z, 0.0),
+        lambda s, cost: [(best[s], (z - cost) * best[s] - onward[s])],
+    )
+    assert -accumulated_program.greatest(data, 1.0) == pytest.approx(
+        accumulated.shortfall(model, start, z)[-1], **CLOSE
+    )
+    data = accumulated_program.program(
+        must, start, z + 1, lambda cost: float(cost <= z), lambda s, _: [(best[s], 0.0)]
+    )
+    assert accumulated_program.greatest(data, 1.0) == pytest.approx(
+        accumulated.reach_within(model, start, z, least=True)[-1], **CLOSE
+    )
+
+
+@pytest.mark.parametrize("p", [0.5, 0.3, 0.9])
+def test_trying_again_until_it_works(p):
+    """The geometric law: bounded reach, quantile, CVaR and expected utility."""
+    model = plain_model(models.retry(p), {"g"})
+    for bound, value in enumerate(accumulated.reach_within(model, "x", 7)):
+        assert value == pytest.approx(models.retry_within(p, bound), **EXACT)
+    for level in (0.0, 0.2, 0.5, 0.51, 0.75, 0.99):
+        tries = models.retry_quantile(p, level)
+        assert accumulated.quantile(model, "x", level) == tries
+        assert accumulated_program.quantile(model, "x", level, 0.5) == tries
+        cvar = models.retry_cvar(p, level)
+        assert accumulated.conditional_value_at_risk(model, "x", level) == pytest.approx(cvar)
+    for risk_factor in (-0.1, -1.0):
+        assert accumulated.exponential_utility(model, "x", risk_factor, 2.0) == pytest.approx(
+            models.retry_utility(p, risk_factor) + 2.0, **EXACT
+        )
+
+
+@pytest.mark.parametrize("risk_factor", [-0.2, -0.7])
+def test_the_bonus_at_which_the_safe_move_pays(risk_factor):
+    """3/4 (e^l + K) = e^3l + K at K = 3 e^l - 4 e^3l."""
+    model = plain_model(models.FAST_OR_SAFE, {"g"})
+    bonus = max(models.switching_bonus(risk_factor), 0.0)
+    for more, fast in ((bonus + 0.1, False), (bonus / 2, bonus > 0)):
+        value = 0.75 * (exp(risk_factor) + more) if fast else exp(3 * risk_factor) + more
+        assert accumulated.exponential_utility(model, "x", risk_factor, more) == pytest.approx(
+            value, **EXACT
+        )
+
+
+def test_trying_a_limited_number_of_times():
+    """Late successes are done without, as far as the budget goes."""
+    model = plain_model(models.QUIT_OR_RETRY, {"g"})
+    for budget in (0.05, 0.3, 0.5):
+        for level in (0.4, 0.7, 0.95):
+            assert accumulated_program.quantile(model, "x", level, budget) == (
+                models.quit_or_retry_quantile(level, budget)
+            )
+        assert accumulated_program.reach_within(model, "x", 2, budget) == pytest.approx(0.75)
+    low, high = accumulated_program.conditional_value_at_risk(model, "x", 0.5, 0.25)
+    assert (low, high) == pytest.approx((5 / 3, 5 / 3))  # law 2/3, 1/3 at 1, 2; worse half: 1, 2
+    assert accumulated.conditional_value_at_risk(model, "x", 0.5) == pytest.approx(3.0)
+
+
+def test_free_cycles_levels_met_exactly_and_starts():
+    """Trying for nothing in a loop, ties of the level, starts at a goal and at a dead-end."""
+    model = plain_model(models.FREE_CYCLE, {"g"})
+    assert accumulated.reach_within(model, "x", 0) == [pytest.approx(1.0, **EXACT)]
+    assert accumulated.quantile(model, "x", 0.99) == 0
+    assert accumulated.conditional_value_at_risk(model, "x", 0.9) == pytest.approx(0.0, abs=1e-12)
+    assert accumulated_program.quantile(model, "x", 0.9, 0.3) == 0
+    assert accumulated.exponential_utility(model, "y", -1.0, 0.5) == pytest.approx(1.5, **EXACT)
+    model = plain_model(models.TWO_LENGTHS, {"g"})
+    for level, cost in ((0.5, 1), (0.51, 2), (0.75, 2), (0.76, 5)):
+        assert accumulated.quantile(model, "x", level) == cost
+        assert accumulated_program.quantile(model, "x", level, 0.4) == cost
+    assert accumulated.conditional_value_at_risk(model, "x", 0.5) == pytest.approx(3.5)
+    model = plain_model(models.FAST_OR_SAFE, {"g"})
+    start = {"g": 0.5, "d": 0.25, "x": 0.25}
+    assert accumulated.reach_within(model, start, 3) == pytest.approx([0.5, 0.6875, 0.6875, 0.75])
+    assert accumulated.quantile(model, start, 0.6) == 0
+    assert accumulated.quantile(model, start, 0.7) == 3
+    assert accumulated.quantile(model, "d", 0.7) is None
+    assert accumulated.exponential_utility(model, "d", -1.0, 2.0) == 0.0
