@@ -6,7 +6,7 @@ import pytest
 
 from references.chain import PlainModel, plain_model
 from references.frontier import Point, least_failure, lower_hull
-from ssp_lp import SSP, certify, evaluate
+from ssp_lp import SSP, certify, evaluate, solve
 from strategies import Draw
 
 GAP = 1e-8
@@ -83,3 +83,15 @@ def check_price(price: float, low: float, high: float) -> None:
     """The price is a subgradient; at a kink these form an interval."""
     room = 1e-6 * (1.0 + abs(price))
     assert low - room <= price <= high + room
+
+
+def optimum(problem: Any) -> float:
+    """The value of a criterion without discount, once its proof has been looked at."""
+    solution = solve(problem)
+    assert 0.0 <= solution.gap <= GAP
+    certificate = certify(solution)
+    assert certificate.accepted, certificate.reason
+    assert certificate.gap <= GAP
+    found = evaluate(solution.policy, problem).objective
+    assert found == pytest.approx(solution.objective, rel=1e-9, abs=1e-12)
+    return solution.objective
