@@ -166,8 +166,9 @@ class ChargeInstance:
         best = oracle.minimise(0.0)
         policy = oracle.policy(best)
         bound = oracle.prove(0.0, best).bound
+        greatest = min(float(self.start @ self.greatest.bound), 1.0)
         if self.ratio:
-            bound = bound / min(float(self.start @ self.greatest.bound), 1.0)
+            bound = bound / greatest if greatest > 0.0 else 0.0
         return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
 
     def oracle(self) -> LayeredOracle:
