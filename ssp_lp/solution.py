@@ -101,6 +101,8 @@ class Solution:
     def budget_slope(self) -> float | None:
         """-d c* / d budget: the price in case M, price / (1 - budget) in case S.
 
+        Of what is to be large, how much it gains.
+
         Of the price only what lies beyond the penalty. None where there is no price to pay or it is
         infinite.
         """
@@ -122,10 +124,11 @@ class Solution:
         """alpha*: the weight of the objective MDP in the paper's game (section 3.2).
 
         Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
-        the failure e that attains the minimum. None where ``budget_slope`` is.
+        the failure e that attains the minimum. None where ``budget_slope`` is, and where a measure
+        of the law of costs counts: the game is about costs.
         """
         price, budget = self._multiplier, self.problem.failure_budget
-        if price is None or budget is None:
+        if price is None or budget is None or self.problem.semantics.measure is not None:
             return None
         mine, other = self.objective, price * budget
         if self.problem.ratio:
@@ -185,8 +188,12 @@ class Solution:
     def _asked(self) -> str:
         """What is asked about failing, in words."""
         budget, semantics = self.problem.failure_budget, self.problem.semantics
+        limit = "least failure" if budget is None else f"failure budget {budget:g}"
+        if semantics.measure is not None:
+            asked = semantics.measure.words
+            return asked if budget is not None and budget >= 1.0 else f"{asked}, {limit}"
         if semantics.aim is not Aim.LEAST_COST:
             return f"{str(semantics.aim).replace('_', ' ')} probability"
         if semantics.penalty > 0.0:
             return "no failure" if semantics.forbids_failing else f"penalty {semantics.penalty:g}"
-        return "least failure" if budget is None else f"failure budget {budget:g}"
+        return limit

@@ -206,7 +206,7 @@ def test_budgets_below_the_least_failure(drawn):
         assert exactly.failure_probability <= least + 1e-10
 
 
-@often(25)
+@often(12)
 @given(problems(), levels, bounds, shares)
 def test_symmetries(drawn, level, bound, share):
     """Other names and orders, dominated actions, and another unit of cost change nothing."""

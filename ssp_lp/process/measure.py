@@ -82,6 +82,11 @@ class Measure(Protocol):
         """What a run that fails is worth, where the measure is an expectation."""
         ...
 
+    @property
+    def words(self) -> str:
+        """What is asked, in words."""
+        ...
+
     def of(self, law: Law) -> float:
         """The number."""
         ...
@@ -94,6 +99,11 @@ class WithinBound:
     bound: float | Fraction
     maximised: bool = True
     failing: float = 0.0
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"goal within cost {float(self.bound):g}"
 
     def of(self, law: Law) -> float:
         """The probability."""
@@ -114,6 +124,11 @@ class ExpectedUtility:
         """The utility of an infinite cost."""
         return self.at_infinity
 
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"expected utility, goal bonus {self.bonus:g}"
+
     def of(self, law: Law) -> float:
         """The expected utility."""
         reached = law.expectation(self.utility, self.at_infinity) + self.bonus * law.goal
@@ -129,6 +144,11 @@ class ExponentialUtility:
     maximised: bool = True
     failing: float = 0.0
 
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"utility exp({self.rate:g} cost), goal bonus {self.bonus:g}"
+
     def of(self, law: Law) -> float:
         """The expected utility."""
         return law.exponential(self.rate) + self.bonus * law.goal
@@ -141,6 +161,11 @@ class CostQuantileOf:
     level: float
     maximised: bool = False
     failing: float = float("inf")
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"{self.level:g}-quantile of the cost given success"
 
     def of(self, law: Law) -> float:
         """The least B with Pr(C <= B | goal) >= level."""
@@ -158,6 +183,11 @@ class TailMeanOf:
     level: float
     maximised: bool = False
     failing: float = float("inf")
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"conditional value at risk {self.level:g} given success"
 
     def of(self, law: Law) -> float:
         """The mean of the worst ``1 - level`` of the runs that succeed; nan if none does."""
