@@ -6,6 +6,10 @@ from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from formulations.alpha_mcmp import AlphaMCMP
+from formulations.cost_bounded_reach import CostBoundedReach
+from formulations.cost_quantile import CostQuantile
+from formulations.cvar import CVaR
+from formulations.egubs import EGUBS
 from formulations.finite_penalty import FinitePenalty
 from formulations.isspude import ISSPUDE
 from formulations.maxprob import MaxProb
@@ -86,6 +90,9 @@ def compare_criteria(
     failure_budgets: Sequence[float] = (0.05,),
     penalties: Sequence[float] = (10.0, 100.0),
     reach_fractions: Sequence[float] = (0.9,),
+    cost_bounds: Sequence[float] = (),
+    levels: Sequence[float] = (),
+    exponential_utilities: Sequence[tuple[float, float]] = (),
 ) -> CriteriaComparison:
     """Solve a model under every criterion and put the answers side by side.
 
@@ -95,6 +102,9 @@ def compare_criteria(
         failure_budgets: budgets of ``MCMP`` and ``S3P``, besides least failure.
         penalties: penalties D of ``FinitePenalty``, in units of cost.
         reach_fractions: shares of the greatest goal probability asked of ``AlphaMCMP``.
+        cost_bounds: bounds of ``CostBoundedReach``, without and within each budget.
+        levels: levels of ``CostQuantile`` and ``CVaR``, at least failure and within each budget.
+        exponential_utilities: (risk factor, goal bonus) of ``EGUBS``.
 
     Returns:
         One row per criterion. One that no policy meets stays as a row with the reason.
@@ -121,7 +131,13 @@ def compare_criteria(
         AlphaMCMP, reach fraction 0.9          1     1              1      0.1  1.11111
         FinitePenalty, penalty 10              2     1              1      0.1       10
     """
-    asked = _questions(model, start, failure_budgets, penalties, reach_fractions)
+    asked = [
+        *_questions(model, start, failure_budgets, penalties, reach_fractions),
+        *_questions_of_risk(model, start, failure_budgets, cost_bounds, levels),
+    ]
+    for factor, bonus in exponential_utilities:
+        name = f"EGUBS, risk factor {factor:g}, goal bonus {bonus:g}"
+        asked.append((name, EGUBS(model, start, factor, bonus)))
     return CriteriaComparison(tuple(_row(name, problem) for name, problem in asked))
 
 
@@ -145,6 +161,25 @@ def _questions(
         yield f"AlphaMCMP, reach fraction {fraction:g}", AlphaMCMP(model, start, fraction)
     for penalty in penalties:
         yield f"FinitePenalty, penalty {penalty:g}", FinitePenalty(model, start, penalty)
+
+
+def _questions_of_risk(
+    model: SSP,
+    start: Hashable | Mapping[Hashable, float],
+    budgets: Sequence[float],
+    bounds: Sequence[float],
+    levels: Sequence[float],
+) -> Iterator[tuple[str, Problem]]:
+    within = [(None, "least failure"), *((b, f"failure budget {b:g}") for b in budgets)]
+    for bound in bounds:
+        yield f"CostBoundedReach, cost {bound:g}", CostBoundedReach(model, start, bound)
+        for budget, words in within[1:]:
+            problem = CostBoundedReach(model, start, bound, failure_budget=budget)
+            yield f"CostBoundedReach, cost {bound:g}, {words}", problem
+    for level in levels:
+        for budget, words in within:
+            yield f"CostQuantile {level:g}, {words}", CostQuantile(model, start, level, budget)
+            yield f"CVaR {level:g}, {words}", CVaR(model, start, level, budget)
 
 
 def _row(name: str, problem: Problem) -> CriterionRow:

@@ -107,7 +107,8 @@ def test_formulations_only_state_problems() -> None:
     for path in files_of("formulations"):
         for name in imports_of(path):
             assert name.split(".")[0] in {
-                "__future__", "collections", "dataclasses", "formulations", "fractions", "math", "ssp_lp",
+                "__future__", "collections", "dataclasses", "formulations", "fractions", "math",
+                "ssp_lp",
             }  # fmt: skip
 
 

@@ -213,17 +213,20 @@ class ChargeInstance:
 
     def charging(self, charge: Charge, cap: int | None = None) -> ChargeInstance:
         """The same process with another charge and cap, handing on what has been worked out."""
-        other = replace(self, charge=charge, cap=cap)
-        kept = ["base", "greatest", "_safest", "_riskiest"]
         exponential = (isinstance(c, ExponentialReward) for c in (charge, self.charge))
-        if charge == self.charge or not any(exponential):
-            kept += ["_moments", "_tails", "cost_horizon"]
-        vars(other).update((name, vars(self)[name]) for name in kept if name in vars(self))
+        same_tails = charge == self.charge or not any(exponential)
+        kept = ("base", *(("_moments", "_tails", "cost_horizon") if same_tails else ()))
+        return self._handing_on(replace(self, charge=charge, cap=cap), kept)
+
+    def _handing_on(self, other: ChargeInstance, kept: tuple[str, ...]) -> ChargeInstance:
+        """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
+        names = ("greatest", "_safest", "_riskiest", *kept)
+        vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
         return other
 
     def safest(self) -> ChargeInstance:
         """The same among the policies of least failure."""
-        return replace(self, safest_only=True, cap=None)
+        return self._handing_on(replace(self, safest_only=True, cap=None), ())
 
     def for_program(self) -> ChargeInstance:
         """The instance itself: its tails are optimal beyond it."""

@@ -29,6 +29,7 @@ class Best:
 
     value: float
     policy: MixedPolicy
+    failure: float
     layer: int  # the policy's quantile
     kappa: float  # price of failure
     calls: int
@@ -57,7 +58,8 @@ class _Search:
             if best.value <= value:
                 return replace(best, calls=calls), trial
         quantile = self.question.layer_of(law.quantile(self.level))
-        return Best(value, trial.policy, quantile, trial.kappa, calls), trial
+        failure = 1.0 - law.goal
+        return Best(value, trial.policy, failure, quantile, trial.kappa, calls), trial
 
     def target(self, best: Best) -> float:
         """The value below which no threshold may lie."""
@@ -118,7 +120,7 @@ def least_tail_mean(problem: Problem, question: Question, level: float, effort: 
         lower_bound=min(bound, best.value),
         failure_price=None if question.budget is None else max(best.kappa - best.value, 0.0),
         value_function=None,
-        budget_used=1.0 - success_costs(best.policy, problem).goal,
+        budget_used=best.failure,
         run=Run(effort.engine, reason, best.calls, 0.0),
         note="; ".join(remarks),
     )
