@@ -22,6 +22,8 @@ from ssp_lp.process.charge import Excess
 from ssp_lp.risk.trial import Question, Trial, attempt, charging, refuted_below
 from ssp_lp.solution import Run, Solution
 
+_TIED = 1e-12  # relative difference of values that is rounding
+
 
 @dataclass(frozen=True, eq=False)
 class Best:
@@ -33,6 +35,12 @@ class Best:
     layer: int  # the policy's quantile
     kappa: float  # price of failure
     calls: int
+
+    @property
+    def price(self) -> float:
+        """What failing costs beyond the value; 0 where that is rounding."""
+        beyond = self.kappa - self.value
+        return beyond if beyond > _TIED * self.value else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +60,14 @@ class _Search:
         """The better of the best so far and the best policy at a threshold, and the trial."""
         trial = attempt(self.question, self.charge(layer), self.effort, kappa)
         law = success_costs(trial.policy, self.problem)
-        value, calls = law.tail_mean(self.level), trial.calls
-        if best is not None:
-            calls += best.calls
-            if best.value <= value:
-                return replace(best, calls=calls), trial
-        quantile = self.question.layer_of(law.quantile(self.level))
+        value, quantile = (
+            law.tail_mean(self.level),
+            self.question.layer_of(law.quantile(self.level)),
+        )
+        calls = trial.calls + (0 if best is None else best.calls)
+        tied = _TIED if quantile == layer else -_TIED  # of equals the one whose z is its quantile
+        if best is not None and value > best.value * (1.0 + tied):
+            return replace(best, calls=calls), trial
         failure = 1.0 - law.goal
         return Best(value, trial.policy, failure, quantile, trial.kappa, calls), trial
 
@@ -118,7 +128,7 @@ def least_tail_mean(problem: Problem, question: Question, level: float, effort: 
         policy=best.policy,
         objective=best.value,
         lower_bound=min(bound, best.value),
-        failure_price=None if question.budget is None else max(best.kappa - best.value, 0.0),
+        failure_price=None if question.budget is None else best.price,
         value_function=None,
         budget_used=best.failure,
         run=Run(effort.engine, reason, best.calls, 0.0),
