@@ -30,7 +30,7 @@ class AlphaMCMP:
 
     Semantics:
         as published, giving up is allowed anywhere and costs nothing. ``MCMP(reach_fraction=...)``
-        is the same criterion with the semantics of the paper.
+        is the same criterion, which may be discounted as well.
 
     Reference:
         alpha-MCMP, BRACIS 2023; the program is that of Trevizan, Teichteil-Koenigsbuch and
@@ -42,6 +42,10 @@ class AlphaMCMP:
         reach_fraction: alpha in [0, 1].
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step.
+
+    Returns:
+        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
+        ``failure_price``, and a lottery over at most two policies.
 
     Raises:
         ModelError: a share out of range, an unknown start or ``give_up``.

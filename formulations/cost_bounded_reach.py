@@ -50,6 +50,11 @@ class CostBoundedReach:
         cost_bound: greatest total cost, a number or a fraction, not negative.
         failure_budget: largest failure probability; None: as low as possible.
 
+    Returns:
+        the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
+        the ``failure_price`` (what a little more budget gains), and a lottery over at most two
+        policies of (state, accumulated cost).
+
     Raises:
         ModelError: a bound or a budget out of range, or an unknown start.
 
@@ -62,7 +67,7 @@ class CostBoundedReach:
         >>> [round(solve(CostBoundedReach(model, "road", b)).objective, 9) for b in (0.5, 1, 2, 3)]
         [0.0, 0.6, 0.78, 1.0]
         >>> round(solve(CostBoundedReach(model, "road", 2, failure_budget=0.05)).objective, 9)
-        0.39
+        0.3
     """
 
     model: SSP

@@ -49,6 +49,11 @@ class CostQuantile:
         level: strictly between 0 and 1.
         failure_budget: largest failure probability; None: as low as possible.
 
+    Returns:
+        the problem. Solved: the least quantile as ``objective``, a certified ``lower_bound``, and a
+        lottery over at most two policies; of those with this quantile one that keeps to it most
+        often.
+
     Raises:
         ModelError: a level or a budget out of range, or an unknown start.
 
@@ -59,7 +64,7 @@ class CostQuantile:
         ...               "safe": [(1.0, "home", 4.0)]}, "ditch": {}},
         ...     goal={"home"}, treat_actionless_as_dead_ends=True)
         >>> [solve(CostQuantile(model, "road", 0.75, e)).objective for e in (None, 0.1, 0.2)]
-        [4.0, 2.0, 2.0]
+        [4.0, 4.0, 2.0]
     """
 
     model: SSP

@@ -50,6 +50,10 @@ class CVaR:
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
 
+    Returns:
+        the problem. Solved: the least conditional value at risk as ``objective``, a certified
+        ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
+
     Raises:
         ModelError: a level or a budget out of range, or an unknown start.
 
@@ -60,7 +64,7 @@ class CVaR:
         ...               "safe": [(1.0, "home", 4.0)]}, "ditch": {}},
         ...     goal={"home"}, treat_actionless_as_dead_ends=True)
         >>> [round(solve(CVaR(model, "road", x, 0.2)).objective, 6) for x in (0.0, 0.5, 0.9)]
-        [1.653333, 2.306667, 4.0]
+        [1.666667, 2.333333, 4.0]
     """
 
     model: SSP

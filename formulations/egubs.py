@@ -47,6 +47,10 @@ class EGUBS:
         risk_factor: lambda < 0, per unit of cost.
         goal_bonus: K_g >= 0.
 
+    Returns:
+        the problem. Solved: the greatest expected utility as ``objective``, a certified
+        ``upper_bound``, and one deterministic policy of (state, accumulated cost).
+
     Raises:
         ModelError: a risk factor that is not negative, a negative bonus, an unknown start.
 

@@ -47,6 +47,10 @@ class FinitePenalty:
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step as well.
 
+    Returns:
+        the problem. Solved: cost and penalty together as ``objective``, a certified
+        ``lower_bound``, and one deterministic stationary policy.
+
     Raises:
         ModelError: a penalty that is not positive and finite, a discount out of range, an unknown
             start or ``give_up``.

@@ -49,6 +49,10 @@ class GUBS:
         goal_bonus: K_g >= 0.
         utility_at_infinity: what the utility falls to, and what failing is worth.
 
+    Returns:
+        the problem. Solved: the greatest expected utility as ``objective``, a certified
+        ``upper_bound``, and one deterministic policy of (state, accumulated cost).
+
     Raises:
         ModelError: a negative or infinite bonus, an infinite limit, an unknown start; when solved,
             a utility that increases, or that falls below its limit.

@@ -41,6 +41,10 @@ class ISSPUDE:
         model: the model.
         start: a state, or ``{state: probability}``.
 
+    Returns:
+        the problem. Solved: the least cost given success as ``objective``, a certified
+        ``lower_bound``, and one deterministic stationary policy.
+
     Raises:
         ModelError: an unknown start.
 

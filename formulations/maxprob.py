@@ -39,6 +39,10 @@ class MaxProb:
         model: the model.
         start: a state, or ``{state: probability}``.
 
+    Returns:
+        the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
+        and one deterministic stationary policy.
+
     Raises:
         ModelError: an unknown start.
 

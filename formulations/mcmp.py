@@ -31,18 +31,27 @@ class MCMP:
 
     Semantics:
         ``give_up``: where a policy may declare failure (``GiveUp``); ``charge_failing_step``:
-        whether the step at which failure is declared is paid. With a ``discount`` both cost and
-        failure are discounted (section 3.5).
+        whether the step at which failure is declared is paid. Left out they are the paper's,
+        "attention" and True; with ``reach_fraction`` the published ones, "anywhere" and False.
+        With a ``discount`` both cost and failure are discounted (section 3.5).
+
+    Reference:
+        paper, sections 2.4, 2.5 and 3.1.2; Teichteil-Koenigsbuch, AAAI 2012; Trevizan,
+        Teichteil-Koenigsbuch and Thiebaux, UAI 2017 (with "anywhere" and nothing charged).
 
     Args:
         model: the model.
         start: a state, or ``{state: probability}``; one budget for the mean.
         failure_budget: largest failure probability; None: as low as possible.
         discount: None for exact probabilities, or gamma in (0, 1).
-        give_up: "anywhere", "attention" (the paper) or "dead_ends".
-        charge_failing_step: charge the failing step (the paper's section 3.1.2).
+        give_up: "anywhere", "attention" (the paper) or "dead_ends"; None: as above.
+        charge_failing_step: charge the failing step (the paper's section 3.1.2); None: as above.
         reach_fraction: instead of a budget, the share of the greatest goal probability that must
             be attained (of the real one, also under a discount).
+
+    Returns:
+        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
+        ``failure_price``, and a lottery over at most two policies.
 
     Raises:
         ModelError: a budget, a share or a discount out of range, a budget and a share, an unknown
@@ -62,13 +71,18 @@ class MCMP:
     start: Hashable | Mapping[Hashable, float]
     failure_budget: FailureBudget = BUDGET_OR_SHARE
     discount: float | None = None
-    give_up: str | GiveUp = GiveUp.ATTENTION
-    charge_failing_step: bool = True
+    give_up: str | GiveUp | None = None
+    charge_failing_step: bool | None = None
     reach_fraction: float | None = None
 
     def __post_init__(self) -> None:
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
+        published = self.reach_fraction is not None
+        if self.give_up is None:
+            object.__setattr__(self, "give_up", "anywhere" if published else "attention")
+        if self.charge_failing_step is None:
+            object.__setattr__(self, "charge_failing_step", not published)
+        object.__setattr__(self, "give_up", parse_give_up(str(self.give_up)))
         start_distribution(self.model, self.start)
 
     @property
@@ -79,7 +93,7 @@ class MCMP:
     @property
     def semantics(self) -> Semantics:
         """What a failing episode costs."""
-        return Semantics(GiveUp(self.give_up), self.charge_failing_step)
+        return Semantics(parse_give_up(str(self.give_up)), bool(self.charge_failing_step))
 
     def instance(self) -> Instance:
         """The failure-labelled process."""

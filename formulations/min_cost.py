@@ -39,6 +39,10 @@ class MinCost:
         model: the model.
         start: a state, or ``{state: probability}``.
 
+    Returns:
+        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, and one
+        deterministic stationary policy; ``failure_price`` is infinite.
+
     Raises:
         ModelError: an unknown start.
 

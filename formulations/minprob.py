@@ -39,6 +39,10 @@ class MinProb:
         model: the model.
         start: a state, or ``{state: probability}``.
 
+    Returns:
+        the problem. Solved: the least probability as ``objective``, a certified ``lower_bound``,
+        and one deterministic stationary policy.
+
     Raises:
         ModelError: an unknown start.
 

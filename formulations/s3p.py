@@ -35,6 +35,9 @@ class S3P:
         the attention states. Accumulated cost is tracked up to a cap M and followed by tail
         policies (section 3.5); M grows until the certified gap meets the tolerance.
 
+    Reference:
+        Teichteil-Koenigsbuch, AAAI 2012 (S3P); paper, sections 2.3, 2.5 and 3.1.1.
+
     Args:
         model: the model.
         start: a state, or ``{state: probability}``; one budget for the mean.
@@ -43,6 +46,10 @@ class S3P:
         cost_cap: fix the cap M on accumulated cost; None: chosen as above.
         reach_fraction: instead of a budget, the share of the greatest goal probability that must
             be attained (of the real one, also under a discount).
+
+    Returns:
+        the problem. Solved: the least cost given success as ``objective``, a certified
+        ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
         ModelError: a budget, a share, a discount or a cap out of range, a budget and a share, or

@@ -35,7 +35,7 @@ TRUTH = [
         (
             "min_cost_s.t._P>=f*maxprob",
             a,
-            lambda m, s, a=a: MCMP(m, s, reach_fraction=float(a), **PUBLISHED),
+            lambda m, s, a=a: MCMP(m, s, reach_fraction=float(a)),
         )
         for a in ("0.5", "0.99")
     ),

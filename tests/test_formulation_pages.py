@@ -1,0 +1,42 @@
+"""Every formulation is a page of mathematics, in one order."""
+
+import dataclasses
+import inspect
+import re
+
+import pytest
+
+import formulations
+from ssp_lp.problem import Problem
+
+PARTS = ("Problem", "Program", "Guarantee", "Semantics", "Reference", "Args", "Returns", "Raises",
+         "Example")  # fmt: skip
+
+CRITERIA = [
+    criterion
+    for name in formulations.__all__
+    if inspect.isclass(criterion := getattr(formulations, name)) and hasattr(criterion, "instance")
+]
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=lambda c: c.__name__)
+def test_the_docstring_has_its_parts_in_order(criterion):
+    headings = re.findall(r"^    (\w+):$", criterion.__doc__, flags=re.MULTILINE)
+    assert tuple(h for h in headings if h in PARTS) == PARTS
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=lambda c: c.__name__)
+def test_every_argument_is_described(criterion):
+    described = criterion.__doc__.split("    Args:\n")[1].split("    Returns:\n")[0]
+    for field in dataclasses.fields(criterion):
+        assert f"        {field.name}: " in described, field.name
+
+
+@pytest.mark.parametrize("criterion", CRITERIA, ids=lambda c: c.__name__)
+def test_each_is_a_problem_with_a_file_of_its_own(criterion):
+    members = {name for name in vars(Problem) if not name.startswith("_")}
+    fields = {field.name for field in dataclasses.fields(criterion)}
+    assert members <= fields | set(dir(criterion))
+    module = inspect.getmodule(criterion)
+    others = [c for c in CRITERIA if c is not criterion]
+    assert all(inspect.getmodule(other) is not module for other in others)
