@@ -131,10 +131,11 @@ class ChargeInstance:
     def _tails(self) -> Tails:
         at, moments = self.base.skeleton.least_over_members, self._moments
         first: ReachPolicy | MomentReach = self._safest if moments is None else moments
-        last, least_goal, least_cost = first, at(self.greatest.goal) * (1.0 - _LEAST), None
+        last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None
         if self.safest_only:
+            least_goal = at(self.greatest.goal) * (1.0 - _LEAST)
             least_cost = at(self._safest.cost_bound)
-        elif moments is None:
+        elif self.ratio:  # else an arrival is never worse than failing
             least, last = self._riskiest
             least_goal = at(least.bound)
         both = (first, last)
