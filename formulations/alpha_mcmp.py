@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -69,20 +70,13 @@ class AlphaMCMP:
 
     failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
 
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+
     def __post_init__(self) -> None:
         check_setting(None, None, self.reach_fraction)
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         start_distribution(self.model, self.start)
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """Cost is counted whether or not the goal is reached."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
@@ -75,21 +76,14 @@ class CostBoundedReach:
     cost_bound: float | Fraction
     failure_budget: float | None = 1.0
 
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = False  # a plain probability, not one given success
+
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)
         if not 0 <= self.cost_bound < float("inf"):
             raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")
         start_distribution(self.model, self.start)
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """A plain probability, not one given success."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

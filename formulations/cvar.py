@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
@@ -72,21 +73,14 @@ class CVaR:
     level: float
     failure_budget: float | None = None
 
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = True  # given success
+
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)
         if not 0.0 <= self.level < 1.0:
             raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}")
         start_distribution(self.model, self.start)
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """Given success."""
-        return True
 
     @property
     def semantics(self) -> Semantics:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
+from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.errors import ModelError
@@ -69,6 +70,10 @@ class EGUBS:
     risk_factor: float
     goal_bonus: float
 
+    failure_budget: ClassVar[float] = 1.0  # failing is not limited: the utility weighs it
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = False  # a plain expectation
+
     def __post_init__(self) -> None:
         if not (self.risk_factor < 0.0 and isfinite(self.risk_factor)):
             raise ModelError(f"risk_factor must be a number below 0, not {self.risk_factor!r}")
@@ -80,21 +85,6 @@ class EGUBS:
     def cost_horizon(self) -> float:
         """Accumulated cost from which a stationary policy is optimal (C_max)."""
         return self.instance().cost_horizon
-
-    @property
-    def failure_budget(self) -> float:
-        """Failing is not limited: the utility weighs it."""
-        return 1.0
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """A plain expectation."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

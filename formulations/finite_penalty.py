@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -72,21 +73,14 @@ class FinitePenalty:
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False
 
+    failure_budget: ClassVar[float] = 1.0  # failing is not limited
+    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, self.discount)
         check_penalty(self.penalty)
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         start_distribution(self.model, self.start)
-
-    @property
-    def failure_budget(self) -> float:
-        """Failing is not limited."""
-        return 1.0
-
-    @property
-    def ratio(self) -> bool:
-        """Cost is counted whether or not the goal is reached."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
+from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
@@ -76,6 +77,10 @@ class GUBS:
     goal_bonus: float
     utility_at_infinity: float = 0.0
 
+    failure_budget: ClassVar[float] = 1.0  # failing is not limited: the utility weighs it
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = False  # a plain expectation
+
     def __post_init__(self) -> None:
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
             raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
@@ -84,21 +89,6 @@ class GUBS:
                 f"utility_at_infinity must be a number, not {self.utility_at_infinity!r}"
             )
         start_distribution(self.model, self.start)
-
-    @property
-    def failure_budget(self) -> float:
-        """Failing is not limited: the utility weighs it."""
-        return 1.0
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """A plain expectation."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

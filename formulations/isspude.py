@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance
@@ -63,23 +64,12 @@ class ISSPUDE:
     model: SSP
     start: Hashable | Mapping[Hashable, float]
 
+    failure_budget: ClassVar[None] = None  # as low as possible
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = True  # cost is counted given success
+
     def __post_init__(self) -> None:
         start_distribution(self.model, self.start)
-
-    @property
-    def failure_budget(self) -> None:
-        """As low as possible."""
-        return
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """Cost is counted given success."""
-        return True
 
     @property
     def semantics(self) -> Semantics:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -60,6 +61,10 @@ class MaxProb:
     model: SSP
     start: Hashable | Mapping[Hashable, float]
 
+    failure_budget: ClassVar[float] = 1.0  # failing is not limited: it is what is minimised
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = False  # no cost counts
+
     def __post_init__(self) -> None:
         start_distribution(self.model, self.start)
 
@@ -67,21 +72,6 @@ class MaxProb:
     def dead_ends(self) -> frozenset[Hashable]:
         """States from which no policy reaches the goal, X_{d,all}: the probability is 0."""
         return dead_end_labels(self.model)
-
-    @property
-    def failure_budget(self) -> float:
-        """Failing is not limited: it is what is minimised."""
-        return 1.0
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """No cost counts."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -75,6 +76,8 @@ class MCMP:
     charge_failing_step: bool | None = None
     reach_fraction: float | None = None
 
+    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+
     def __post_init__(self) -> None:
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
         published = self.reach_fraction is not None
@@ -84,11 +87,6 @@ class MCMP:
             object.__setattr__(self, "charge_failing_step", not published)
         object.__setattr__(self, "give_up", parse_give_up(str(self.give_up)))
         start_distribution(self.model, self.start)
-
-    @property
-    def ratio(self) -> bool:
-        """Cost is counted whether or not the goal is reached."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

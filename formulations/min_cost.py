@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -63,23 +64,14 @@ class MinCost:
     model: SSP
     start: Hashable | Mapping[Hashable, float]
 
+    failure_budget: ClassVar[float] = (
+        1.0  # the infinite penalty of ``semantics`` says it all
+    )
+    discount: ClassVar[None] = None  # exact
+    ratio: ClassVar[bool] = False  # every run reaches the goal, and its cost counts
+
     def __post_init__(self) -> None:
         start_distribution(self.model, self.start)
-
-    @property
-    def failure_budget(self) -> float:
-        """No budget: the infinite penalty of ``semantics`` says it all."""
-        return 1.0
-
-    @property
-    def discount(self) -> None:
-        """Exact."""
-        return
-
-    @property
-    def ratio(self) -> bool:
-        """Every run reaches the goal, and its cost counts."""
-        return False
 
     @property
     def semantics(self) -> Semantics:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance
@@ -72,16 +73,13 @@ class S3P:
     cost_cap: float | None = None
     reach_fraction: float | None = None
 
+    ratio: ClassVar[bool] = True  # cost is counted given success
+
     def __post_init__(self) -> None:
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
         start_distribution(self.model, self.start)
-
-    @property
-    def ratio(self) -> bool:
-        """Cost is counted given success."""
-        return True
 
     @property
     def semantics(self) -> Semantics:

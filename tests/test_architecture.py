@@ -108,7 +108,7 @@ def test_formulations_only_state_problems() -> None:
         for name in imports_of(path):
             assert name.split(".")[0] in {
                 "__future__", "collections", "dataclasses", "formulations", "fractions", "math",
-                "ssp_lp",
+                "ssp_lp", "typing",
             }  # fmt: skip
 
 
