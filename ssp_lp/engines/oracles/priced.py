@@ -1,0 +1,146 @@
+"""The oracle of a process with several rows: policy iteration at a price for each of them.
+
+Where a row's price is 0, end components that cost nothing but that row are free in the pricing
+problem, and to stay in one for ever would be a policy of less priced cost than any that leaves.
+Such policies do not count: their expected total of that row is infinite. They are never found,
+and the fixed point is the optimum among the policies that leave:
+
+Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
+``c + P v`` in some states and the first one's pair elsewhere, so that v >= c_pi + P_pi v. If pi had
+a closed class, with stationary distribution m, then m (v - c_pi - P_pi v) = -m c_pi <= 0, so that
+no pair of the class is a changed one, and the first policy would not leave: pi leaves. And where no
+pair is strictly smaller, v <= c_u + P_u v for every pair u, and iterating this along any policy
+that leaves shows that v bounds its priced cost from below.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.bellman import ChosenRows
+from ssp_lp.engines.oracles.explicit import ExplicitOracle
+from ssp_lp.engines.oracles.oracle import Work
+from ssp_lp.engines.oracles.policy_iteration import improve
+from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.errors import ModelError
+from ssp_lp.linear import accumulate
+from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.process.contraction import contract
+from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.process.failure_label import FailureLabelled
+
+_UNIT = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A deterministic policy with its exact expected totals from the start."""
+
+    figures: FloatArray  # [rewards] cost, failure, secondary costs
+    choice: IntArray  # [states] pair of the process
+    totals: FloatArray  # [states, rewards] the same from each state: a warm start
+    work: Work = Work()  # what finding it took
+
+    def worth(self, weights: FloatArray) -> float:
+        """Its totals, weighted, [rewards]."""
+        return float(self.figures @ weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A certified lower bound of the weighted totals of every policy that leaves."""
+
+    bound: float  # at the start
+    values: FloatArray  # [states] the checked sub-solution behind it
+    work: Work = Work()
+
+
+@dataclass(frozen=True, eq=False)
+class PricedOracle:
+    """Minimises and measures weighted totals of several rewards of a process."""
+
+    labelled: FailureLabelled
+    rewards: FloatArray  # [pairs, rewards] cost, failure, secondary costs
+
+    @property
+    def process(self) -> ExplicitProcess:
+        """The process that is minimised over."""
+        return self.labelled.process
+
+    @cached_property
+    def _first(self) -> IntArray:
+        """A policy that leaves, towards the goal where it can, [states]."""
+        choice = ExplicitOracle(self.labelled).first().choice
+        return np.zeros(0, dtype=np.int32) if choice is None else choice
+
+    def first(self) -> Point:
+        """A policy that comes nearer to the goal with every step it takes, where it can."""
+        return self._measured(self._first, None, Work())
+
+    def minimise(self, weights: FloatArray, warm: Point | None = None) -> Point:
+        """A policy of least weighted totals, measured exactly.
+
+        Args:
+            weights: of the rewards, >= 0, [rewards].
+            warm: a policy to start from.
+        """
+        process, priced = self.process, self.rewards @ weights
+        settled = improve(
+            process.pair_offsets,
+            process.transitions,
+            priced[:, None],
+            _UNIT,
+            self._first if warm is None else warm.choice,
+            None if warm is None else (warm.totals @ weights)[:, None],
+        )
+        guess = None
+        if warm is not None:
+            same = np.array_equal(settled.choice, warm.choice)
+            if same:
+                return replace(warm, work=settled.work)
+            guess = warm.totals
+        return self._measured(settled.choice, guess, settled.work)
+
+    def _measured(self, choice: IntArray, guess: FloatArray | None, work: Work) -> Point:
+        chain = ChosenRows(self.process.transitions, choice)
+        totals = accumulate(chain, self.rewards[choice], guess)
+        spent = work + Work(0, chain.products)
+        return Point(self.process.start @ totals, choice, totals, spent)
+
+    def prove(self, weights: FloatArray, best: Point) -> Checked:
+        """Prove a lower bound from the values of a policy of least weighted totals."""
+        best = self.minimise(weights, best)
+        return replace(self.check(weights, best.totals @ weights), work=best.work)
+
+    def check(self, weights: FloatArray, values: FloatArray) -> Checked:
+        """Lower values, [states], to a checked sub-solution at the weights, [rewards].
+
+        What is free at the weights is contracted first (see ``process.contraction``).
+
+        Raises:
+            ModelError: values of another shape.
+        """
+        process, priced = self.process, self.rewards @ weights
+        if values.shape != (process.n_states,):
+            raise ModelError(f"a value function of shape ({process.n_states},) is needed")
+        smaller = contract(process, priced)
+        if smaller is None:
+            checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
+        else:
+            checked = sub_solution(
+                smaller.pair_offsets,
+                smaller.transitions,
+                priced[smaller.pairs],
+                smaller.least(values),
+            )[smaller.node_of]
+        summands = int(np.count_nonzero(process.start))  # a sum of one term is exact
+        bound = float(process.start @ checked) * (1.0 - (summands - 1.0) * MACHINE_EPSILON)
+        return Checked(bound, checked)
+
+    def policy(self, point: Point) -> DeterministicPolicy:
+        """The policy on the original states."""
+        return self.labelled.policy(point.choice)
