@@ -2,6 +2,7 @@
 
 from formulations.alpha_mcmp import AlphaMCMP
 from formulations.comparison import CriteriaComparison, CriterionRow, compare_criteria
+from formulations.constrained_cost import ConstrainedCost
 from formulations.finite_penalty import FinitePenalty
 from formulations.isspude import ISSPUDE
 from formulations.maxprob import MaxProb
@@ -9,12 +10,15 @@ from formulations.mcmp import MCMP
 from formulations.min_cost import MinCost
 from formulations.minprob import MinProb
 from formulations.s3p import S3P
+from ssp_lp.process.side_rows import CostLimit
 
 __all__ = [
     "ISSPUDE",
     "MCMP",
     "S3P",
     "AlphaMCMP",
+    "ConstrainedCost",
+    "CostLimit",
     "CriteriaComparison",
     "CriterionRow",
     "FinitePenalty",

@@ -8,7 +8,7 @@ from itertools import combinations
 
 from ssp_lp.errors import ModelError
 from ssp_lp.judge import Judge
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.road import ROADS, Member, Road, take_road
 
 _DIGITS = {"c*": 10, "lower bound": 10, "gap": 2, "seconds": 2}
@@ -95,6 +95,11 @@ def cross_check(
     """
     if not (0.0 < tolerance < 1.0 and 0.0 < weight_tolerance < 1.0):
         raise ModelError("tolerances must lie strictly between 0 and 1")
+    if isinstance(problem, WithLimits):
+        raise ModelError(
+            f"the judge knows one row only, not {type(problem).__name__}: engine='lp' compares the "
+            "linear program with column generation"
+        )
     roads = [take_road(name, problem, lp_backend, time_limit) for name in ROADS]
     for road in roads:
         if road.infeasible is not None and not any(r.answered for r in roads):

@@ -23,7 +23,7 @@ ORDER = [
     ("evaluation", "occupation", "simulation"),
     ("solution", "frontier"),
     ("certificate",),
-    ("crosscheck", "deterministic"),
+    ("crosscheck", "deterministic", "constrained"),
     ("solve",),
     ("road",),
     ("judge",),

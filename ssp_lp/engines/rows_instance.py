@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray
+from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray
 from ssp_lp.engines.instance import LeastFailure, checked_least_failure
 from ssp_lp.engines.label_instance import LabelInstance
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
@@ -16,6 +16,9 @@ from ssp_lp.model import SSP
 from ssp_lp.process.failure_label import label_failure, secondary_cost
 from ssp_lp.process.semantics import Semantics, survival_of
 from ssp_lp.process.side_rows import FAILURE_ROW, SideRow
+
+ATTAINABLE = 1e-10
+"""A bound this much below the least attainable total, relative to it, counts as equal to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,3 +84,15 @@ class RowsInstance:
         costs = [secondary_cost(labelled, row.model, *setting) for row in self.side]
         rewards = np.stack([process.cost, process.failure, *costs], axis=1)
         return PricedOracle(labelled, rewards)
+
+
+def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> float:
+    """The lower bound ``least - prices @ bounds``, rounding counted against it.
+
+    Args:
+        least: certified bound of ``cost + prices @ activity`` of every policy.
+        prices: >= 0, [rows].
+        bounds: [rows].
+    """
+    paid = float(prices @ bounds)
+    return least - paid - (len(prices) + 1.0) * MACHINE_EPSILON * paid

@@ -6,8 +6,7 @@
 
 With ``elastic`` the e_k measure by how much rows are violated, in units of their scales, and costs
 are left out (phase 1). HiGHS's simplex method finds an optimal basis; weights and prices are then
-recomputed from it by a dense solve, and a few steps of the dual simplex method repair what HiGHS's
-tolerances let through.
+recomputed from it by dense solves, and a few simplex steps repair what HiGHS's tolerances let pass.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from dataclasses import dataclass
 import highspy
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import SolverError
 
 _OPTIONS: dict[str, bool | int | float | str] = {
@@ -31,6 +30,7 @@ _OPTIONS: dict[str, bool | int | float | str] = {
 _NEGATIVE = 1e-14
 """A basic weight this far below 0 is the rounding of a 0."""
 
+_TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
 _PIVOT = 1e-11
 _PIVOTS = 50
 
@@ -148,31 +148,55 @@ def _completed(program: _Standard, found: list[int]) -> list[int]:
 def _from_basis(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatArray]:
     """Values of the variables and duals of the rows, by dense solves with the basis.
 
-    Where a value is negative, dual simplex steps restore feasibility.
+    HiGHS's tolerances are relative to the dearest policy: where a value or a reduced cost is
+    negative beyond rounding, steps of the dual or of the primal simplex method repair it.
     """
     basis = basis.copy()
-    nonbasic: BoolArray = np.ones(program.cost.size, dtype=np.bool_)
-    nonbasic[basis] = False
     for _ in range(_PIVOTS):
         square = program.matrix[:, basis]
         values, dual = _solved(square, program.right), _solved(square.T, program.cost[basis])
-        leaving = int(np.argmin(values))
-        if values[leaving] >= -_NEGATIVE:
+        reduced = program.cost - dual @ program.matrix
+        reduced[basis] = 0.0
+        size = np.abs(program.cost) + np.abs(dual) @ np.abs(program.matrix)
+        step = _dual_step if values.min() < -_NEGATIVE else _primal_step
+        moved = step(program, basis, values, np.where(np.abs(reduced) < _TIED * size, 0.0, reduced))
+        if moved is None:
             break
-        unit = np.zeros(len(basis))
-        unit[leaving] = 1.0
-        row = _solved(square.T, unit) @ program.matrix
-        reduced = np.maximum(program.cost - dual @ program.matrix, 0.0)
-        able = nonbasic & (row < -_PIVOT)
-        if not able.any():
-            break
-        ratio = np.where(able, reduced, np.inf) / np.where(able, -row, 1.0)
-        entering = int(np.argmin(ratio))
-        nonbasic[basis[leaving]], nonbasic[entering] = True, False
-        basis[leaving] = entering
+        basis[moved[0]] = moved[1]
     result = np.zeros(program.cost.size)
     result[basis] = values
     return result, dual
+
+
+def _dual_step(
+    program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
+) -> tuple[int, int] | None:
+    """The place of the variable that leaves and the variable that enters; None: there is none."""
+    leaving = int(np.argmin(values))
+    unit = np.zeros(len(basis))
+    unit[leaving] = 1.0
+    row = _solved(program.matrix[:, basis].T, unit) @ program.matrix
+    row[basis] = 0.0
+    able = row < -_PIVOT
+    if not able.any():
+        return None
+    ratio = np.where(able, np.maximum(reduced, 0.0), np.inf) / np.where(able, -row, 1.0)
+    return leaving, int(np.argmin(ratio))
+
+
+def _primal_step(
+    program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
+) -> tuple[int, int] | None:
+    """The same where all values are feasible and some reduced cost is negative."""
+    entering = int(np.argmin(reduced))
+    if reduced[entering] >= 0.0:
+        return None
+    column = _solved(program.matrix[:, basis], program.matrix[:, entering])
+    able = column > _PIVOT
+    if not able.any():
+        return None
+    ratio = np.where(able, np.maximum(values, 0.0), np.inf) / np.where(able, column, 1.0)
+    return int(np.argmin(ratio)), entering
 
 
 def _solved(square: FloatArray, right: FloatArray) -> FloatArray:

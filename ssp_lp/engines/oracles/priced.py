@@ -34,6 +34,7 @@ from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import FailureLabelled
 
 _UNIT = np.ones(1)
+_NONE = Work()
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +44,7 @@ class Point:
     figures: FloatArray  # [rewards] cost, failure, secondary costs
     choice: IntArray  # [states] pair of the process
     totals: FloatArray  # [states, rewards] the same from each state: a warm start
-    work: Work = Work()  # what finding it took
+    work: Work  # what finding it took
 
     def worth(self, weights: FloatArray) -> float:
         """Its totals, weighted, [rewards]."""
@@ -56,7 +57,7 @@ class Checked:
 
     bound: float  # at the start
     values: FloatArray  # [states] the checked sub-solution behind it
-    work: Work = Work()
+    work: Work
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +115,9 @@ class PricedOracle:
     def prove(self, weights: FloatArray, best: Point) -> Checked:
         """Prove a lower bound from the values of a policy of least weighted totals."""
         best = self.minimise(weights, best)
-        return replace(self.check(weights, best.totals @ weights), work=best.work)
+        return self.check(weights, best.totals @ weights, best.work)
 
-    def check(self, weights: FloatArray, values: FloatArray) -> Checked:
+    def check(self, weights: FloatArray, values: FloatArray, work: Work = _NONE) -> Checked:
         """Lower values, [states], to a checked sub-solution at the weights, [rewards].
 
         What is free at the weights is contracted first (see ``process.contraction``).
@@ -139,7 +140,7 @@ class PricedOracle:
             )[smaller.node_of]
         summands = int(np.count_nonzero(process.start))  # a sum of one term is exact
         bound = float(process.start @ checked) * (1.0 - (summands - 1.0) * MACHINE_EPSILON)
-        return Checked(bound, checked)
+        return Checked(bound, checked, work)
 
     def policy(self, point: Point) -> DeterministicPolicy:
         """The policy on the original states."""
