@@ -1,4 +1,4 @@
-"""ConstrainedCost (C-SSP) on drawn models: enumeration of all policies and a program of lotteries."""
+"""ConstrainedCost (C-SSP) on drawn models: all policies enumerated, and a program of lotteries."""
 
 import numpy as np
 import pytest
@@ -19,10 +19,10 @@ meanings = st.fixed_dictionaries(
         "charge_failing_step": st.booleans(),
     }
 )
-shares = st.sampled_from([0.5, 0.0, 0.25, 0.9, 1.0, 2.0, -0.5, "zero"])
+shares = st.sampled_from([0.5, 0.25, 0.9, 0.75, 0.1, 0.5, 0.0, 1.0, 2.0, -0.5, "zero"])
 """Where a bound lies between the least attainable total and that of the cheapest policy."""
 
-budgets = st.sampled_from([None, 1.0, 0.0, 0.5, 0.1, "below"])
+budgets = st.sampled_from([0.1, None, 0.0, 0.25, 0.5, 1.0, "below"])
 """Where the failure budget lies between the least failure (0) and sure failure (1)."""
 
 
@@ -33,16 +33,21 @@ def often(examples):
 
 @st.composite
 def charged_problems(draw, most_rows=3):
-    """A problem and a secondary cost of each of its outcomes, one to three times over."""
+    """A problem and one to three secondary costs of its outcomes, mostly at odds with the cost."""
     drawn = draw(problems(most_live=3, most_actions=3))
     amounts = st.sampled_from([0, 1, 0, 2, 5])
-    charges = [
-        {
-            state: {action: [draw(amounts) for _ in outcomes] for action, outcomes in acts.items()}
-            for state, acts in drawn.choices.items()
-        }
-        for _ in range(draw(st.integers(1, most_rows)))
-    ]
+    charges = []
+    for _ in range(draw(st.integers(1, most_rows))):
+        against = draw(st.sampled_from([3, 5, 0]))
+        charges.append(
+            {
+                state: {
+                    action: [max(against - cost, 0) + draw(amounts) for _, _, cost in outcomes]
+                    for action, outcomes in acts.items()
+                }
+                for state, acts in drawn.choices.items()
+            }
+        )
     return drawn, charges
 
 
@@ -63,12 +68,13 @@ def limits_of(model, charges, bounds):
     }
 
 
-def bounds_of(every, places):
-    """A bound for each place between the least total and that of the cheapest policy."""
-    cheapest = min(every, key=lambda one: one.cost)
+def bounds_of(every, places, budget):
+    """A bound for each place between the least total and that of the cheapest policy within."""
+    within = [one for one in every if budget is None or one.failure <= budget + 1e-9] or every
+    cheapest = min(within, key=lambda one: one.cost)
     bounds = []
     for row, place in enumerate(places):
-        least = constrained.least_total(every, row)
+        least = constrained.least_total(within, row)
         if place == "zero":
             bounds.append(0.0)
         elif place == -0.5:
@@ -129,7 +135,7 @@ def test_the_best_lottery_over_all_policies(drawn_charges, places, place, meanin
     at_least = budget is None or (budget < 1.0 and abs(budget - least) <= 1e-10)
     allowed = [one for one in every if one.failure <= least + 1e-9] if at_least else every
     assume(allowed)
-    bounds = bounds_of(allowed, places[: len(charges)])
+    bounds = bounds_of(allowed, places[: len(charges)], budget)
     model = library_model(drawn)
     problem = ConstrainedCost(
         model,
