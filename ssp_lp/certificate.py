@@ -120,6 +120,7 @@ def _limits_certificate(
             "allowed"
         )
     lower = max(lagrange_bound(proof.bound, prices, raised), 0.0)
+    budget = float(raised[0]) if limited[0] else budget
     return _certificate(found, failure, lower, 0.0, budget, reason)
 
 

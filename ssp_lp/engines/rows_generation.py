@@ -24,6 +24,7 @@ from ssp_lp.engines.oracles.priced import Point, PricedOracle
 _ROUNDS = 2_000
 _IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
 
+_TRIFLE = 1e-9
 _ROUNDING = 1e-15  # relative, of weighted totals
 _FEASIBLE = 1e-15
 """Sum of the rows' violations, relative to their sizes, that is no more than rounding."""
@@ -182,7 +183,7 @@ class _Search:
 
 
 def first_rows(pool: Pool, index: IntArray, bounds: FloatArray) -> Rows:
-    """Rows with their scales: the bound, or where that is 0 what the known policies take.
+    """Rows with their scales: the bound, but no less than a trifle of what known policies take.
 
     Args:
         pool: some policies.
@@ -190,7 +191,7 @@ def first_rows(pool: Pool, index: IntArray, bounds: FloatArray) -> Rows:
         bounds: [rows].
     """
     taken = pool.figures[index].max(axis=1, initial=0.0)
-    scales = np.where(bounds > 0.0, bounds, taken)
+    scales = np.where(bounds > 0.0, np.maximum(bounds, _TRIFLE * taken), taken)
     return Rows(index, bounds, np.where(scales > 0.0, scales, 1.0))
 
 

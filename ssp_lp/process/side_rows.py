@@ -133,7 +133,7 @@ def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
 def _spread(model: SSP, name: str, cost: npt.ArrayLike) -> FloatArray:
     """Costs from an array of pairs or of outcomes, [outcomes]."""
     try:
-        given = np.asarray(cost, dtype=np.float64)
+        given = np.array(cost, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
     if given.shape == (model.n_outcomes,):

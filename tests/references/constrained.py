@@ -115,9 +115,7 @@ def least_total(every: Sequence[Measured], row: int) -> float:
     return min(one.secondary[row] for one in every)
 
 
-def least_excess(
-    every: Sequence[Measured], budget: float | None, bounds: Sequence[float]
-) -> float:
+def least_excess(every: Sequence[Measured], budget: float | None, bounds: Sequence[float]) -> float:
     """The least sum of violations of the rows by a lottery."""
     rows = [[one.secondary[k] for one in every] for k in range(len(bounds))]
     right = list(bounds)
