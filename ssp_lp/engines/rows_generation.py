@@ -24,7 +24,8 @@ from ssp_lp.engines.oracles.priced import Point, PricedOracle
 _ROUNDS = 2_000
 _IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
 
-_TRIFLE = 1e-9
+_TRIFLE = 1e-9  # of what policies take of a row: no bound is taken to be smaller
+_SLIGHT = 1e-6  # worth of a row, relative to the objective, that a price in between may neglect
 _ROUNDING = 1e-15  # relative, of weighted totals
 _FEASIBLE = 1e-15
 """Sum of the rows' violations, relative to their sizes, that is no more than rounding."""
@@ -125,7 +126,10 @@ def generate(
         near = max(0.1 * pace.tolerance * master.value, 0.0)
         if master.value - bound <= near:
             share = 0.0
-        tried = share * prices + (1.0 - share) * master.prices
+        tried = own = without_trifles(master.prices, rows, master.value)
+        if share > 0.0:
+            between = share * prices + (1.0 - share) * own
+            tried = without_trifles(between, rows, master.value, _SLIGHT)
         if elastic and master.value <= _FEASIBLE:
             return Generated(master, master.prices, bound, finished=True)
         found, value = search.price(tried)
@@ -135,7 +139,7 @@ def generate(
         below = master.value - search.value(found, master.prices)
         new = below > max(near, search.rounding(found, master.prices)) and pool.add(found)
         if share == 0.0 and (not new or master.value - value <= near):
-            return Generated(master, master.prices, value, finished=True)
+            return Generated(master, own, value, finished=True)
         share = pace.in_between if new else 0.0
         if time.perf_counter() > pace.deadline:
             break
@@ -195,9 +199,11 @@ def first_rows(pool: Pool, index: IntArray, bounds: FloatArray) -> Rows:
     return Rows(index, bounds, np.where(scales > 0.0, scales, 1.0))
 
 
-def without_trifles(prices: FloatArray, rows: Rows, objective: float) -> FloatArray:
+def without_trifles(
+    prices: FloatArray, rows: Rows, objective: float, trifle: float = 1e-12
+) -> FloatArray:
     """Prices too small to matter as 0: the rounding of a 0 would be a cycle's only cost, [rows]."""
-    return np.where(prices * rows.scales <= 1e-12 * abs(objective), 0.0, prices)
+    return np.where(prices * rows.scales <= trifle * abs(objective), 0.0, prices)
 
 
 def relaxed(rows: Rows, excess: FloatArray) -> Rows:

@@ -2,20 +2,21 @@
 
 Where a row's price is 0, end components that cost nothing but that row are free in the pricing
 problem, and to stay in one for ever would be a policy of less priced cost than any that leaves.
-Such policies do not count: their expected total of that row is infinite. They are never found,
-and the fixed point is the optimum among the policies that leave:
+Such policies do not count: their expected total of that row is infinite. What is free is contracted
+(``process.contraction``), and policy iteration never finds a policy that stays:
 
 Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
 ``c + P v`` in some states and the first one's pair elsewhere, so that v >= c_pi + P_pi v. If pi had
 a closed class, with stationary distribution m, then m (v - c_pi - P_pi v) = -m c_pi <= 0, so that
 no pair of the class is a changed one, and the first policy would not leave: pi leaves. And where no
 pair is strictly smaller, v <= c_u + P_u v for every pair u, and iterating this along any policy
-that leaves shows that v bounds its priced cost from below.
+that leaves shows that v bounds its priced cost from below. In exact numbers this needs no
+contraction; in rounded ones a cycle that costs nothing is a gain wherever rounding says so.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,12 +25,12 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.bellman import ChosenRows
 from ssp_lp.engines.oracles.explicit import ExplicitOracle
 from ssp_lp.engines.oracles.oracle import Work
-from ssp_lp.engines.oracles.policy_iteration import improve
+from ssp_lp.engines.oracles.policy_iteration import Settled, improve
 from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.errors import ModelError
 from ssp_lp.linear import accumulate
 from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.process.contraction import contract
+from ssp_lp.process.contraction import Contracted, contract
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import FailureLabelled
 
@@ -66,6 +67,7 @@ class PricedOracle:
 
     labelled: FailureLabelled
     rewards: FloatArray  # [pairs, rewards] cost, failure, secondary costs
+    _known: dict[bytes, Contracted | None] = field(default_factory=dict)  # by what is counted
 
     @property
     def process(self) -> ExplicitProcess:
@@ -85,26 +87,53 @@ class PricedOracle:
     def minimise(self, weights: FloatArray, warm: Point | None = None) -> Point:
         """A policy of least weighted totals, measured exactly.
 
+        What is free at the weights is contracted first: rounding would find policies that stay.
+
         Args:
             weights: of the rewards, >= 0, [rewards].
             warm: a policy to start from.
         """
-        process, priced = self.process, self.rewards @ weights
-        settled = improve(
+        smaller, choice = self._contracted(weights), self._first if warm is None else warm.choice
+        guess = None if warm is None else warm.totals @ weights
+        if smaller is None:
+            settled = self._improved(self.process, weights, choice, guess)
+            found = settled.choice
+        else:
+            begun = smaller.begun(self.process, choice).astype(np.int32)
+            guess = None if guess is None else smaller.least(guess)
+            settled = self._improved(smaller, weights, begun, guess)
+            found = smaller.expanded(self.process, settled.choice)
+        if warm is not None and np.array_equal(found, warm.choice):
+            return replace(warm, work=settled.work)
+        return self._measured(found, None if warm is None else warm.totals, settled.work)
+
+    def _improved(
+        self,
+        process: ExplicitProcess | Contracted,
+        weights: FloatArray,
+        choice: IntArray,
+        guess: FloatArray | None,
+    ) -> Settled:
+        """Policy iteration on the process, or on what is left of it."""
+        priced = self.rewards @ weights
+        priced = priced if isinstance(process, ExplicitProcess) else priced[process.pairs]
+        return improve(
             process.pair_offsets,
             process.transitions,
             priced[:, None],
             _UNIT,
-            self._first if warm is None else warm.choice,
-            None if warm is None else (warm.totals @ weights)[:, None],
+            choice,
+            None if guess is None else guess[:, None],
         )
-        guess = None
-        if warm is not None:
-            same = np.array_equal(settled.choice, warm.choice)
-            if same:
-                return replace(warm, work=settled.work)
-            guess = warm.totals
-        return self._measured(settled.choice, guess, settled.work)
+
+    def _contracted(self, weights: FloatArray) -> Contracted | None:
+        """The process without what is free at the weights, kept; None where nothing is."""
+        counted = weights > 0.0
+        key = counted.tobytes()
+        if key not in self._known:
+            free = (self.rewards[:, counted] == 0.0).all(axis=1)
+            self._known[key] = contract(self.process, free)
+        return self._known[key]
 
     def _measured(self, choice: IntArray, guess: FloatArray | None, work: Work) -> Point:
         chain = ChosenRows(self.process.transitions, choice)
@@ -128,7 +157,7 @@ class PricedOracle:
         process, priced = self.process, self.rewards @ weights
         if values.shape != (process.n_states,):
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
-        smaller = contract(process, priced)
+        smaller = self._contracted(weights)
         if smaller is None:
             checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
         else:
