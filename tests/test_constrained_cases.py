@@ -300,6 +300,51 @@ def test_a_free_cycle_of_two_states(engine, give_up):
     check(solve(tight, engine), 7 / 2, fuel=5)
 
 
+def ring_model(n, rng):
+    """Live states in free rings of ten, from which dearer actions lead anywhere; some fail."""
+    successors = rng.integers(0, n, size=(n, 3, 4))
+    state = np.arange(n)
+    successors[:, 0] = (state // 10 * 10 + (state + 1) % 10)[:, None]
+    successors[:, 1:, 0] = np.where(rng.random((n, 2)) < 0.3, n, successors[:, 1:, 0])
+    successors[:, 1:, 1] = np.where(rng.random((n, 2)) < 0.05, n + 1, successors[:, 1:, 1])
+    costs = rng.integers(1, 9, size=(n, 3)).astype(float)
+    costs[:, 0] = 0.0
+    model = SSP.from_arrays(
+        pair_offsets=np.append(np.arange(n + 1) * 3, [3 * n] * 2),
+        outcome_offsets=np.arange(3 * n + 1) * 4,
+        successors=successors.ravel(),
+        probabilities=np.full(12 * n, 0.25),
+        costs=costs.ravel(),
+        goal_states=[n],
+        treat_actionless_as_dead_ends=True,
+    )
+    return model, rng.integers(0, 9, size=3 * n).astype(float)
+
+
+@pytest.mark.parametrize("n", [1_200, 9_000])
+def test_free_rings_in_a_larger_model(n):
+    """Evaluations are rough there: rounding must not find that going round for ever is cheap."""
+    model, fuel = ring_model(n, np.random.default_rng(5))
+    free = solve(MCMP(model, 0, failure_budget=0.25, give_up="dead_ends"))
+    for steps, most, engine in ((1e6, 40.0, "columns"), (12.0, 30.0, "columns"), (1e6, 40.0, "lp")):
+        if engine == "lp" and n > 1_200:
+            continue
+        limits = {"steps": CostLimit(np.ones(3 * n), steps), "fuel": CostLimit(fuel, most)}
+        problem = ConstrainedCost(model, 0, limits, failure_budget=0.25, give_up="dead_ends")
+        solution = solve(problem, engine)
+        assert solution.gap <= 1e-9
+        certificate = certify(solution)
+        assert certificate.accepted, certificate.reason
+        assert certificate.gap <= 1e-8
+        assert solution.objective >= free.objective * (1.0 - 1e-9)
+        assert solution.secondary_costs["steps"] <= steps * (1 + 1e-10)
+        assert solution.secondary_costs["fuel"] <= most * (1 + 1e-10)
+        for name, price in solution.prices.items():
+            spent = {"failure": solution.failure_probability, **solution.secondary_costs}[name]
+            allowed = {"failure": 0.25, "steps": steps, "fuel": most}[name]
+            assert price * (allowed - spent) <= 1e-8 * solution.objective
+
+
 @settings(max_examples=60, deadline=None, derandomize=True)
 @given(problems(), meanings, discounts)
 def test_without_limits_it_is_mcmp(drawn, meaning, discount):

@@ -126,10 +126,7 @@ def generate(
         near = max(0.1 * pace.tolerance * master.value, 0.0)
         if master.value - bound <= near:
             share = 0.0
-        tried = own = without_trifles(master.prices, rows, master.value)
-        if share > 0.0:
-            between = share * prices + (1.0 - share) * own
-            tried = without_trifles(between, rows, master.value, _SLIGHT)
+        tried = _between(prices, master, rows, share)
         if elastic and master.value <= _FEASIBLE:
             return Generated(master, master.prices, bound, finished=True)
         found, value = search.price(tried)
@@ -139,11 +136,19 @@ def generate(
         below = master.value - search.value(found, master.prices)
         new = below > max(near, search.rounding(found, master.prices)) and pool.add(found)
         if share == 0.0 and (not new or master.value - value <= near):
-            return Generated(master, own, value, finished=True)
+            return Generated(master, tried, value, finished=True)
         share = pace.in_between if new else 0.0
         if time.perf_counter() > pace.deadline:
             break
     return Generated(search.master(elastic), prices, bound, finished=False)
+
+
+def _between(prices: FloatArray, master: MasterOptimum, rows: Rows, share: float) -> FloatArray:
+    """Prices between good ones and the master's; at a share of 0 the master's own, [rows]."""
+    own = without_trifles(master.prices, rows, master.value)
+    if share == 0.0:
+        return own
+    return without_trifles(share * prices + (1.0 - share) * own, rows, master.value, _SLIGHT)
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,8 +76,7 @@ def label_failure(
             what leaks out of a non-goal state counts as failure (paper, section 3.5).
         usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
             the second stage of a least-failure problem (DESIGN, section 4).
-        also_free: pairs that are free in every secondary cost, [pairs]: only moving about in what
-            is free in all costs is free. None: there are no others.
+        also_free: pairs that are free in every secondary cost, too, [pairs]; None: there is none.
     """
     free = None if discount is not None else _free_pairs(model, semantics.aim)
     if free is not None and also_free is not None:

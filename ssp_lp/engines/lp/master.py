@@ -72,9 +72,28 @@ def solve_master(
     n_rows, n_columns = activity.shape
     top = 0.0 if elastic else float(np.abs(cost).max(initial=0.0))
     unit = top if top > 0.0 else 1.0
+    program = _scaled(cost / unit, activity, bounds, scales, elastic=elastic)
+    x, dual = _from_basis(program, _basis(program))
+    x, weights = np.maximum(x, 0.0), np.maximum(x[:n_columns], 0.0)
+    weights = np.where(weights > _NEGATIVE, weights, 0.0)
+    weights = weights / weights.sum()
+    excess = x[n_columns : n_columns + n_rows] if elastic else np.zeros(n_rows)
+    return MasterOptimum(
+        value=float(excess.sum()) if elastic else float(cost @ weights),
+        weights=weights,
+        prices=unit * np.maximum(-dual[:n_rows], 0.0) / scales,
+        excess=excess,
+    )
+
+
+def _scaled(
+    cost: FloatArray, activity: FloatArray, bounds: FloatArray, scales: FloatArray, *, elastic: bool
+) -> _Standard:
+    """The program in standard form, its rows divided by their scales."""
+    n_rows, n_columns = activity.shape
     n_excess = n_rows if elastic else 0
-    priced = np.zeros(n_columns) if elastic else cost / unit
-    program = _Standard(
+    priced = np.zeros(n_columns) if elastic else cost
+    return _Standard(
         cost=np.concatenate([priced, np.ones(n_excess), np.zeros(n_rows)]),
         matrix=np.block(
             [
@@ -83,17 +102,6 @@ def solve_master(
             ]
         ),
         right=np.append(bounds / scales, 1.0),
-    )
-    x, dual = _from_basis(program, _basis(program))
-    x, weights = np.maximum(x, 0.0), np.maximum(x[:n_columns], 0.0)
-    weights = np.where(weights > _NEGATIVE, weights, 0.0)
-    weights = weights / weights.sum()
-    excess = x[n_columns : n_columns + n_excess] if elastic else np.zeros(n_rows)
-    return MasterOptimum(
-        value=float(excess.sum()) if elastic else float(cost @ weights),
-        weights=weights,
-        prices=unit * np.maximum(-dual[:n_rows], 0.0) / scales,
-        excess=excess,
     )
 
 
