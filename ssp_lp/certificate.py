@@ -111,10 +111,10 @@ def _limits_certificate(
     prices = np.where(limited, prices, 0.0)
     weights = np.concatenate([[1.0], prices])
     proof = instance.oracle.check(weights, np.asarray(values))
-    broken = limited & (spent > bounds * (1.0 + 2.0 * ATTAINABLE))
-    reason = ""
-    if broken.any():
-        row = int(np.argmax(broken))
+    broken = 1 + np.flatnonzero(spent[1:] > bounds[1:] * (1.0 + 2.0 * ATTAINABLE))
+    reason = ""  # of the failure row ``_certificate`` knows
+    if broken.size:
+        row = int(broken[0])
         reason = (
             f"the policy spends {spent[row]:.12g} of {instance.names[row]!r}, {bounds[row]:.12g} "
             "allowed"
