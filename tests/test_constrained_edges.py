@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 from hypothesis import given, settings
+from scipy.optimize import linprog
 
 from checks import CLOSE, library_model
 from formulations import MCMP, ConstrainedCost, CostLimit
@@ -18,6 +19,7 @@ from ssp_lp import (
     ModelError,
     SolverError,
     certify,
+    constrained,
     cross_check,
     evaluate,
     simulate,
@@ -26,6 +28,9 @@ from ssp_lp import (
 )
 from ssp_lp.engines import conflict
 from ssp_lp.engines.lp.highs import solve_with_highs
+from ssp_lp.engines.lp.master import solve_master
+from ssp_lp.engines.rows_generation import Pace, generate
+from ssp_lp.problem import rows_instance
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.side_rows import side_rows
 from ssp_lp.program import rows_program
@@ -136,6 +141,48 @@ def test_the_program_of_a_ratio_with_side_rows():
     assert answer.dual[program.rows["normaliser"]] == pytest.approx(objective, **EXACT)
     assert answer.dual[program.rows["failure"]] == pytest.approx(0.0, abs=1e-12)
     assert answer.dual[program.rows["fuel"]] < 0.0
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_master_program(seed):
+    """Weights and prices against another solver, with ties and costs of very different sizes."""
+    rng = np.random.default_rng(seed)
+    n_rows, n_columns = int(rng.integers(1, 6)), int(rng.integers(1, 30))
+    activity = rng.integers(0, 6, size=(n_rows, n_columns)).astype(float)
+    cost = rng.integers(0, 9, size=n_columns) * 10.0 ** rng.integers(0, 7, size=n_columns)
+    bounds = activity @ rng.dirichlet(np.ones(n_columns)) * rng.choice([1.0, 1.2])
+    scales = np.maximum(bounds, 1.0)
+    found = solve_master(cost, activity, bounds, scales, elastic=False)
+    known = linprog(
+        cost, A_ub=activity, b_ub=bounds, A_eq=np.ones((1, n_columns)), b_eq=[1.0], method="highs"
+    )
+    assert found.value == pytest.approx(known.fun, rel=1e-7, abs=1e-9)
+    assert (activity @ found.weights <= bounds + 1e-12 * scales).all()
+    assert (found.weights > 0).sum() <= n_rows + 1
+    dual = float((cost + found.prices @ activity).min() - found.prices @ bounds)
+    assert dual == pytest.approx(found.value, rel=1e-10, abs=1e-9)
+    half = solve_master(cost, activity, 0.5 * bounds, scales, elastic=True)
+    assert half.value == pytest.approx(float(half.excess.sum()))
+    excess = np.maximum(activity @ half.weights - 0.5 * bounds, 0.0) / scales
+    assert half.value == pytest.approx(float(excess.sum()), abs=1e-12)
+    bound = float((half.prices @ activity).min() - 0.5 * half.prices @ bounds)
+    assert bound == pytest.approx(half.value, abs=1e-12)
+
+
+@pytest.mark.parametrize("in_between", [0.0, 0.3, 0.9])
+def test_stabilised_prices_end_at_the_same_optimum(in_between):
+    """How prices are tried decides how long it takes, not what is found."""
+    model, fuel = ring_model(300, np.random.default_rng(1))
+    limits = {"steps": CostLimit(np.ones(900), 9.0), "fuel": CostLimit(fuel, 24.0)}
+    problem = ConstrainedCost(model, 0, limits, failure_budget=0.2)
+    instance = rows_instance(problem).settled()
+    opened = constrained._opened(instance, instance, Pace(1e-9, in_between=in_between))
+    centre = np.zeros(3), opened.unlimited
+    pace = Pace(1e-9, in_between=in_between)
+    found = generate(opened.pool, opened.rows, pace, centre=centre)
+    assert found.finished
+    assert found.master.value == pytest.approx(solve(problem).objective, rel=1e-9)
+    assert found.bound == pytest.approx(found.master.value, rel=1e-9)
 
 
 def test_many_rows_are_thinned_out(monkeypatch):
