@@ -2,6 +2,7 @@
 
 from formulations.alpha_mcmp import AlphaMCMP
 from formulations.comparison import CriteriaComparison, CriterionRow, compare_criteria
+from formulations.constrained_cost import ConstrainedCost
 from formulations.cost_bounded_reach import CostBoundedReach
 from formulations.cost_quantile import CostQuantile
 from formulations.cvar import CVaR
@@ -14,6 +15,7 @@ from formulations.mcmp import MCMP
 from formulations.min_cost import MinCost
 from formulations.minprob import MinProb
 from formulations.s3p import S3P
+from ssp_lp.process.side_rows import CostLimit
 
 __all__ = [
     "EGUBS",
@@ -23,7 +25,9 @@ __all__ = [
     "S3P",
     "AlphaMCMP",
     "CVaR",
+    "ConstrainedCost",
     "CostBoundedReach",
+    "CostLimit",
     "CostQuantile",
     "CriteriaComparison",
     "CriterionRow",

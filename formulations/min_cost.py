@@ -64,9 +64,7 @@ class MinCost:
     model: SSP
     start: Hashable | Mapping[Hashable, float]
 
-    failure_budget: ClassVar[float] = (
-        1.0  # the infinite penalty of ``semantics`` says it all
-    )
+    failure_budget: ClassVar[float] = 1.0  # the infinite penalty of ``semantics`` says it all
     discount: ClassVar[None] = None  # exact
     ratio: ClassVar[bool] = False  # every run reaches the goal, and its cost counts
 

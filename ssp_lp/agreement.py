@@ -8,7 +8,7 @@ from itertools import combinations
 
 from ssp_lp.errors import ModelError
 from ssp_lp.judge import Judge
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.road import ROADS, Member, Road, take_road
 
 _DIGITS = {"c*": 10, "lower bound": 10, "gap": 2, "seconds": 2}
@@ -90,15 +90,21 @@ def cross_check(
         large to solve from nothing.
 
     Raises:
-        ModelError: a wrong argument, or a problem with a measure, for which there is one road.
+        ModelError: a wrong argument, or a problem with a measure or with limits, which the game
+            does not know.
         InfeasibleError: every road says that no policy keeps to the budget.
     """
     if not (0.0 < tolerance < 1.0 and 0.0 < weight_tolerance < 1.0):
         raise ModelError("tolerances must lie strictly between 0 and 1")
     if problem.semantics.measure is not None:
         raise ModelError(
-            f"{type(problem).__name__} measures the law of the total cost, which one road alone "
-            "can do: call solve, and evaluate for a second opinion of its policy"
+            f"the game knows costs only, not {type(problem).__name__}: engine='lp' compares the "
+            "linear program with column generation"
+        )
+    if isinstance(problem, WithLimits):
+        raise ModelError(
+            f"the judge knows one row only, not {type(problem).__name__}: engine='lp' compares the "
+            "linear program with column generation"
         )
     roads = [take_road(name, problem, lp_backend, time_limit) for name in ROADS]
     for road in roads:

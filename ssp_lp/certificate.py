@@ -12,9 +12,10 @@ from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
 from ssp_lp.engines.refinement import CERTIFYING
 from ssp_lp.engines.row import Row, relative_gap
+from ssp_lp.engines.rows_instance import ATTAINABLE, RowsInstance, lagrange_bound
 from ssp_lp.errors import ModelError
 from ssp_lp.evaluation import Evaluation, evaluate
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, WithLimits, rows_instance
 from ssp_lp.process.measure import TailMeanOf
 from ssp_lp.process.semantics import Aim, start_distribution
 from ssp_lp.risk import risk_bound
@@ -29,7 +30,7 @@ best to fail, so that no rounding enters (see ``Row.lower_bound``)."""
 
 @dataclass(frozen=True)
 class Certificate:
-    """What was recomputed. ``accepted`` says that the policy keeps to the budget."""
+    """What was recomputed. ``accepted`` says that the policy keeps to the budget and all limits."""
 
     objective: float  # exact value of the policy
     lower_bound: float  # no policy within the budget is cheaper
@@ -63,7 +64,7 @@ def certify(solution: Solution) -> Certificate:
         solution: a solution, of ``solve`` or put together by hand.
 
     Returns:
-        The certificate. ``accepted`` is false where the policy breaks the budget.
+        The certificate. ``accepted`` is false where the policy breaks the budget or a limit.
 
     Raises:
         ModelError: the policy or the value function does not fit the problem.
@@ -72,6 +73,8 @@ def certify(solution: Solution) -> Certificate:
     found = evaluate(solution.policy, problem)
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
+    if isinstance(problem, WithLimits):
+        return _limits_certificate(solution, rows_instance(problem), found, failure)
     if problem.semantics.aim is not Aim.LEAST_COST:
         return _goal_certificate(problem, found, failure)
     if problem.semantics.measure is not None:
@@ -95,6 +98,38 @@ def certify(solution: Solution) -> Certificate:
         bound = max(bound, least.objective_bound)
     allowed = max(problem.failure_budget, least.column.failure)
     return _certificate(found, failure, bound, tail, allowed, "")
+
+
+def _limits_certificate(
+    solution: Solution, stated: RowsInstance, found: Evaluation, failure: float
+) -> Certificate:
+    """All rows of the policy against their bounds, and the bound that the prices prove."""
+    instance, values = stated.settled(), solution.value_function
+    if values is None:
+        raise ModelError("a certificate needs the prices and their value function")
+    least = instance.least.column.failure if instance.budget is None else 0.0
+    budget = least if stated.budget is None else max(stated.budget, least)
+    bounds, spent = instance.bounds, np.array([failure, *found.secondary_costs.values()])
+    prices = np.array([solution.prices.get(name, 0.0) for name in instance.names])
+    if not (np.isfinite(prices) & (prices >= 0.0)).all():
+        return _certificate(found, failure, 0.0, 0.0, budget, "a price is not a number >= 0")
+    limited = np.isfinite(bounds)
+    bounds = np.where(limited, bounds, 0.0)
+    raised = np.where(limited, np.clip(spent, bounds, bounds * (1.0 + ATTAINABLE)), 0.0)
+    prices = np.where(limited, prices, 0.0)
+    weights = np.concatenate([[1.0], prices])
+    proof = instance.oracle.check(weights, np.asarray(values))
+    broken = 1 + np.flatnonzero(spent[1:] > bounds[1:] * (1.0 + 2.0 * ATTAINABLE))
+    reason = ""  # of the failure row ``_certificate`` knows
+    if broken.size:
+        row = int(broken[0])
+        reason = (
+            f"the policy spends {spent[row]:.12g} of {instance.names[row]!r}, {bounds[row]:.12g} "
+            "allowed"
+        )
+    lower = max(lagrange_bound(proof.bound, prices, raised), 0.0)
+    budget = float(raised[0]) if limited[0] else budget
+    return _certificate(found, failure, lower, 0.0, budget, reason)
 
 
 def _lower_bound(

@@ -43,6 +43,7 @@ class Chain:
     target: IntArray  # [moves] node
     probability: FloatArray  # [moves]
     cost: FloatArray  # [moves]
+    outcome: IntArray  # [moves] of the model: by it costs can be exchanged
     branch_node: IntArray  # [branches]
     branch_pair: IntArray  # [branches] pair or GIVE_UP_CODE
     branch_probability: FloatArray  # [branches]
@@ -196,7 +197,7 @@ def _grown(visited: BoolArray, key: int) -> BoolArray:
     return wider
 
 
-Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, FloatArray]
+Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 
 def _expand(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Step:
@@ -220,7 +221,7 @@ def _expand(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Ste
     after = policy.remember(memory[situation], successor, cost)
     after = np.where(ended[successor], 0, after)
     target = after * model.n_states + successor
-    return (keys[situation], target, chance[chance > 0], cost,
+    return (keys[situation], target, chance[chance > 0], cost, outcome,
             keys[branch.situation], branch.pair, branch.probability)  # fmt: skip
 
 
@@ -233,8 +234,8 @@ def _assemble(
     found: list[Step],
     layered: bool,
 ) -> Chain:
-    source, target, chance, cost, node, pair, weight = (
-        np.concatenate([step[i] for step in found]) for i in range(7)
+    source, target, chance, cost, outcome, node, pair, weight = (
+        np.concatenate([step[i] for step in found]) for i in range(8)
     )
     known = np.flatnonzero(visited)
     position = np.zeros(visited.size, dtype=np.int32)
@@ -255,6 +256,7 @@ def _assemble(
         target=position[target],
         probability=chance,
         cost=cost,
+        outcome=outcome,
         branch_node=node,
         branch_pair=pair,
         branch_probability=weight,

@@ -12,13 +12,15 @@ class ModelError(SSPError, ValueError):
 
 
 class InfeasibleError(SSPError):
-    """No policy respects the failure budget.
+    """No policy respects the failure budget and the limits.
 
     Attributes:
         failure_budget: the budget that was asked for (``None``: none was).
         least_failure: the least failure probability that any policy attains.
         least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
             surrogate can be infeasible where the real problem is not (paper, Theorem t2-2).
+        conflicting_rows: names of the fewest rows found that contradict each other: limits, and
+            "failure" for the budget; empty where no rows were looked for.
     """
 
     def __init__(
@@ -28,11 +30,13 @@ class InfeasibleError(SSPError):
         failure_budget: float | None,
         least_failure: float,
         least_discounted_failure: float | None = None,
+        conflicting_rows: tuple[str, ...] = (),
     ) -> None:
         super().__init__(message)
         self.failure_budget = failure_budget
         self.least_failure = least_failure
         self.least_discounted_failure = least_discounted_failure
+        self.conflicting_rows = conflicting_rows
 
 
 class SolverError(SSPError, RuntimeError):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.failing import give_up_costs, lost_costs
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.process.semantics import Aim, Semantics, start_distribution, survival_of
 
 
@@ -31,6 +31,9 @@ class Evaluation:
     objective: float  # what the problem optimises, discounted where it is; penalty or measure
     discounted_failure: float | None  # paper, eq. constrain_condition_approximate
     ends: Mapping[str, float]  # how episodes end: goal, each label, dead_end, gave_up, wandering
+    secondary_costs: Mapping[str, float] = field(
+        default_factory=dict
+    )  # of limits; as ``objective``
 
 
 def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
@@ -77,6 +80,7 @@ class Measures:
     discounted_goal: float  # E[gamma^T; goal]
     discounted_cost: float  # case M: discounted E[r_tau]; case S: E[gamma^(T - 1) r_T; goal]
     ends: Mapping[str, float]
+    secondary: Mapping[str, float]  # discounted like the cost
 
 
 def _mean(parts: list[Measures], weights: FloatArray) -> Measures:
@@ -85,11 +89,13 @@ def _mean(parts: list[Measures], weights: FloatArray) -> Measures:
     scalars = {
         f.name: sum(w * getattr(p, f.name) for p, w in used)
         for f in fields(Measures)
-        if f.name != "ends"
+        if f.name not in ("ends", "secondary")
     }
     names = list(dict.fromkeys(name for p, _ in used for name in p.ends))
     return Measures(
-        **scalars, ends={n: sum(w * p.ends.get(n, 0.0) for p, w in used) for n in names}
+        **scalars,
+        ends={n: sum(w * p.ends.get(n, 0.0) for p, w in used) for n in names},
+        secondary={n: sum(w * p.secondary[n] for p, w in used) for n in used[0][0].secondary},
     )
 
 
@@ -115,6 +121,7 @@ def _report(sums: Measures, problem: Problem) -> Evaluation:
         objective=objective,
         discounted_failure=surrogate if discounted else None,
         ends=sums.ends,
+        secondary_costs=sums.secondary,
     )
 
 
@@ -143,7 +150,24 @@ def _measure(policy: Policy, problem: Problem, start: FloatArray) -> Measures:
         discounted_goal=float(chain.start @ (gamma * early + chain.goal)),
         discounted_cost=target,
         ends=_ends(chain),
+        secondary=_secondary(chain, hopeful, problem),
     )
+
+
+def _secondary(chain: Chain, hopeful: BoolArray, problem: Problem) -> dict[str, float]:
+    """Each secondary cost, counted as the cost is: on the same chain with other costs."""
+    if not isinstance(problem, WithLimits):
+        return {}
+    survival = survival_of(problem.discount)
+    return {
+        row.name: _until_failure(
+            replace(chain, model=row.model, cost=row.costs[chain.outcome]),
+            hopeful,
+            problem.semantics,
+            survival,
+        )
+        for row in problem.side_rows
+    }
 
 
 def _success(chain: Chain, alive: BoolArray, survival: float) -> tuple[FloatArray, FloatArray]:

@@ -15,7 +15,7 @@ from ssp_lp.engines.oracles.oracle import Column, Oracle, Work
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.process.semantics import Aim
 
 _REFINEMENTS = 6
@@ -129,6 +129,8 @@ def trace_frontier(
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
     if problem.semantics.measure is not None:
         raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
+    if isinstance(problem, WithLimits):
+        raise ModelError(f"{type(problem).__name__} has several rows: trace MCMP's frontier")
     if not 0.0 < gap < 1.0:
         raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
     if point_limit is not None and point_limit < 2:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from numbers import Real
-from typing import Protocol, overload
+from typing import Protocol, overload, runtime_checkable
 
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
+from ssp_lp.engines.rows_instance import RowsInstance
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.process.semantics import Semantics, start_distribution
+from ssp_lp.process.side_rows import CostLimit, SideRow
 
 
 class Problem(Protocol):
@@ -55,6 +57,37 @@ class Problem(Protocol):
     def instance(self) -> Instance:
         """The augmented process, ready for an engine."""
         ...
+
+
+@runtime_checkable
+class WithLimits(Protocol):
+    """What a problem has beside the rest where secondary costs are limited, too."""
+
+    @property
+    def limits(self) -> Mapping[str, CostLimit]:
+        """The limits as stated, by name."""
+        ...
+
+    @property
+    def side_rows(self) -> tuple[SideRow, ...]:
+        """The same, checked and spread over the outcomes of the model."""
+        ...
+
+
+class LimitedProblem(Problem, WithLimits, Protocol):
+    """A problem with limits; its cost is plain: neither a ratio nor a penalty nor another aim."""
+
+
+def rows_instance(problem: LimitedProblem) -> RowsInstance:
+    """The process of a problem with limits, and its rows."""
+    return RowsInstance(
+        model=problem.model,
+        start=start_distribution(problem.model, problem.start),
+        semantics=problem.semantics,
+        discount=problem.discount,
+        side=problem.side_rows,
+        budget=problem.failure_budget,
+    )
 
 
 class _WithReachFraction(Protocol):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -11,7 +12,7 @@ from ssp_lp.engines.row import relative_gap
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.occupation import equivalent_randomised_policy
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.process.semantics import Aim
 
 
@@ -59,6 +60,9 @@ class Solution:
     run: Run
     note: str = ""
     upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
+    prices: Mapping[str, float] = field(
+        default_factory=dict
+    )  # of the rows, where costs are limited
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -81,6 +85,11 @@ class Solution:
     def goal_probability(self) -> float:
         """Exact, undiscounted probability of reaching the goal."""
         return self.evaluation.goal_probability
+
+    @property
+    def secondary_costs(self) -> Mapping[str, float]:
+        """Exact expected secondary costs, discounted where the problem is, by name of the limit."""
+        return self.evaluation.secondary_costs
 
     @property
     def discounted_failure(self) -> float | None:
@@ -124,11 +133,12 @@ class Solution:
         """alpha*: the weight of the objective MDP in the paper's game (section 3.2).
 
         Case M: c* / (c* + price * budget). Case S: c* (1 - e) / (c* (1 - e) + (c* + price) e) at
-        the failure e that attains the minimum. None where ``budget_slope`` is, and where a measure
-        of the law of costs counts: the game is about costs.
+        the failure e that attains the minimum. None where ``budget_slope`` is, and where there are
+        limits or a measure of the law of costs counts, which the game does not know.
         """
         price, budget = self._multiplier, self.problem.failure_budget
-        if price is None or budget is None or self.problem.semantics.measure is not None:
+        unknown = isinstance(self.problem, WithLimits) or self.problem.semantics.measure is not None
+        if price is None or budget is None or unknown:
             return None
         mine, other = self.objective, price * budget
         if self.problem.ratio:
@@ -176,6 +186,8 @@ class Solution:
             rows.insert(3, ("discounted failure", f"{self.discounted_failure:.6g}"))
         if self.failure_price is not None:
             rows.append(("failure price", f"{self.failure_price:.6g}"))
+        for limit, spent in self.secondary_costs.items():
+            rows.append((limit, f"{spent:.6g}   (price {self.prices.get(limit, 0.0):.6g})"))
         lottery = ", ".join(f"{w:.4f}" for w in self.policy.weights)
         rows.append(("policy", f"lottery over {len(self.policy.weights)} ({lottery})"))
         rows.append(("engine", f"{self.engine}: {self.run.reason}, {self.seconds:.3g} s"))

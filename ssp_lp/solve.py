@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.arrays import RELATIVE_GAP, read_only
+from ssp_lp.constrained import Request, solve_constrained
 from ssp_lp.crosscheck.stationary import stationary_game, value_function
 from ssp_lp.crosscheck.threshold import Patience
 from ssp_lp.deterministic import best_deterministic
@@ -22,7 +23,7 @@ from ssp_lp.engines.refinement import Effort, Outcome, optimise
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.process.semantics import Aim
 from ssp_lp.reward import solve_for_worth
 from ssp_lp.risk import solve_for_risk
@@ -81,6 +82,9 @@ def solve(
     """
     began = time.perf_counter()
     _check_arguments(engine, backend, policy_class, tolerance)
+    if isinstance(problem, WithLimits):
+        request = Request(engine, backend, policy_class, tolerance, time_limit, progress)
+        return solve_constrained(problem, request)
     instance = problem.instance()
     deadline = np.inf if time_limit is None else began + time_limit
     if engine == "game":

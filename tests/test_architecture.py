@@ -26,7 +26,7 @@ ORDER = [
     ("solution", "frontier"),
     ("risk",),
     ("certificate",),
-    ("crosscheck", "deterministic", "reward"),
+    ("crosscheck", "deterministic", "reward", "constrained"),
     ("solve",),
     ("road",),
     ("judge",),

@@ -128,6 +128,7 @@ def checked_least_failure(instance: Instance, budget: float | None) -> LeastFail
             f"{budget:g}; failure_budget=None asks for the least",
             failure_budget=budget,
             least_failure=failure,
+            conflicting_rows=("failure",),
         )
     greatest = float(instance.start @ greatest_goal_reach(instance.model).goal)
     real = max(1.0 - greatest, 0.0)
@@ -138,4 +139,5 @@ def checked_least_failure(instance: Instance, budget: float | None) -> LeastFail
         failure_budget=budget,
         least_failure=real,
         least_discounted_failure=failure,
+        conflicting_rows=("failure",),
     )

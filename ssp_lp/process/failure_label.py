@@ -34,6 +34,7 @@ class FailureLabelled:
 
     process: ExplicitProcess
     skeleton: Skeleton
+    departs: FloatArray  # [skeleton pairs] what rows were divided by, see ``live_rows``
 
     def policy(self, choice: IntArray) -> DeterministicPolicy:
         """Pull a choice back to the model.
@@ -62,6 +63,7 @@ def label_failure(
     semantics: Semantics,
     discount: float | None = None,
     usable: BoolArray | None = None,
+    also_free: BoolArray | None = None,
 ) -> FailureLabelled:
     """Build the process of case M.
 
@@ -74,8 +76,11 @@ def label_failure(
             what leaks out of a non-goal state counts as failure (paper, section 3.5).
         usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
             the second stage of a least-failure problem (DESIGN, section 4).
+        also_free: pairs that are free in every secondary cost, too, [pairs]; None: there is none.
     """
     free = None if discount is not None else _free_pairs(model, semantics.aim)
+    if free is not None and also_free is not None:
+        free = free & also_free
     attention, unsure = attention_states(model), None
     if semantics.forbids_failing:
         sure, keeping = surely_reaching(model)
@@ -88,9 +93,35 @@ def label_failure(
     )
     charges = give_up_charges(model, attention, skeleton.merged, semantics)
     entering = dead_end_charges(model, skeleton.dead, semantics)
-    process = _fill(model, skeleton, charges, entering, survival_of(discount))
+    process, departs = _fill(model, skeleton, charges, entering, survival_of(discount))
     process = _with_start(process, skeleton, start, entering)
-    return FailureLabelled(replace(process, cost=_counted(process, semantics)), skeleton)
+    counted = replace(process, cost=_counted(process, semantics))
+    return FailureLabelled(counted, skeleton, departs)
+
+
+def secondary_cost(
+    labelled: FailureLabelled,
+    model: SSP,
+    start: FloatArray,
+    semantics: Semantics,
+    discount: float | None = None,
+) -> FloatArray:
+    """Another cost of the same model at the pairs of its process, charged as its own is, [pairs].
+
+    Args:
+        labelled: the process, in which only what is free in the other cost too is collapsed.
+        model: the model with the other costs.
+        start: distribution over states, [states].
+        semantics: as of the process.
+        discount: as of the process.
+    """
+    skeleton = labelled.skeleton
+    charges = give_up_charges(model, attention_states(model), skeleton.merged, semantics)
+    entering = dead_end_charges(model, skeleton.dead, semantics)
+    cost = _stage(model, skeleton, charges, entering, survival_of(discount)) / labelled.departs
+    if labelled.process.n_pairs == len(cost):
+        return cost
+    return np.append(cost, float(start @ entering))  # the source state's only pair
 
 
 def _free_pairs(model: SSP, aim: Aim) -> BoolArray:
@@ -113,17 +144,26 @@ def _counted(process: ExplicitProcess, semantics: Semantics) -> FloatArray:
     return np.asarray(process.cost + semantics.penalty * process.failure)
 
 
-def _fill(
+def _stage(
     model: SSP, skeleton: Skeleton, charges: FloatArray, entering: FloatArray, survival: float
-) -> ExplicitProcess:
+) -> FloatArray:
+    """Expected cost of each pair, charges included, [skeleton pairs]."""
     stage = skeleton.at_pairs(cost_means(model), skeleton.least_over_members(charges))
-    to_dead = skeleton.at_pairs(successor_means(model, skeleton.dead), 1.0)
     if entering.any():
         stage = stage + survival * skeleton.at_pairs(successor_means(model, entering))
+    return stage
+
+
+def _fill(
+    model: SSP, skeleton: Skeleton, charges: FloatArray, entering: FloatArray, survival: float
+) -> tuple[ExplicitProcess, FloatArray]:
+    """The process without its start, and what its rows were divided by, [pairs]."""
+    stage = _stage(model, skeleton, charges, entering, survival)
+    to_dead = skeleton.at_pairs(successor_means(model, skeleton.dead), 1.0)
     to_goal = skeleton.at_pairs(successor_means(model, model.goal_mask))
     leaks = np.where(skeleton.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)
     transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
-    return ExplicitProcess(
+    process = ExplicitProcess(
         pair_offsets=skeleton.pair_offsets,
         transitions=transitions,
         start=np.zeros(skeleton.n_nodes),
@@ -131,6 +171,7 @@ def _fill(
         failure=leaks / departs,
         goal=survival * to_goal / departs,
     )
+    return process, departs
 
 
 def _with_start(

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from ssp_lp.arrays import RESIDUAL
+from ssp_lp.arrays import RESIDUAL, FloatArray
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.lp.answer import LPAnswer, residuals
 from ssp_lp.engines.lp.clarabel import solve_with_clarabel
@@ -13,7 +14,8 @@ from ssp_lp.engines.lp.highs import solve_with_highs
 from ssp_lp.engines.lp.warm_start import PolicyBasis, policy_basis
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.program import LinearProgram, occupation_program
+from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.program import LinearProgram, occupation_program, rows_program
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
 
@@ -31,6 +33,7 @@ class ProgramOptimum:
     objective: float  # c*
     price: float  # kappa: the price of failure at which the optimal policies are priced
     report: str  # one line: backend, size, residuals, seconds
+    prices: Mapping[str, float] = field(default_factory=dict)  # of all limited rows, by name
 
 
 def solve_program(
@@ -56,20 +59,57 @@ def solve_program(
         raise ModelError(f"backend must be one of {', '.join(BACKENDS)}, not {backend!r}")
     process = instance.explicit()
     program = occupation_program(process, row.budget, row.ratio)
+    attempts = _cold_attempts(program, backend)
+    if backend == "highs-warm":
+        start = policy_basis(instance, process, row, deadline)
+        attempts = [(backend, start), (backend, start.stabler), attempts[1]]
+    answer, worst = _answer(program, attempts, deadline)
+    ratio = float(answer.dual[program.rows["normaliser"]][0]) if row.ratio else 0.0
+    return _optimum(program, answer, worst, ratio)
+
+
+def solve_rows_program(
+    process: ExplicitProcess,
+    limits: Mapping[str, tuple[FloatArray, float]],
+    backend: str | None,
+    deadline: float,
+) -> ProgramOptimum:
+    """Solve the linear program of a process with any named rows, case M; all duals by name.
+
+    Args:
+        process: the process.
+        limits: name -> (coefficient of each pair, [pairs], and bound).
+        backend: one of BACKENDS but "highs-warm", or None to choose by size.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Raises:
+        SolverError: no backend's answer passes the check of its residuals.
+    """
+    program = rows_program(process, limits, ratio=False)
+    return _optimum(program, *_answer(program, _cold_attempts(program, backend), deadline), 0.0)
+
+
+def _cold_attempts(program: LinearProgram, backend: str | None) -> list[_Attempt]:
+    """The backend asked for, or the one for the program's size, and one to fall back on."""
     small = program.matrix.shape[1] <= _SIMPLEX_COLUMNS
     preferred = "highs-simplex" if small else "highs-ipx"
     chosen = preferred if backend in (None, "highs") else str(backend)
     spare = "clarabel" if chosen == "highs-ipx" else "highs-ipx"
-    attempts: list[_Attempt] = [(chosen, None), (spare, None)]
     if chosen == "highs-warm":
-        start = policy_basis(instance, process, row, deadline)
-        attempts = [(chosen, start), (chosen, start.stabler), (preferred, None)]
+        spare = preferred
+    return [(chosen, None), (spare, None)]
+
+
+def _answer(
+    program: LinearProgram, attempts: list[_Attempt], deadline: float
+) -> tuple[LPAnswer, float]:
+    """The first answer that passes its check, and its worst residual."""
     tried = []
     for name, basis in attempts:
         answer = _run(program, name, deadline - time.perf_counter(), basis)
         worst = residuals(program, answer).worst
         if worst <= RESIDUAL:
-            return _optimum(program, row, answer, worst)
+            return answer, worst
         tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")
     failures = "; ".join(tried)
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
@@ -96,15 +136,18 @@ def _run(
     return solve_with_highs(program, backend, time_limit, basis)
 
 
-def _optimum(program: LinearProgram, row: Row, answer: LPAnswer, worst: float) -> ProgramOptimum:
-    multiplier = max(-float(answer.dual[program.rows["failure"]][0]), 0.0)
+def _optimum(
+    program: LinearProgram, answer: LPAnswer, worst: float, ratio: float
+) -> ProgramOptimum:
+    named = set(program.rows) - {"balance", "normaliser"}
+    prices = {name: max(-float(answer.dual[program.rows[name]][0]), 0.0) for name in named}
     objective = float(program.cost @ answer.x)
     n_rows, n_columns = program.matrix.shape
-    ratio = float(answer.dual[program.rows["normaliser"]][0]) if row.ratio else 0.0
     moved = "" if answer.iterations is None else f"{answer.iterations:,} simplex iterations, "
     return ProgramOptimum(
         objective=objective,
-        price=multiplier + ratio,
+        price=prices.get("failure", 0.0) + ratio,
         report=f"{answer.backend}: {objective:.10g}, {n_rows:,} rows x {n_columns:,} columns, "
         f"residual {worst:.0e}, {moved}{answer.seconds:.2g} s",
+        prices=prices,
     )

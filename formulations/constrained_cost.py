@@ -1,0 +1,107 @@
+"""Constrained cost (C-SSP): minimum expected cost with bounds on other expected costs."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.model import SSP
+from ssp_lp.problem import check_setting
+from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
+from ssp_lp.process.side_rows import CostLimit, SideRow, side_rows
+
+
+@dataclass(frozen=True, eq=False)
+class ConstrainedCost:
+    """Minimise ``E[r_tau]`` subject to ``E[secondary cost k] <= bound k`` and a failure budget.
+
+    Problem:
+        the cost of MCMP with any number of secondary costs, such as fuel, time or exposure, each
+        with an upper bound on its expected total; with a failure budget or at least failure. Where
+        the goal can be reached surely, ``failure_budget=None`` is the C-SSP of Trevizan et al.
+
+    Program:
+        minimise <cost, x> subject to flow balance, <row_k, x> <= bound_k, <failure, x> <=
+        failure_budget, x >= 0, where x counts the expected visits of each (state, action).
+
+    Guarantee:
+        the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
+        policies; ``prices`` holds the dual of each row by name: minus the slope of the optimal
+        cost in its bound. Rows that contradict each other are named, with the proof.
+
+    Semantics:
+        every secondary cost is counted as the cost is: until failure is declared, with
+        ``charge_failing_step`` charging the least of that cost, and discounted where a discount is
+        given. Policies that pay any of the costs for ever do not count. At least failure only
+        policies of the greatest goal probability count, and the limits choose among those.
+
+    Reference:
+        Trevizan, Thiebaux, Santana, Williams: Heuristic search in dual space for constrained
+        stochastic shortest path problems, ICAPS 2016. Altman: Constrained Markov decision
+        processes, 1999.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``; the bounds hold in the mean.
+        limits: name -> ``CostLimit(cost, bound)``; the cost as ``{state: {action: cost}}`` (what
+            is not listed costs nothing), or as an array by pair or by outcome.
+        failure_budget: largest failure probability; None: as low as possible; 1: unlimited.
+        discount: None for exact numbers, or gamma in (0, 1).
+        give_up: "anywhere", "attention" (the paper) or "dead_ends".
+        charge_failing_step: charge the failing step (the paper's section 3.1.2).
+
+    Returns:
+        the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
+        ``prices`` and ``secondary_costs`` by name, and a lottery over at most (active rows + 1)
+        policies. ``InfeasibleError.conflicting_rows`` names a smallest conflict.
+
+    Raises:
+        ModelError: a budget or a discount out of range, an unknown start or ``give_up``, a limit
+            that is stated wrongly.
+
+    Example:
+        >>> from formulations import CostLimit
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"depot": {"motorway": [(1.0, "shop", 2.0)], "lane": [(1.0, "shop", 5.0)]}},
+        ...     goal={"shop"})
+        >>> fuel = CostLimit({"depot": {"motorway": 4.0, "lane": 1.0}}, bound=3.0)
+        >>> solution = solve(ConstrainedCost(model, start="depot", limits={"fuel": fuel}))
+        >>> round(solution.objective, 9), round(solution.prices["fuel"], 9)
+        (3.0, 1.0)
+    """
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    limits: Mapping[str, CostLimit] = field(default_factory=dict)
+    failure_budget: float | None = None
+    discount: float | None = None
+    give_up: str | GiveUp = GiveUp.ATTENTION
+    charge_failing_step: bool = True
+
+    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+
+    def __post_init__(self) -> None:
+        check_setting(self.failure_budget, self.discount)
+        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
+        start_distribution(self.model, self.start)
+        vars(self)["_side_rows"] = side_rows(self.model, self.limits)
+
+    @property
+    def side_rows(self) -> tuple[SideRow, ...]:
+        """The limits, checked, with their costs by outcome."""
+        rows: tuple[SideRow, ...] = vars(self)["_side_rows"]
+        return rows
+
+    @property
+    def semantics(self) -> Semantics:
+        """What a failing episode costs."""
+        return Semantics(GiveUp(self.give_up), self.charge_failing_step)
+
+    def instance(self) -> Instance:
+        """The failure-labelled process without the limits."""
+        start = start_distribution(self.model, self.start)
+        return LabelInstance(self.model, start, self.semantics, self.discount)

@@ -1,0 +1,216 @@
+"""The master program of column generation with several rows: a tiny program over known policies.
+
+    minimise    sum_j w_j cost_j  (+ sum_k e_k)
+    subject to  sum_j w_j activity_kj (- scale_k e_k) <= bound_k
+                sum_j w_j = 1,   w, e >= 0
+
+With ``elastic`` the e_k measure by how much rows are violated, in units of their scales, and costs
+are left out (phase 1). HiGHS's simplex method finds an optimal basis; weights and prices are then
+recomputed from it by dense solves, and a few simplex steps repair what HiGHS's tolerances let pass.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import SolverError
+
+_OPTIONS: dict[str, bool | int | float | str] = {
+    "output_flag": False,
+    "presolve": "off",
+    "solver": "simplex",
+    "primal_feasibility_tolerance": 1e-10,
+    "dual_feasibility_tolerance": 1e-10,
+    "threads": 1,
+}
+_NEGATIVE = 1e-14
+"""A basic weight this far below 0 is the rounding of a 0."""
+
+_TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
+_PIVOT = 1e-11
+_PIVOTS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class MasterOptimum:
+    """Weights of the policies and prices of the rows; at most (tight rows + 1) weights are > 0."""
+
+    value: float
+    weights: FloatArray  # [columns]
+    prices: FloatArray  # [rows] >= 0
+    excess: FloatArray  # [rows] violation in units of the scales; 0 unless elastic
+
+
+@dataclass(frozen=True, eq=False)
+class _Standard:
+    """``minimise cost @ x, matrix @ x == right, x >= 0``: policies, excesses, slacks; scaled."""
+
+    cost: FloatArray  # [variables]
+    matrix: FloatArray  # [rows + 1, variables]; the last row says that weights sum to one
+    right: FloatArray  # [rows + 1]
+
+
+def solve_master(
+    cost: FloatArray, activity: FloatArray, bounds: FloatArray, scales: FloatArray, *, elastic: bool
+) -> MasterOptimum:
+    """Solve the master program.
+
+    Args:
+        cost: [columns].
+        activity: what each policy takes of each row, [rows, columns].
+        bounds: [rows].
+        scales: size of each row's numbers, > 0, [rows].
+        elastic: minimise the violation instead of the cost.
+
+    Raises:
+        SolverError: HiGHS finds no optimum, as where no lottery keeps to the bounds.
+    """
+    n_rows, n_columns = activity.shape
+    top = 0.0 if elastic else float(np.abs(cost).max(initial=0.0))
+    unit = top if top > 0.0 else 1.0
+    program = _scaled(cost / unit, activity, bounds, scales, elastic=elastic)
+    x, dual = _from_basis(program, _basis(program))
+    x, weights = np.maximum(x, 0.0), np.maximum(x[:n_columns], 0.0)
+    weights = np.where(weights > _NEGATIVE, weights, 0.0)
+    weights = weights / weights.sum()
+    excess = x[n_columns : n_columns + n_rows] if elastic else np.zeros(n_rows)
+    return MasterOptimum(
+        value=float(excess.sum()) if elastic else float(cost @ weights),
+        weights=weights,
+        prices=unit * np.maximum(-dual[:n_rows], 0.0) / scales,
+        excess=excess,
+    )
+
+
+def _scaled(
+    cost: FloatArray, activity: FloatArray, bounds: FloatArray, scales: FloatArray, *, elastic: bool
+) -> _Standard:
+    """The program in standard form, its rows divided by their scales."""
+    n_rows, n_columns = activity.shape
+    n_excess = n_rows if elastic else 0
+    priced = np.zeros(n_columns) if elastic else cost
+    return _Standard(
+        cost=np.concatenate([priced, np.ones(n_excess), np.zeros(n_rows)]),
+        matrix=np.block(
+            [
+                [activity / scales[:, None], -np.eye(n_rows, n_excess), np.eye(n_rows)],
+                [np.ones((1, n_columns)), np.zeros((1, n_excess + n_rows))],
+            ]
+        ),
+        right=np.append(bounds / scales, 1.0),
+    )
+
+
+def _basis(program: _Standard) -> IntArray:
+    """Variables of an optimal basis, found by HiGHS, [rows + 1]."""
+    n_rows, n_variables = program.matrix.shape
+    lp = highspy.HighsLp()
+    lp.num_col_, lp.num_row_ = n_variables, n_rows
+    lp.col_cost_ = program.cost
+    lp.col_lower_ = np.zeros(n_variables)
+    lp.col_upper_ = np.full(n_variables, highspy.kHighsInf)
+    lp.row_lower_ = lp.row_upper_ = program.right
+    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+    lp.a_matrix_.start_ = np.arange(n_variables + 1, dtype=np.int32) * n_rows
+    lp.a_matrix_.index_ = np.tile(np.arange(n_rows, dtype=np.int32), n_variables)
+    lp.a_matrix_.value_ = program.matrix.T.ravel()
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    for name, value in _OPTIONS.items():
+        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
+            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    if solver.passModel(lp) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the master program")
+    solver.run()
+    status = solver.getModelStatus()
+    if status != highspy.HighsModelStatus.kOptimal:
+        raise SolverError(f"the master program: {solver.modelStatusToString(status)}")
+    basic = highspy.HighsBasisStatus.kBasic
+    basis = solver.getBasis()
+    found = [i for i, state in enumerate(basis.col_status) if state == basic]
+    return np.array(_completed(program, found), dtype=np.int64)
+
+
+def _completed(program: _Standard, found: list[int]) -> list[int]:
+    """A basis; where HiGHS keeps a row's own variable basic, at 0, the row's slack stands for it.
+
+    Only redundant rows are left without a variable of their own, and their slacks are independent
+    of all else but each other.
+    """
+    n_rows, n_variables = program.matrix.shape
+    chosen = list(found)
+    for variable in range(n_variables - 1, -1, -1):
+        if len(chosen) == n_rows:
+            break
+        if variable in chosen:
+            continue
+        wider = program.matrix[:, [*chosen, variable]]
+        if np.linalg.matrix_rank(wider) == len(chosen) + 1:
+            chosen.append(variable)
+    return chosen
+
+
+def _from_basis(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Values of the variables and duals of the rows, by dense solves with the basis.
+
+    HiGHS's tolerances are relative to the dearest policy: where a value or a reduced cost is
+    negative beyond rounding, steps of the dual or of the primal simplex method repair it.
+    """
+    basis = basis.copy()
+    for _ in range(_PIVOTS):
+        square = program.matrix[:, basis]
+        values, dual = _solved(square, program.right), _solved(square.T, program.cost[basis])
+        reduced = program.cost - dual @ program.matrix
+        reduced[basis] = 0.0
+        size = np.abs(program.cost) + np.abs(dual) @ np.abs(program.matrix)
+        step = _dual_step if values.min() < -_NEGATIVE else _primal_step
+        moved = step(program, basis, values, np.where(np.abs(reduced) < _TIED * size, 0.0, reduced))
+        if moved is None:
+            break
+        basis[moved[0]] = moved[1]
+    result = np.zeros(program.cost.size)
+    result[basis] = values
+    return result, dual
+
+
+def _dual_step(
+    program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
+) -> tuple[int, int] | None:
+    """The place of the variable that leaves and the variable that enters; None: there is none."""
+    leaving = int(np.argmin(values))
+    unit = np.zeros(len(basis))
+    unit[leaving] = 1.0
+    row = _solved(program.matrix[:, basis].T, unit) @ program.matrix
+    row[basis] = 0.0
+    able = row < -_PIVOT
+    if not able.any():
+        return None
+    ratio = np.where(able, np.maximum(reduced, 0.0), np.inf) / np.where(able, -row, 1.0)
+    return leaving, int(np.argmin(ratio))
+
+
+def _primal_step(
+    program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
+) -> tuple[int, int] | None:
+    """The same where all values are feasible and some reduced cost is negative."""
+    entering = int(np.argmin(reduced))
+    if reduced[entering] >= 0.0:
+        return None
+    column = _solved(program.matrix[:, basis], program.matrix[:, entering])
+    able = column > _PIVOT
+    if not able.any():
+        return None
+    ratio = np.where(able, np.maximum(values, 0.0), np.inf) / np.where(able, column, 1.0)
+    return int(np.argmin(ratio)), entering
+
+
+def _solved(square: FloatArray, right: FloatArray) -> FloatArray:
+    """A dense solve with one step of refinement."""
+    try:
+        x = np.linalg.solve(square, right)
+        return x + np.linalg.solve(square, right - square @ x)
+    except np.linalg.LinAlgError as error:
+        raise SolverError("the master program's basis is singular") from error

@@ -1,0 +1,176 @@
+"""The oracle of a process with several rows: policy iteration at a price for each of them.
+
+Where a row's price is 0, end components that cost nothing but that row are free in the pricing
+problem, and to stay in one for ever would be a policy of less priced cost than any that leaves.
+Such policies do not count: their expected total of that row is infinite. What is free is contracted
+(``process.contraction``), and policy iteration never finds a policy that stays:
+
+Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
+``c + P v`` in some states and the first one's pair elsewhere, so that v >= c_pi + P_pi v. If pi had
+a closed class, with stationary distribution m, then m (v - c_pi - P_pi v) = -m c_pi <= 0, so that
+no pair of the class is a changed one, and the first policy would not leave: pi leaves. And where no
+pair is strictly smaller, v <= c_u + P_u v for every pair u, and iterating this along any policy
+that leaves shows that v bounds its priced cost from below. In exact numbers this needs no
+contraction; in rounded ones a cycle that costs nothing is a gain wherever rounding says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.bellman import ChosenRows
+from ssp_lp.engines.oracles.explicit import ExplicitOracle
+from ssp_lp.engines.oracles.oracle import Work
+from ssp_lp.engines.oracles.policy_iteration import Settled, improve
+from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.errors import ModelError
+from ssp_lp.linear import accumulate
+from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.process.contraction import Contracted, contract
+from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.process.failure_label import FailureLabelled
+
+_UNIT = np.ones(1)
+_NONE = Work()
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A deterministic policy with its exact expected totals from the start."""
+
+    figures: FloatArray  # [rewards] cost, failure, secondary costs
+    choice: IntArray  # [states] pair of the process
+    totals: FloatArray  # [states, rewards] the same from each state: a warm start
+    work: Work  # what finding it took
+
+    def worth(self, weights: FloatArray) -> float:
+        """Its totals, weighted, [rewards]."""
+        return float(self.figures @ weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Checked:
+    """A certified lower bound of the weighted totals of every policy that leaves."""
+
+    bound: float  # at the start
+    values: FloatArray  # [states] the checked sub-solution behind it
+    work: Work
+
+
+@dataclass(frozen=True, eq=False)
+class PricedOracle:
+    """Minimises and measures weighted totals of several rewards of a process."""
+
+    labelled: FailureLabelled
+    rewards: FloatArray  # [pairs, rewards] cost, failure, secondary costs
+    _known: dict[bytes, Contracted | None] = field(default_factory=dict)  # by what is counted
+
+    @property
+    def process(self) -> ExplicitProcess:
+        """The process that is minimised over."""
+        return self.labelled.process
+
+    @cached_property
+    def _first(self) -> IntArray:
+        """A policy that leaves, towards the goal where it can, [states]."""
+        choice = ExplicitOracle(self.labelled).first().choice
+        return np.zeros(0, dtype=np.int32) if choice is None else choice
+
+    def first(self) -> Point:
+        """A policy that comes nearer to the goal with every step it takes, where it can."""
+        return self._measured(self._first, None, Work())
+
+    def minimise(self, weights: FloatArray, warm: Point | None = None) -> Point:
+        """A policy of least weighted totals, measured exactly.
+
+        What is free at the weights is contracted first: rounding would find policies that stay.
+
+        Args:
+            weights: of the rewards, >= 0, [rewards].
+            warm: a policy to start from.
+        """
+        smaller, choice = self._contracted(weights), self._first if warm is None else warm.choice
+        guess = None if warm is None else warm.totals @ weights
+        if smaller is None:
+            settled = self._improved(self.process, weights, choice, guess)
+            found = settled.choice
+        else:
+            begun = smaller.begun(self.process, choice).astype(np.int32)
+            guess = None if guess is None else smaller.least(guess)
+            settled = self._improved(smaller, weights, begun, guess)
+            found = smaller.expanded(self.process, settled.choice)
+        if warm is not None and np.array_equal(found, warm.choice):
+            return replace(warm, work=settled.work)
+        return self._measured(found, None if warm is None else warm.totals, settled.work)
+
+    def _improved(
+        self,
+        process: ExplicitProcess | Contracted,
+        weights: FloatArray,
+        choice: IntArray,
+        guess: FloatArray | None,
+    ) -> Settled:
+        """Policy iteration on the process, or on what is left of it."""
+        priced = self.rewards @ weights
+        priced = priced if isinstance(process, ExplicitProcess) else priced[process.pairs]
+        return improve(
+            process.pair_offsets,
+            process.transitions,
+            priced[:, None],
+            _UNIT,
+            choice,
+            None if guess is None else guess[:, None],
+        )
+
+    def _contracted(self, weights: FloatArray) -> Contracted | None:
+        """The process without what is free at the weights, kept; None where nothing is."""
+        counted = weights > 0.0
+        key = counted.tobytes()
+        if key not in self._known:
+            free = (self.rewards[:, counted] == 0.0).all(axis=1)
+            self._known[key] = contract(self.process, free)
+        return self._known[key]
+
+    def _measured(self, choice: IntArray, guess: FloatArray | None, work: Work) -> Point:
+        chain = ChosenRows(self.process.transitions, choice)
+        totals = accumulate(chain, self.rewards[choice], guess)
+        spent = work + Work(0, chain.products)
+        return Point(self.process.start @ totals, choice, totals, spent)
+
+    def prove(self, weights: FloatArray, best: Point) -> Checked:
+        """Prove a lower bound from the values of a policy of least weighted totals."""
+        best = self.minimise(weights, best)
+        return self.check(weights, best.totals @ weights, best.work)
+
+    def check(self, weights: FloatArray, values: FloatArray, work: Work = _NONE) -> Checked:
+        """Lower values, [states], to a checked sub-solution at the weights, [rewards].
+
+        What is free at the weights is contracted first (see ``process.contraction``).
+
+        Raises:
+            ModelError: values of another shape.
+        """
+        process, priced = self.process, self.rewards @ weights
+        if values.shape != (process.n_states,):
+            raise ModelError(f"a value function of shape ({process.n_states},) is needed")
+        smaller = self._contracted(weights)
+        if smaller is None:
+            checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
+        else:
+            checked = sub_solution(
+                smaller.pair_offsets,
+                smaller.transitions,
+                priced[smaller.pairs],
+                smaller.least(values),
+            )[smaller.node_of]
+        summands = int(np.count_nonzero(process.start))  # a sum of one term is exact
+        bound = float(process.start @ checked) * (1.0 - (summands - 1.0) * MACHINE_EPSILON)
+        return Checked(bound, checked, work)
+
+    def policy(self, point: Point) -> DeterministicPolicy:
+        """The policy on the original states."""
+        return self.labelled.policy(point.choice)
