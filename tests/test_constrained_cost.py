@@ -111,7 +111,7 @@ def check_optimal(solution, bounds, budget):
     assert min(solution.policy.weights) > 0.0
 
 
-@often(300)
+@often(200)
 @given(
     charged_problems(),
     st.tuples(shares, shares, shares),
