@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -70,8 +69,8 @@ class AlphaMCMP:
 
     failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
 
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+    discount = None  # exact
+    ratio = False  # cost is counted whether or not the goal is reached
 
     def __post_init__(self) -> None:
         check_setting(None, None, self.reach_fraction)

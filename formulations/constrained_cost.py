@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -82,7 +81,7 @@ class ConstrainedCost:
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = True
 
-    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+    ratio = False  # cost is counted whether or not the goal is reached
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, self.discount)

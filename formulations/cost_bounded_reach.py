@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
@@ -76,8 +75,8 @@ class CostBoundedReach:
     cost_bound: float | Fraction
     failure_budget: float | None = 1.0
 
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = False  # a plain probability, not one given success
+    discount = None  # exact
+    ratio = False  # a plain probability, not one given success
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)

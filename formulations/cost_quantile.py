@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
@@ -73,8 +72,8 @@ class CostQuantile:
     level: float
     failure_budget: float | None = None
 
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = True  # given success
+    discount = None  # exact
+    ratio = True  # given success
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)

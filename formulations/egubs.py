@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.errors import ModelError
@@ -70,9 +69,9 @@ class EGUBS:
     risk_factor: float
     goal_bonus: float
 
-    failure_budget: ClassVar[float] = 1.0  # failing is not limited: the utility weighs it
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = False  # a plain expectation
+    failure_budget = 1.0  # failing is not limited: the utility weighs it
+    discount = None  # exact
+    ratio = False  # a plain expectation
 
     def __post_init__(self) -> None:
         if not (self.risk_factor < 0.0 and isfinite(self.risk_factor)):

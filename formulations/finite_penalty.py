@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -73,8 +72,8 @@ class FinitePenalty:
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False
 
-    failure_budget: ClassVar[float] = 1.0  # failing is not limited
-    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+    failure_budget = 1.0  # failing is not limited
+    ratio = False  # cost is counted whether or not the goal is reached
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, self.discount)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
-from typing import ClassVar
 
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
@@ -77,9 +76,9 @@ class GUBS:
     goal_bonus: float
     utility_at_infinity: float = 0.0
 
-    failure_budget: ClassVar[float] = 1.0  # failing is not limited: the utility weighs it
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = False  # a plain expectation
+    failure_budget = 1.0  # failing is not limited: the utility weighs it
+    discount = None  # exact
+    ratio = False  # a plain expectation
 
     def __post_init__(self) -> None:
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):

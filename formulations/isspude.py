@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance
@@ -64,9 +63,9 @@ class ISSPUDE:
     model: SSP
     start: Hashable | Mapping[Hashable, float]
 
-    failure_budget: ClassVar[None] = None  # as low as possible
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = True  # cost is counted given success
+    failure_budget = None  # as low as possible
+    discount = None  # exact
+    ratio = True  # cost is counted given success
 
     def __post_init__(self) -> None:
         start_distribution(self.model, self.start)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -76,7 +75,7 @@ class MCMP:
     charge_failing_step: bool | None = None
     reach_fraction: float | None = None
 
-    ratio: ClassVar[bool] = False  # cost is counted whether or not the goal is reached
+    ratio = False  # cost is counted whether or not the goal is reached
 
     def __post_init__(self) -> None:
         check_setting(stated_budget(self), self.discount, self.reach_fraction)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -64,9 +63,9 @@ class MinCost:
     model: SSP
     start: Hashable | Mapping[Hashable, float]
 
-    failure_budget: ClassVar[float] = 1.0  # the infinite penalty of ``semantics`` says it all
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = False  # every run reaches the goal, and its cost counts
+    failure_budget = 1.0  # the infinite penalty of ``semantics`` says it all
+    discount = None  # exact
+    ratio = False  # every run reaches the goal, and its cost counts
 
     def __post_init__(self) -> None:
         start_distribution(self.model, self.start)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
@@ -61,9 +60,9 @@ class MinProb:
     model: SSP
     start: Hashable | Mapping[Hashable, float]
 
-    failure_budget: ClassVar[float] = 1.0  # failing is not limited: it is what is sought
-    discount: ClassVar[None] = None  # exact
-    ratio: ClassVar[bool] = False  # no cost counts
+    failure_budget = 1.0  # failing is not limited: it is what is sought
+    discount = None  # exact
+    ratio = False  # no cost counts
 
     def __post_init__(self) -> None:
         start_distribution(self.model, self.start)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import Instance
@@ -73,7 +72,7 @@ class S3P:
     cost_cap: float | None = None
     reach_fraction: float | None = None
 
-    ratio: ClassVar[bool] = True  # cost is counted given success
+    ratio = True  # cost is counted given success
 
     def __post_init__(self) -> None:
         check_setting(stated_budget(self), self.discount, self.reach_fraction)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -39,7 +40,7 @@ PROBLEMS: list[Any] = [
 
 
 def with_budget(problem: Any, budget: float) -> Any:
-    parts = {name: getattr(problem, name) for name in problem.__dataclass_fields__}
+    parts = {part.name: getattr(problem, part.name) for part in dataclasses.fields(problem)}
     return type(problem)(**(parts | {"failure_budget": budget}))
 
 
