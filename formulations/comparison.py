@@ -6,6 +6,7 @@ from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from formulations.alpha_mcmp import AlphaMCMP
+from formulations.constrained_cost import ConstrainedCost
 from formulations.cost_bounded_reach import CostBoundedReach
 from formulations.cost_quantile import CostQuantile
 from formulations.cvar import CVaR
@@ -20,6 +21,7 @@ from formulations.s3p import S3P
 from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
 from ssp_lp.problem import Problem
+from ssp_lp.process.side_rows import CostLimit
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
 
@@ -93,6 +95,7 @@ def compare_criteria(
     cost_bounds: Sequence[float] = (),
     levels: Sequence[float] = (),
     exponential_utilities: Sequence[tuple[float, float]] = (),
+    limits: Mapping[str, CostLimit] | None = None,
 ) -> CriteriaComparison:
     """Solve a model under every criterion and put the answers side by side.
 
@@ -105,6 +108,7 @@ def compare_criteria(
         cost_bounds: bounds of ``CostBoundedReach``, without and within each budget.
         levels: levels of ``CostQuantile`` and ``CVaR``, at least failure and within each budget.
         exponential_utilities: (risk factor, goal bonus) of ``EGUBS``.
+        limits: of ``ConstrainedCost``, at least failure and within each budget.
 
     Returns:
         One row per criterion. One that no policy meets stays as a row with the reason.
@@ -135,6 +139,9 @@ def compare_criteria(
         *_questions(model, start, failure_budgets, penalties, reach_fractions),
         *_questions_of_risk(model, start, failure_budgets, cost_bounds, levels),
     ]
+    for budget, words in _within(failure_budgets) if limits else ():
+        problem = ConstrainedCost(model, start, limits or {}, failure_budget=budget)
+        asked.append((f"ConstrainedCost, {words}", problem))
     for factor, bonus in exponential_utilities:
         name = f"EGUBS, risk factor {factor:g}, goal bonus {bonus:g}"
         asked.append((name, EGUBS(model, start, factor, bonus)))
@@ -170,7 +177,7 @@ def _questions_of_risk(
     bounds: Sequence[float],
     levels: Sequence[float],
 ) -> Iterator[tuple[str, Problem]]:
-    within = [(None, "least failure"), *((b, f"failure budget {b:g}") for b in budgets)]
+    within = _within(budgets)
     for bound in bounds:
         yield f"CostBoundedReach, cost {bound:g}", CostBoundedReach(model, start, bound)
         for budget, words in within[1:]:
@@ -180,6 +187,11 @@ def _questions_of_risk(
         for budget, words in within:
             yield f"CostQuantile {level:g}, {words}", CostQuantile(model, start, level, budget)
             yield f"CVaR {level:g}, {words}", CVaR(model, start, level, budget)
+
+
+def _within(budgets: Sequence[float]) -> list[tuple[float | None, str]]:
+    """Least failure and each budget, with their names."""
+    return [(None, "least failure"), *((b, f"failure budget {b:g}") for b in budgets)]
 
 
 def _row(name: str, problem: Problem) -> CriterionRow:

@@ -1,9 +1,11 @@
 """The tour of the criteria: they are one picture, and the table says what each attains."""
 
+import math
+
 import pytest
 
 import criteria_tour
-from formulations import compare_criteria
+from formulations import CostLimit, compare_criteria
 from small_models import EXACT, TWO_MOVES, model_of
 
 STOPS = list(criteria_tour.tour())
@@ -47,3 +49,29 @@ def test_what_nobody_can_do_stays_in_the_table():
     assert row.numbers == (None,) * 5
     assert "0.5" in row.note
     assert row.note in compared.summary()
+
+
+def test_the_comparison_asks_for_risk_utility_and_limits():
+    """Slow costs 2 and burns 4 for sure; fast costs 1, burns 1 and fails with 1/20."""
+    fuel = CostLimit({"x": {"slow": 4.0, "fast": 1.0}}, bound=2.5)
+    compared = compare_criteria(
+        model_of(TWO_MOVES),
+        "x",
+        failure_budgets=(0.05,),
+        cost_bounds=(1,),
+        levels=(0.9,),
+        exponential_utilities=((-1.0, 1.0),),
+        limits={"fuel": fuel},
+    )
+    objectives = {row.criterion: row.numbers[0] for row in compared.rows}
+    assert objectives["CostBoundedReach, cost 1"] == pytest.approx(0.95, **EXACT)
+    assert objectives["CostBoundedReach, cost 1, failure budget 0.05"] == pytest.approx(0.95)
+    assert objectives["CostQuantile 0.9, least failure"] == 2.0
+    assert objectives["CostQuantile 0.9, failure budget 0.05"] == 1.0
+    assert objectives["CVaR 0.9, failure budget 0.05"] == pytest.approx(1.0, rel=1e-8)
+    utility = max(math.exp(-2.0) + 1.0, 0.95 * (math.exp(-1.0) + 1.0))
+    name = "EGUBS, risk factor -1, goal bonus 1"
+    assert objectives[name] == pytest.approx(utility, **EXACT)
+    assert objectives["ConstrainedCost, least failure"] is None
+    assert "'fuel' is at least 4" in compared["ConstrainedCost, least failure"].note
+    assert objectives["ConstrainedCost, failure budget 0.05"] == pytest.approx(1.0, **EXACT)
