@@ -100,8 +100,11 @@ def charging(question: Question, charge: Charge, kappa: float) -> ChargeInstance
 
 
 def refuted_below(question: Question, instance: ChargeInstance, kappa: float) -> float:
-    """One sweep's lower bound of E[charge | goal], at a guess of the price of failure."""
-    proof = instance.oracle().best_bound(kappa)
+    """One sweep's lower bound of E[charge | goal], at a guess of the price of failure.
+
+    Policies of least failure all fail alike: there the price is 0, whatever the guess.
+    """
     if question.budget is None:
+        proof = instance.oracle().best_bound(0.0)
         return max(proof.bound, 0.0) / min(float(instance.start @ instance.greatest.bound), 1.0)
-    return Row(question.budget, ratio=True).lower_bound(proof)
+    return Row(question.budget, ratio=True).lower_bound(instance.oracle().best_bound(kappa))
