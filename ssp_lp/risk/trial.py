@@ -52,6 +52,8 @@ class Trial:
 def pose(problem: Problem, instance: ChargeInstance) -> Question:
     """Check the budget, and say which policies count.
 
+    A budget above the least failure by a share of 1e-10 of the success counts as equal to it.
+
     Args:
         problem: says the budget.
         instance: the accumulated-cost process, a ratio of whatever charge.
@@ -60,8 +62,9 @@ def pose(problem: Problem, instance: ChargeInstance) -> Question:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
     budget, total = problem.failure_budget, instance.charging(TOTAL_COST)
-    least = checked_least_failure(total, budget).column.failure
-    if budget is not None and budget > least + LEAST_BUDGET:
+    column = checked_least_failure(total, budget).column
+    least = column.failure
+    if budget is not None and budget > least + LEAST_BUDGET * column.goal:
         return Question(total, budget)
     note = ""
     if budget is not None and budget < least:
