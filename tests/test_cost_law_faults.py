@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from checks import optimum
-from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
+from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, compare_criteria
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
 from ssp_lp.engines.charge_instance import ChargeInstance
@@ -135,3 +135,23 @@ def test_numbers_of_any_kind():
             found = optimum(problem)
             assert type(found) is float
             assert found == pytest.approx(value, rel=2e-8)
+
+
+@pytest.mark.parametrize("chance", [1e-9, 1e-11, 1e-14])
+def test_a_budget_of_one_limits_nothing_however_unlikely_the_goal_is(chance):
+    """The fast way succeeds half as often, which a budget of 1 allows."""
+    ways = {"slow": (chance, 9), "fast": (chance / 2, 1)}
+    model = model_of(
+        {"x": {w: [(p, "g", c), (1 - p, "d", 0)] for w, (p, c) in ways.items()}, "d": {}}
+    )
+    assert optimum(CostQuantile(model, "x", 0.5, 1.0)) == 1.0
+    assert optimum(CVaR(model, "x", 0.5, 1.0)) == pytest.approx(1.0, rel=2e-8)
+    assert optimum(CostQuantile(model, "x", 0.5)) == 9.0
+
+
+def test_bounds_that_are_fractions_are_compared_too():
+    model = model_of({"x": {"go": [(0.5, "g", 1), (0.5, "g", 3)]}})
+    table = compare_criteria(model, "x", cost_bounds=(Fraction(5, 2),))
+    found = table["CostBoundedReach, cost 2.5"].solution
+    assert found is not None
+    assert found.objective == pytest.approx(0.5)
