@@ -155,3 +155,12 @@ def test_bounds_that_are_fractions_are_compared_too():
     found = table["CostBoundedReach, cost 2.5"].solution
     assert found is not None
     assert found.objective == pytest.approx(0.5)
+
+
+def test_a_budget_just_above_the_least_failure_says_that_it_counts_as_equal():
+    """The bound is then one of the policies of least failure, which is not quite the same."""
+    ways = {"slow": [(1.0, "g", 10)], "fast": [(0.999, "g", 0), (0.001, "d", 0)]}
+    model = model_of({"x": ways, "d": {}})
+    for stated in (CVaR, CostQuantile):
+        assert "above the least failure" in solve(stated(model, "x", 0.5, 5e-11)).note
+        assert not solve(stated(model, "x", 0.5, 0.0)).note

@@ -67,8 +67,10 @@ def pose(problem: Problem, instance: ChargeInstance) -> Question:
     if budget is not None and budget > least + LEAST_BUDGET * column.goal:
         return Question(total, budget)
     note = ""
-    if budget is not None and budget < least:
-        note = f"the budget lies {least - budget:.1e} below the least failure and counts as equal"
+    if budget is not None and budget != least:
+        side = "below" if budget < least else "above"
+        away = abs(budget - least)
+        note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
     return Question(total.safest(), None, note)
 
 
