@@ -59,7 +59,7 @@ class CostQuantile:
         ...               "safe": [(1.0, "home", 4.0)]}, "ditch": {}},
         ...     goal={"home"}, treat_actionless_as_dead_ends=True)
         >>> [solve(CostQuantile(model, "road", 0.75, e)).objective for e in (None, 0.1, 0.2)]
-        [4.0, 2.0, 2.0]
+        [4.0, 4.0, 2.0]
     """
 
     model: SSP

@@ -60,7 +60,7 @@ class CVaR:
         ...               "safe": [(1.0, "home", 4.0)]}, "ditch": {}},
         ...     goal={"home"}, treat_actionless_as_dead_ends=True)
         >>> [round(solve(CVaR(model, "road", x, 0.2)).objective, 6) for x in (0.0, 0.5, 0.9)]
-        [1.653333, 2.306667, 4.0]
+        [1.666667, 2.333333, 4.0]
     """
 
     model: SSP
