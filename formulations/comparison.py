@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 
 from formulations.alpha_mcmp import AlphaMCMP
 from formulations.constrained_cost import ConstrainedCost
@@ -92,7 +93,7 @@ def compare_criteria(
     failure_budgets: Sequence[float] = (0.05,),
     penalties: Sequence[float] = (10.0, 100.0),
     reach_fractions: Sequence[float] = (0.9,),
-    cost_bounds: Sequence[float] = (),
+    cost_bounds: Sequence[float | Fraction] = (),
     levels: Sequence[float] = (),
     exponential_utilities: Sequence[tuple[float, float]] = (),
     limits: Mapping[str, CostLimit] | None = None,
@@ -174,15 +175,15 @@ def _questions_of_risk(
     model: SSP,
     start: Hashable | Mapping[Hashable, float],
     budgets: Sequence[float],
-    bounds: Sequence[float],
+    bounds: Sequence[float | Fraction],
     levels: Sequence[float],
 ) -> Iterator[tuple[str, Problem]]:
     within = _within(budgets)
     for bound in bounds:
-        yield f"CostBoundedReach, cost {bound:g}", CostBoundedReach(model, start, bound)
+        name = f"CostBoundedReach, cost {float(bound):g}"
+        yield name, CostBoundedReach(model, start, bound)
         for budget, words in within[1:]:
-            problem = CostBoundedReach(model, start, bound, failure_budget=budget)
-            yield f"CostBoundedReach, cost {bound:g}, {words}", problem
+            yield f"{name}, {words}", CostBoundedReach(model, start, bound, failure_budget=budget)
     for level in levels:
         for budget, words in within:
             yield f"CostQuantile {level:g}, {words}", CostQuantile(model, start, level, budget)

@@ -10,7 +10,7 @@ from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.problem import check_setting
+from ssp_lp.problem import check_numbers, check_setting
 from ssp_lp.process.charge import Late
 from ssp_lp.process.measure import WithinBound
 from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
@@ -56,7 +56,7 @@ class CostBoundedReach:
         policies of (state, accumulated cost).
 
     Raises:
-        ModelError: a bound or a budget out of range, or an unknown start.
+        ModelError: a bound or a budget that is no number or out of range, or an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve
@@ -80,6 +80,7 @@ class CostBoundedReach:
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)
+        check_numbers(cost_bound=self.cost_bound)
         if not 0 <= self.cost_bound < float("inf"):
             raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")
         start_distribution(self.model, self.start)

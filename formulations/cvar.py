@@ -9,7 +9,7 @@ from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.problem import check_setting
+from ssp_lp.problem import check_numbers, check_setting
 from ssp_lp.process.charge import TOTAL_COST
 from ssp_lp.process.measure import TailMeanOf
 from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
@@ -55,7 +55,7 @@ class CVaR:
         ``lower_bound``, the ``failure_price``, and a lottery over at most two policies.
 
     Raises:
-        ModelError: a level or a budget out of range, or an unknown start.
+        ModelError: a level or a budget that is no number or out of range, or an unknown start.
 
     Example:
         >>> from ssp_lp import SSP, solve
@@ -77,6 +77,7 @@ class CVaR:
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)
+        check_numbers(level=self.level)
         if not 0.0 <= self.level < 1.0:
             raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}")
         start_distribution(self.model, self.start)
@@ -84,7 +85,7 @@ class CVaR:
     @property
     def semantics(self) -> Semantics:
         """The mean of the tail is what counts."""
-        measure = TailMeanOf(self.level)
+        measure = TailMeanOf(float(self.level))
         return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
 
     def instance(self) -> Instance:

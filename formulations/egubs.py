@@ -9,6 +9,7 @@ from math import isfinite
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.problem import check_numbers
 from ssp_lp.process.charge import ExponentialReward
 from ssp_lp.process.measure import ExponentialUtility
 from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
@@ -74,6 +75,7 @@ class EGUBS:
     ratio = False  # a plain expectation
 
     def __post_init__(self) -> None:
+        check_numbers(risk_factor=self.risk_factor, goal_bonus=self.goal_bonus)
         if not (self.risk_factor < 0.0 and isfinite(self.risk_factor)):
             raise ModelError(f"risk_factor must be a number below 0, not {self.risk_factor!r}")
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
@@ -88,10 +90,10 @@ class EGUBS:
     @property
     def semantics(self) -> Semantics:
         """The utility is what counts."""
-        measure = ExponentialUtility(self.risk_factor, self.goal_bonus)
+        measure = ExponentialUtility(float(self.risk_factor), float(self.goal_bonus))
         return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
 
     def instance(self) -> ChargeInstance:
         """The accumulated-cost process, rewarded on arrival."""
-        reward = ExponentialReward(self.risk_factor, self.goal_bonus)
+        reward = ExponentialReward(float(self.risk_factor), float(self.goal_bonus))
         return ChargeInstance(self.model, start_distribution(self.model, self.start), reward)

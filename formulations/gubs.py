@@ -10,6 +10,7 @@ from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.problem import check_numbers
 from ssp_lp.process.charge import UtilityReward
 from ssp_lp.process.measure import ExpectedUtility, Utility
 from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
@@ -81,21 +82,27 @@ class GUBS:
     ratio = False  # a plain expectation
 
     def __post_init__(self) -> None:
+        limit = self.utility_at_infinity
+        check_numbers(goal_bonus=self.goal_bonus, utility_at_infinity=limit)
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
             raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
-        if not isfinite(self.utility_at_infinity):
-            raise ModelError(
-                f"utility_at_infinity must be a number, not {self.utility_at_infinity!r}"
-            )
+        if not isfinite(limit):
+            raise ModelError(f"utility_at_infinity must be a finite number, not {limit!r}")
         start_distribution(self.model, self.start)
+
+    @property
+    def _numbers(self) -> tuple[float, float]:
+        """Bonus and limit as floats, whatever numbers were given."""
+        return float(self.goal_bonus), float(self.utility_at_infinity)
 
     @property
     def semantics(self) -> Semantics:
         """The utility is what counts."""
-        measure = ExpectedUtility(self.utility, self.goal_bonus, self.utility_at_infinity)
+        measure = ExpectedUtility(self.utility, *self._numbers)
         return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
 
     def instance(self) -> Instance:
         """The accumulated-cost process, rewarded on arrival."""
-        reward = UtilityReward(self.utility, self.utility_at_infinity, self.goal_bonus)
+        bonus, limit = self._numbers
+        reward = UtilityReward(self.utility, limit, bonus)
         return ChargeInstance(self.model, start_distribution(self.model, self.start), reward)

@@ -190,10 +190,11 @@ def _worth_certificate(solution: Solution, found: Evaluation, failure: float) ->
         values = solution.value_function
         if price is None or values is None:
             raise ModelError("a certificate needs the failure price and its value function")
-        reason = "" if price >= 0.0 else "the price is not a number >= 0"
+        finite = bool(np.isfinite(price)) and price >= 0.0
+        reason, price = ("", price) if finite else ("the price is not a number >= 0", 0.0)
         instance = problem.instance().matching(np.asarray(values))
         row = Row(max(budget, 0.0), problem.ratio, instance.lowest)
-        found_bound = row.lower_bound(instance.oracle().check(max(price, 0.0), np.asarray(values)))
+        found_bound = row.lower_bound(instance.oracle().check(price, np.asarray(values)))
         bound = max(found_bound, bound) if budget <= least.column.failure else found_bound
     else:
         reason = ""

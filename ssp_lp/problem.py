@@ -155,6 +155,17 @@ def budget_of_share(
     return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
 
 
+def check_numbers(**named: object) -> None:
+    """Check that arguments are numbers: Python's, numpy's or fractions.
+
+    Raises:
+        ModelError: one is not; it is named.
+    """
+    for name, value in named.items():
+        if not isinstance(value, Real):
+            raise ModelError(f"{name} must be a number, not {value!r}")
+
+
 def check_penalty(penalty: float) -> None:
     """Check the price of failing.
 

@@ -14,6 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.linear import without_self_loops
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means, uniform_cost
@@ -89,7 +90,7 @@ def accumulate_cost(
     instant, later = _steps(skeleton, lattice, survival)
     to_dead = skeleton.at_pairs(successor_means(model, skeleton.dead), 1.0)
     acting = skeleton.pair_at >= 0
-    return AccumulatedCost(
+    base = AccumulatedCost(
         skeleton=skeleton,
         unit=float(lattice.unit),
         width=lattice.width,
@@ -105,6 +106,33 @@ def accumulate_cost(
         exact_unit=lattice.unit,
         arrivals=_arrivals(skeleton, lattice) if arrivals else None,
     )
+    return base if discount is not None or instant.nnz == 0 else _departing(base)
+
+
+def _departing(base: AccumulatedCost) -> AccumulatedCost:
+    """Pairs seen on departing only: waiting for free in place changes no total."""
+    leak = base.gain + base.failure + np.asarray(base.later.sum(axis=1)).ravel()
+    instant = base.instant.copy()
+    instant.sum_duplicates()
+    instant, departs = without_self_loops(instant, base.skeleton.pair_node, leak)
+    if (departs == 1.0).all():
+        return base
+    arrivals, share = base.arrivals, 1.0 / departs
+    return replace(
+        base,
+        instant=instant,
+        later=_scaled(base.later, share),
+        gain=base.gain / departs,
+        gain_cost=base.gain_cost / departs,
+        failure=base.failure / departs,
+        arrivals=None if arrivals is None else _scaled(arrivals, share),
+    )
+
+
+def _scaled(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
+    """A matrix with each row multiplied by a factor, [rows]."""
+    data = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
+    return sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def _arrivals(skeleton: Skeleton, lattice: Lattice) -> sp.csr_array:

@@ -43,14 +43,15 @@ def least_quantile(problem: Problem, question: Question, level: float, effort: E
             high = 2 * middle + 1 if kept is None else high
         late = time.perf_counter() > effort.deadline
     law = success_costs(kept.policy, problem)
+    objective = law.quantile(level)
     remarks = [question.note] if question.note else []
     if high - low > 1:
         remarks.append("stopped by the time limit; the gap is honest")
     return Solution(
         problem=problem,
         policy=kept.policy,
-        objective=min(law.quantile(level), question.cost_of(high)),
-        lower_bound=question.cost_of(refuted + 1),
+        objective=objective,
+        lower_bound=min(question.cost_of(refuted + 1), objective),
         failure_price=None,
         value_function=None,
         budget_used=1.0 - law.goal,
@@ -68,8 +69,11 @@ def quantile_bound(question: Question, level: float, quantile: float, effort: Ef
 
 
 def allowed(level: float) -> float:
-    """The share of the successes that may lie beyond the quantile, with the slack of its law."""
-    return 1.0 - level * (1.0 - QUANTILE)
+    """The share of the successes that may lie beyond the quantile, with the slack of its law.
+
+    Below 1, however low the level: some success must be in time, beyond what may be rounding.
+    """
+    return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 
 
 def is_refuted(trial: Trial, level: float) -> bool:

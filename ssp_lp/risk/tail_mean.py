@@ -71,6 +71,23 @@ class _Search:
         failure = 1.0 - law.goal
         return Best(value, trial.policy, failure, quantile, trial.kappa, calls), trial
 
+    def alternate(self, best: Best, bounds: dict[int, float]) -> Best:
+        """Go on at the best policy's own quantile until its threshold has been tried.
+
+        Args:
+            best: to begin with.
+            bounds: lower bounds of the thresholds tried; those tried here are added.
+        """
+        while self.level > 0.0 and best.layer not in bounds and self._in_time:
+            layer = best.layer
+            best, trial = self.attempt(layer, best, best.kappa)
+            bounds[layer] = trial.lower_bound
+        return best
+
+    @property
+    def _in_time(self) -> bool:
+        return time.perf_counter() < self.effort.deadline
+
     def target(self, best: Best) -> float:
         """The value below which no threshold may lie."""
         return best.value * (1.0 - self.effort.tolerance)
@@ -85,8 +102,13 @@ class _Search:
         question, least = self.question, best.value
         slope = self.level / (1.0 - self.level) if step > 0 else 1.0
         kappa = best.kappa
-        while layer >= 0 and question.cost_of(layer) < (target := self.target(best)):
-            if time.perf_counter() > self.effort.deadline:
+        while layer >= 0:
+            if question.cost_of(layer) >= (target := self.target(best)):  # as F(z) >= z
+                if step > 0:
+                    break
+                layer -= 1
+                continue
+            if not self._in_time:
                 return best, float("-inf")
             priced = max(kappa, target)
             instance = charging(question, self.charge(layer), priced)
@@ -113,10 +135,7 @@ def least_tail_mean(problem: Problem, question: Question, level: float, effort: 
     search = _Search(problem, question, level, effort)
     best, first = search.attempt(0, None)
     bounds = {0: first.lower_bound}
-    while level > 0.0 and best.layer not in bounds and time.perf_counter() < effort.deadline:
-        layer = best.layer
-        best, trial = search.attempt(layer, best, best.kappa)
-        bounds[layer] = trial.lower_bound
+    best = search.alternate(best, bounds)
     best, bound = _proved(search, best, bounds)
     remarks = [question.note] if question.note else []
     if bound == float("-inf"):
@@ -152,7 +171,8 @@ def tail_mean_bound(
     best, first = search.attempt(0, None)
     layer = search.question.layer_of(quantile)
     best, trial = search.attempt(layer, best, best.kappa)
-    _, least = _proved(search, best, {0: first.lower_bound, layer: trial.lower_bound})
+    bounds = {0: first.lower_bound, layer: trial.lower_bound}
+    _, least = _proved(search, search.alternate(best, bounds), bounds)
     return max(least, 0.0)
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import checked_least_failure
 from ssp_lp.engines.refinement import Effort, optimise
@@ -14,6 +13,9 @@ from ssp_lp.engines.row import Row
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.process.charge import TOTAL_COST, Charge
+
+_ROUNDING = 1e-14
+"""A budget above the least failure by this share of the success is meant to be equal to it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,8 @@ class Trial:
 def pose(problem: Problem, instance: ChargeInstance) -> Question:
     """Check the budget, and say which policies count.
 
+    A budget above the least failure by no more than rounding counts as equal to it.
+
     Args:
         problem: says the budget.
         instance: the accumulated-cost process, a ratio of whatever charge.
@@ -60,12 +64,15 @@ def pose(problem: Problem, instance: ChargeInstance) -> Question:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
     budget, total = problem.failure_budget, instance.charging(TOTAL_COST)
-    least = checked_least_failure(total, budget).column.failure
-    if budget is not None and budget > least + LEAST_BUDGET:
+    column = checked_least_failure(total, budget).column
+    least = column.failure
+    if budget is not None and budget > least + _ROUNDING * column.goal:
         return Question(total, budget)
     note = ""
-    if budget is not None and budget < least:
-        note = f"the budget lies {least - budget:.1e} below the least failure and counts as equal"
+    if budget is not None and budget != least:
+        side = "below" if budget < least else "above"
+        away = abs(budget - least)
+        note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
     return Question(total.safest(), None, note)
 
 
@@ -100,8 +107,11 @@ def charging(question: Question, charge: Charge, kappa: float) -> ChargeInstance
 
 
 def refuted_below(question: Question, instance: ChargeInstance, kappa: float) -> float:
-    """One sweep's lower bound of E[charge | goal], at a guess of the price of failure."""
-    proof = instance.oracle().best_bound(kappa)
+    """One sweep's lower bound of E[charge | goal], at a guess of the price of failure.
+
+    Policies of least failure all fail alike: there the price is 0, whatever the guess.
+    """
     if question.budget is None:
+        proof = instance.oracle().best_bound(0.0)
         return max(proof.bound, 0.0) / min(float(instance.start @ instance.greatest.bound), 1.0)
-    return Row(question.budget, ratio=True).lower_bound(proof)
+    return Row(question.budget, ratio=True).lower_bound(instance.oracle().best_bound(kappa))
