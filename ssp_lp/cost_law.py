@@ -20,7 +20,7 @@ from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.process.lattice import last_layer
-from ssp_lp.process.measure import TailMeanOf, Utility
+from ssp_lp.process.measure import TailMeanOf, Utility, utilities
 from ssp_lp.process.semantics import start_distribution
 
 _LAST_LAYER = 2**62  # as good as infinitely many
@@ -263,16 +263,9 @@ def _exponential(prospect: Prospect, rate: float) -> float:
 
 def _gain(utility: Utility, at_infinity: float) -> Utility:
     """What a total cost is worth beyond an infinite one, checked."""
-
-    def gain(costs: FloatArray) -> FloatArray:
-        values = np.asarray(utility(costs), dtype=np.float64)
-        if values.shape != costs.shape or not np.isfinite(values).all():
-            raise ModelError("the utility must give a finite number for each cost of an array")
-        return values - at_infinity
-
     if not isfinite(at_infinity):
         raise ModelError(f"at_infinity must be a finite number, not {at_infinity!r}")
-    return gain
+    return lambda costs: utilities(utility, costs) - at_infinity
 
 
 def _check_level(level: float) -> None:

@@ -13,7 +13,7 @@ from ssp_lp.engines.refinement import Effort, Outcome, optimise
 from ssp_lp.engines.row import relative_gap
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.solution import Run, Solution
+from ssp_lp.solution import Run, Solution, remarks
 
 _LEAST_TOLERANCE = 1e-15
 _UNSETTLED = "the utility has not come near its limit within the table of costs: a gap is left"
@@ -53,7 +53,7 @@ def solve_for_worth(problem: Problem, instance: Instance, effort: Effort) -> Sol
             sum(w * c.failure for w, c in zip(found.weights, found.columns, strict=True))
         ),
         run=_run(outcome, effort),
-        note="; ".join(_remarks(outcome, effort)),
+        note=_note(problem, outcome, effort),
         upper_bound=failing - found.lower_bound,
     )
 
@@ -95,14 +95,13 @@ def _run(outcome: Outcome, effort: Effort) -> Run:
     return Run(effort.engine, reason, outcome.calls, 0.0, outcome.work, outcome.program)
 
 
-def _remarks(outcome: Outcome, effort: Effort) -> list[str]:
-    found, remarks = outcome.found, []
-    if not found.finished:
-        remarks.append("stopped by the time limit; the gap is honest")
-    here = outcome.instance
+def _note(problem: Problem, outcome: Outcome, effort: Effort) -> str:
+    """What a reader should know."""
+    found, here = outcome.found, outcome.instance
+    told = remarks(problem, outcome.row.budget, found.finished)
     unsettled = isinstance(here, ChargeInstance) and (
         here.charge.settled(here.base.exact_unit) is None
     )
     if unsettled and relative_gap(found.objective, found.lower_bound) > effort.tolerance:
-        remarks.append(_UNSETTLED)
-    return remarks
+        told = f"{told}; {_UNSETTLED}" if told else _UNSETTLED
+    return told

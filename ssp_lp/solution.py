@@ -209,3 +209,17 @@ class Solution:
         if semantics.penalty > 0.0:
             return "no failure" if semantics.forbids_failing else f"penalty {semantics.penalty:g}"
         return limit
+
+
+def remarks(problem: Problem, granted: float, finished: bool) -> str:
+    """What a reader should know: a budget that was raised to the least failure, a cut search."""
+    found = []
+    budget = problem.failure_budget
+    if budget is not None and granted > budget:
+        found.append(
+            f"the budget lies {granted - budget:.1e} below the least failure and counts as equal "
+            "to it"
+        )
+    if not finished:
+        found.append("stopped by the time limit; the gap is honest")
+    return "; ".join(found)

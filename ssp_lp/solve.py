@@ -27,7 +27,7 @@ from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.process.semantics import Aim
 from ssp_lp.reward import solve_for_worth
 from ssp_lp.risk import solve_for_risk
-from ssp_lp.solution import NOT_YET_RUN, Run, Solution
+from ssp_lp.solution import NOT_YET_RUN, Run, Solution, remarks
 
 ENGINES = ("auto", "columns", "lp", "game")
 POLICY_CLASSES = ("mixed", "deterministic")
@@ -169,7 +169,7 @@ def _by_game(
         value_function=read_only(value_function(found)),
         budget_used=optimum.threshold.condition,
         run=run,
-        note=_note(problem, optimum.threshold.budget, optimum.threshold.in_time),
+        note=remarks(problem, optimum.threshold.budget, optimum.threshold.in_time),
     )
 
 
@@ -238,19 +238,5 @@ def _conclude(problem: Problem, outcome: Outcome) -> Solution:
             sum(w * c.failure for w, c in zip(found.weights, found.columns, strict=True))
         ),
         run=NOT_YET_RUN,
-        note=_note(problem, outcome.row.budget, outcome.found.finished),
+        note=remarks(problem, outcome.row.budget, outcome.found.finished),
     )
-
-
-def _note(problem: Problem, granted: float, finished: bool) -> str:
-    """What a reader should know: a budget that was raised to the least failure, a cut search."""
-    remarks = []
-    budget = problem.failure_budget
-    if budget is not None and granted > budget:
-        remarks.append(
-            f"the budget lies {granted - budget:.1e} below the least failure and counts as equal "
-            "to it"
-        )
-    if not finished:
-        remarks.append("stopped by the time limit; the gap is honest")
-    return "; ".join(remarks)

@@ -104,8 +104,9 @@ class ChargeInstance:
         cap = self._first_guess() if self.cap is None else self.cap
         if (cap + self.base.width) * self.base.n_nodes > _MOST_ENTRIES:
             raise ModelError(
-                f"{cap:,} layers of accumulated cost (unit {self.base.unit:g}) on "
-                f"{self.base.n_nodes:,} states are too many; round the costs to a coarser grid"
+                f"{cap:.6g} layers of accumulated cost (unit {self.base.unit:g}) on "
+                f"{self.base.n_nodes:,} states are too many; a coarser grid of costs, or a smaller "
+                "bound on them, makes it less"
             )
         return LayeredProcess(self.base, cap, self._tails, self.charge)
 
@@ -139,17 +140,9 @@ class ChargeInstance:
             least, last = self._riskiest
             least_goal = at(least.bound)
         both = (first, last)
-        costs = [p.cost if isinstance(p, ReachPolicy) else np.zeros_like(p.goal) for p in both]
-        early = [p.early if isinstance(p, ReachPolicy) else p.goal for p in both]
-        moment = [p.moment if isinstance(p, MomentReach) else np.zeros_like(p.goal) for p in both]
         return Tails(
             decisions=np.stack([p.decision for p in both]).astype(np.int32),
-            values=TailValues(
-                goal=np.stack([at(p.goal) for p in both]),
-                early=np.stack([at(e) for e in early]),
-                cost=np.stack([at(c) for c in costs]),
-                moment=np.stack([at(m) for m in moment]),
-            ),
+            values=TailValues.stacked([p.values for p in both], at),
             greatest_goal=-at(-self.greatest.bound),
             least_goal=least_goal,
             least_cost=least_cost,

@@ -199,12 +199,7 @@ class CostInstance:
         both = (first, riskiest)
         return Tails(
             decisions=np.stack([p.decision for p in both]).astype(np.int32),
-            values=TailValues(
-                goal=np.stack([at(p.goal) for p in both]),
-                early=np.stack([at(p.early) for p in both]),
-                cost=np.stack([at(p.cost) for p in both]),
-                moment=np.zeros((2, self.base.n_nodes)),
-            ),
+            values=TailValues.stacked([p.values for p in both], at),
             greatest_goal=greatest,
             least_goal=at(least.bound),
             exact=exact,

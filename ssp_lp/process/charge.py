@@ -9,6 +9,7 @@ charge is a reward. No charge falls as the total cost grows.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Final
@@ -30,8 +31,20 @@ class TailValues:
     cost: FloatArray  # E[gamma^(T - 1) * cost; goal]
     moment: FloatArray  # E[exp(rate * cost); goal]; 0 where no charge needs it
 
+    @classmethod
+    def stacked(
+        cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
+    ) -> TailValues:
+        """Several policies' values, one row each, seen by some other index."""
+        return cls(
+            np.stack([seen(p.goal) for p in policies]),
+            np.stack([seen(p.early) for p in policies]),
+            np.stack([seen(p.cost) for p in policies]),
+            np.stack([seen(p.moment) for p in policies]),
+        )
+
     def row(self, number: int) -> TailValues:
-        """The values of one policy out of several, [tails, nodes] to [nodes]."""
+        """The values of one policy out of several, whose number is the first index."""
         return TailValues(
             self.goal[number], self.early[number], self.cost[number], self.moment[number]
         )

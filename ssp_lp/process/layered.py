@@ -35,7 +35,7 @@ class Tails:
         """E[gamma^T; goal], [tails, nodes]."""
         return self.values.goal
 
-    def best_moment(self, goal: FloatArray) -> TailValues:
+    def bounding(self, goal: FloatArray) -> TailValues:
         """As if one policy had a goal probability and the greatest moment, like ``goal``."""
         nothing = np.zeros_like(goal)
         moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
@@ -128,7 +128,7 @@ class LayeredProcess:
         rest = failing * (1.0 - goal) - (failure_price - failing) * goal
         least = paid * goal
         if tails.greatest_moment is not None:
-            least = self.charge.beyond(layer, self.base.unit, tails.best_moment(goal))
+            least = self.charge.beyond(layer, self.base.unit, tails.bounding(goal))
         if tails.least_cost is not None:
             least = least + self.charge.slope * tails.least_cost
         size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)

@@ -18,6 +18,7 @@ from ssp_lp.linear import accumulate
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import approach_pairs, attention_states, pairs_into
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
+from ssp_lp.process.charge import TailValues
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.process.rows import RowChoice, live_rows
 from ssp_lp.process.semantics import Aim
@@ -45,6 +46,11 @@ class ReachPolicy:
     early: FloatArray  # [states] E[gamma^(T - 1); goal], 0 at goals
     cost: FloatArray  # [states] E[gamma^(T - 1) * cost; goal]
     cost_bound: FloatArray  # [states] checked lower bound of it
+
+    @property
+    def values(self) -> TailValues:
+        """What following the policy from each state on attains, [states] each."""
+        return TailValues(self.goal, self.early, self.cost, np.zeros_like(self.goal))
 
 
 def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:

@@ -20,6 +20,7 @@ from ssp_lp.engines.oracles.policy_iteration import approach, improve
 from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.linear import accumulate
 from ssp_lp.model import SSP
+from ssp_lp.process.charge import TailValues
 from ssp_lp.process.expectations import costless_pairs, successor_means
 from ssp_lp.process.skeleton import Skeleton, build_skeleton
 
@@ -38,6 +39,11 @@ class MomentReach:
     goal: FloatArray  # [states] Pr(goal)
     moment: FloatArray  # [states] E[exp(rate * C); goal], 1 at goals
     bound: FloatArray  # [states] checked upper bound of the moment of every allowed policy
+
+    @property
+    def values(self) -> TailValues:
+        """What following the policy from each state on attains, [states] each; costs are not."""
+        return TailValues(self.goal, self.goal, np.zeros_like(self.goal), self.moment)
 
 
 def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> MomentReach:
