@@ -212,6 +212,11 @@ class ChargeInstance:
         kept = ("base", *(("_moments", "_tails", "cost_horizon") if same_tails else ()))
         return self._handing_on(replace(self, charge=charge, cap=cap), kept)
 
+    def worked_out(self) -> ChargeInstance:
+        """The instance itself, with all that other charges on the same process need as well."""
+        vars(self)["_tails"] = self._tails
+        return self
+
     def _handing_on(self, other: ChargeInstance, kept: tuple[str, ...]) -> ChargeInstance:
         """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
         names = ("greatest", "_safest", "_riskiest", *kept)

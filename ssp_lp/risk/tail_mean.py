@@ -112,7 +112,7 @@ class _Search:
                 return best, float("-inf")
             priced = max(kappa, target)
             instance = charging(question, self.charge(layer), priced)
-            here = refuted_below(question, instance, priced)
+            here = refuted_below(question, instance, priced, slack=kappa <= target)
             if here < target:
                 best, trial = self.attempt(layer, best, kappa)
                 here, kappa = max(here, trial.lower_bound), trial.kappa

@@ -67,13 +67,13 @@ def pose(problem: Problem, instance: ChargeInstance) -> Question:
     column = checked_least_failure(total, budget).column
     least = column.failure
     if budget is not None and budget > least + _ROUNDING * column.goal:
-        return Question(total, budget)
+        return Question(total.worked_out(), budget)
     note = ""
     if budget is not None and budget != least:
         side = "below" if budget < least else "above"
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return Question(total.safest(), None, note)
+    return Question(total.safest().worked_out(), None, note)
 
 
 def attempt(question: Question, charge: Charge, effort: Effort, kappa: float = 0.0) -> Trial:
@@ -106,12 +106,23 @@ def charging(question: Question, charge: Charge, kappa: float) -> ChargeInstance
     return question.instance.charging(charge, instance.lossless_layers(kappa))
 
 
-def refuted_below(question: Question, instance: ChargeInstance, kappa: float) -> float:
+def refuted_below(
+    question: Question, instance: ChargeInstance, kappa: float, *, slack: bool = False
+) -> float:
     """One sweep's lower bound of E[charge | goal], at a guess of the price of failure.
 
     Policies of least failure all fail alike: there the price is 0, whatever the guess.
+
+    Args:
+        question: the policies that count.
+        instance: with the charge.
+        kappa: the guess.
+        slack: the budget is thought to be slack: success is counted rather than failure, which
+            is exact where it is best to fail.
     """
     if question.budget is None:
         proof = instance.oracle().best_bound(0.0)
         return max(proof.bound, 0.0) / min(float(instance.start @ instance.greatest.bound), 1.0)
-    return Row(question.budget, ratio=True).lower_bound(instance.oracle().best_bound(kappa))
+    return Row(question.budget, ratio=True).lower_bound(
+        instance.oracle().best_bound(kappa, slack=slack)
+    )
