@@ -131,15 +131,13 @@ def _basis(program: _Standard) -> IntArray:
     basic = highspy.HighsBasisStatus.kBasic
     basis = solver.getBasis()
     found = [i for i, state in enumerate(basis.col_status) if state == basic]
+    first_slack = n_variables - (n_rows - 1)
+    found += [first_slack + k for k, s in enumerate(basis.row_status[:-1]) if s == basic]
     return np.array(_completed(program, found), dtype=np.int64)
 
 
 def _completed(program: _Standard, found: list[int]) -> list[int]:
-    """A basis; where HiGHS keeps a row's own variable basic, at 0, the row's slack stands for it.
-
-    Only redundant rows are left without a variable of their own, and their slacks are independent
-    of all else but each other.
-    """
+    """A basis; a policy stands for the last row's own variable where HiGHS keeps that basic."""
     n_rows, n_variables = program.matrix.shape
     chosen = list(found)
     for variable in range(n_variables - 1, -1, -1):
