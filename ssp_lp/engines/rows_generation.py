@@ -76,6 +76,10 @@ class Pool:
         """Totals of all policies, [rewards, columns]."""
         return np.stack([point.figures for point in self.points], axis=1)
 
+    def sizes(self, rows: Rows) -> FloatArray:
+        """What is allowed of each row, or the most that a policy takes of it, [rows]."""
+        return np.maximum(rows.bounds, self.figures[rows.index].max(axis=1, initial=0.0))
+
     def priced(self, weights: FloatArray) -> Point:
         """A policy of least weighted totals, from the known one that is best."""
         warm = self.points[int(np.argmin(weights @ self.figures))]
@@ -126,7 +130,8 @@ def generate(
         near = max(0.1 * pace.tolerance * master.value, 0.0)
         if master.value - bound <= near:
             share = 0.0
-        tried = _between(prices, master, rows, share)
+        own = without_trifles(master.prices, pool.sizes(rows), master.value)
+        tried = _between(prices, own, rows, master.value, share)
         if elastic and master.value <= _FEASIBLE:
             return Generated(master, master.prices, bound, finished=True)
         found, value = search.price(tried)
@@ -143,12 +148,13 @@ def generate(
     return Generated(search.master(elastic), prices, bound, finished=False)
 
 
-def _between(prices: FloatArray, master: MasterOptimum, rows: Rows, share: float) -> FloatArray:
+def _between(
+    prices: FloatArray, own: FloatArray, rows: Rows, objective: float, share: float
+) -> FloatArray:
     """Prices between good ones and the master's; at a share of 0 the master's own, [rows]."""
-    own = without_trifles(master.prices, rows, master.value)
     if share == 0.0:
         return own
-    return without_trifles(share * prices + (1.0 - share) * own, rows, master.value, _SLIGHT)
+    return without_trifles(share * prices + (1.0 - share) * own, rows.scales, objective, _SLIGHT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,10 +211,10 @@ def first_rows(pool: Pool, index: IntArray, bounds: FloatArray) -> Rows:
 
 
 def without_trifles(
-    prices: FloatArray, rows: Rows, objective: float, trifle: float = 1e-12
+    prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
     """Prices too small to matter as 0: the rounding of a 0 would be a cycle's only cost, [rows]."""
-    return np.where(prices * rows.scales <= trifle * abs(objective), 0.0, prices)
+    return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
 
 
 def relaxed(rows: Rows, excess: FloatArray) -> Rows:
