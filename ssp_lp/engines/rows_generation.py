@@ -78,7 +78,8 @@ class Pool:
 
     def sizes(self, rows: Rows) -> FloatArray:
         """What is allowed of each row, or the most that a policy takes of it, [rows]."""
-        return np.maximum(rows.bounds, self.figures[rows.index].max(axis=1, initial=0.0))
+        taken = self.figures[rows.index].max(axis=1, initial=0.0)
+        return np.asarray(np.maximum(rows.bounds, taken))
 
     def priced(self, weights: FloatArray) -> Point:
         """A policy of least weighted totals, from the known one that is best."""
@@ -130,8 +131,7 @@ def generate(
         near = max(0.1 * pace.tolerance * master.value, 0.0)
         if master.value - bound <= near:
             share = 0.0
-        own = without_trifles(master.prices, pool.sizes(rows), master.value)
-        tried = _between(prices, own, rows, master.value, share)
+        tried = _between(prices, master, rows, pool.sizes(rows), share)
         if elastic and master.value <= _FEASIBLE:
             return Generated(master, master.prices, bound, finished=True)
         found, value = search.price(tried)
@@ -149,12 +149,13 @@ def generate(
 
 
 def _between(
-    prices: FloatArray, own: FloatArray, rows: Rows, objective: float, share: float
+    prices: FloatArray, master: MasterOptimum, rows: Rows, sizes: FloatArray, share: float
 ) -> FloatArray:
     """Prices between good ones and the master's; at a share of 0 the master's own, [rows]."""
+    own = without_trifles(master.prices, sizes, master.value)
     if share == 0.0:
         return own
-    return without_trifles(share * prices + (1.0 - share) * own, rows.scales, objective, _SLIGHT)
+    return without_trifles(share * prices + (1.0 - share) * own, rows.scales, master.value, _SLIGHT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +214,15 @@ def first_rows(pool: Pool, index: IntArray, bounds: FloatArray) -> Rows:
 def without_trifles(
     prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
-    """Prices too small to matter as 0: the rounding of a 0 would be a cycle's only cost, [rows]."""
+    """Prices too small to matter as 0: the rounding of a 0 would be a cycle's only cost, [rows].
+
+    Args:
+        prices: [rows].
+        sizes: of each row: what policies take of it, for a price that is to prove a bound; what is
+            allowed of it is not enough, since the saving of a policy that takes more counts.
+        objective: to which a price's worth is compared.
+        trifle: share of it that does not matter.
+    """
     return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
 
 
