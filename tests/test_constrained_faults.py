@@ -1,5 +1,7 @@
 """ConstrainedCost where numbers are far apart, and limits that are no plain numbers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,3 +73,15 @@ def test_no_plain_numbers(cost, bound):
     """Integers beyond all floats, complex numbers and texts."""
     with pytest.raises(ModelError, match="'fuel'"):
         ConstrainedCost(THREE, "a", {"fuel": CostLimit(cost, bound)})
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308, -1e308])
+def test_certificates_do_not_overflow(value):
+    """Absurd prices are refused, absurd values prove nothing; neither warns nor raises."""
+    huge = {"a": {"x": 4e10, "y": 2e10}}
+    solution = solve(ConstrainedCost(THREE, "a", {"fuel": CostLimit(huge, 3e10)}))
+    assert not certify(replace(solution, prices={"fuel": value})).accepted
+    absurd = certify(replace(solution, value_function=np.array([value])))
+    assert absurd.accepted
+    assert absurd.lower_bound == 0.0
+    assert absurd.gap == 1.0
