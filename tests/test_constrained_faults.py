@@ -47,6 +47,19 @@ def test_rows_whose_bounds_are_far_from_what_is_taken(engine, taken):
 
 
 @each_engine
+def test_a_master_that_is_called_unbounded(engine):
+    """HiGHS errs on numbers this far apart: no lottery has a cost below the least one."""
+    costs = {"x": 718.95, "y": 169.26, "z": 46.66}
+    model = model_of({"a": {name: [(1.0, "g", cost)] for name, cost in costs.items()}})
+    limits = {
+        "r0": CostLimit({"a": {"x": 0.2, "y": 0.2}}, 2e-10),
+        "r1": CostLimit({"a": {"x": 0.2}}, 2e-14),
+        "r2": CostLimit({"a": {"x": 0.01, "y": 0.01}}, 1e-7),
+    }
+    check(solve(ConstrainedCost(model, "a", limits), engine), 46.66, r0=0, r1=0, r2=0)
+
+
+@each_engine
 @pytest.mark.parametrize("bound", [1e-9, 1e-12, 1e-15])
 def test_a_conflict_of_a_tiny_bound(engine, bound):
     """The risky way saves 1/10 of fuel, but no more risk is allowed than a trifle."""
