@@ -106,7 +106,10 @@ def _scaled(
 
 
 def _basis(program: _Standard) -> IntArray:
-    """Variables of an optimal basis, found by HiGHS, [rows + 1]."""
+    """Variables of an optimal basis, found by HiGHS, [rows + 1].
+
+    No master is unbounded: where numbers far apart make HiGHS say so, its last basis is feasible.
+    """
     n_rows, n_variables = program.matrix.shape
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = n_variables, n_rows
@@ -126,7 +129,7 @@ def _basis(program: _Standard) -> IntArray:
         raise SolverError("HiGHS refuses the master program")
     solver.run()
     status = solver.getModelStatus()
-    if status != highspy.HighsModelStatus.kOptimal:
+    if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kUnbounded):
         raise SolverError(f"the master program: {solver.modelStatusToString(status)}")
     basic = highspy.HighsBasisStatus.kBasic
     basis = solver.getBasis()
