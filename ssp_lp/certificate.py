@@ -10,6 +10,7 @@ from ssp_lp.cost_law import success_costs
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
+from ssp_lp.engines.oracles.priced import LARGEST
 from ssp_lp.engines.refinement import CERTIFYING
 from ssp_lp.engines.row import Row, relative_gap
 from ssp_lp.engines.rows_instance import ATTAINABLE, RowsInstance, lagrange_bound
@@ -111,7 +112,7 @@ def _limits_certificate(
     budget = least if stated.budget is None else max(stated.budget, least)
     bounds, spent = instance.bounds, np.array([failure, *found.secondary_costs.values()])
     prices = np.array([solution.prices.get(name, 0.0) for name in instance.names])
-    if not (np.isfinite(prices) & (prices >= 0.0)).all():
+    if not ((prices >= 0.0) & (prices <= LARGEST)).all():
         return _certificate(found, failure, 0.0, 0.0, budget, "a price is not a number >= 0")
     limited = np.isfinite(bounds)
     bounds = np.where(limited, bounds, 0.0)

@@ -187,7 +187,7 @@ def _concluded(
     """The lottery, and a certified bound at the prices that the search ended with."""
     pool, rows, master = opened.pool, opened.rows, found.master
     objective = float(master.weights @ pool.figures[0, : master.weights.size])
-    prices = without_trifles(found.prices, rows, objective)
+    prices = without_trifles(found.prices, pool.sizes(rows), objective)
     weights = rows.weights(prices, 1.0, instance.oracle.rewards.shape[1])
     best = pool.points[int(np.argmin(weights @ pool.figures))]
     proof = instance.oracle.prove(weights, best)

@@ -60,7 +60,8 @@ def proved_conflict(pool: Pool, rows: Rows, found: Generated) -> Conflict | None
         rows: the rows that it was about.
         found: how it ended.
     """
-    prices = np.where(found.prices * rows.scales > ATTAINABLE, found.prices, 0.0)
+    sizes = pool.sizes(rows)
+    prices = np.where(found.prices * sizes > ATTAINABLE, found.prices, 0.0)
     total = float(prices.sum())
     if total <= 0.0:
         return None

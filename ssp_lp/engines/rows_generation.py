@@ -76,6 +76,11 @@ class Pool:
         """Totals of all policies, [rewards, columns]."""
         return np.stack([point.figures for point in self.points], axis=1)
 
+    def sizes(self, rows: Rows) -> FloatArray:
+        """What is allowed of each row, or the most that a policy takes of it, [rows]."""
+        taken = self.figures[rows.index].max(axis=1, initial=0.0)
+        return np.asarray(np.maximum(rows.bounds, taken))
+
     def priced(self, weights: FloatArray) -> Point:
         """A policy of least weighted totals, from the known one that is best."""
         warm = self.points[int(np.argmin(weights @ self.figures))]
@@ -126,7 +131,7 @@ def generate(
         near = max(0.1 * pace.tolerance * master.value, 0.0)
         if master.value - bound <= near:
             share = 0.0
-        tried = _between(prices, master, rows, share)
+        tried = _between(prices, master, rows, pool.sizes(rows), share)
         if elastic and master.value <= _FEASIBLE:
             return Generated(master, master.prices, bound, finished=True)
         found, value = search.price(tried)
@@ -143,12 +148,14 @@ def generate(
     return Generated(search.master(elastic), prices, bound, finished=False)
 
 
-def _between(prices: FloatArray, master: MasterOptimum, rows: Rows, share: float) -> FloatArray:
+def _between(
+    prices: FloatArray, master: MasterOptimum, rows: Rows, sizes: FloatArray, share: float
+) -> FloatArray:
     """Prices between good ones and the master's; at a share of 0 the master's own, [rows]."""
-    own = without_trifles(master.prices, rows, master.value)
+    own = without_trifles(master.prices, sizes, master.value)
     if share == 0.0:
         return own
-    return without_trifles(share * prices + (1.0 - share) * own, rows, master.value, _SLIGHT)
+    return without_trifles(share * prices + (1.0 - share) * own, rows.scales, master.value, _SLIGHT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,10 +212,18 @@ def first_rows(pool: Pool, index: IntArray, bounds: FloatArray) -> Rows:
 
 
 def without_trifles(
-    prices: FloatArray, rows: Rows, objective: float, trifle: float = 1e-12
+    prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
-    """Prices too small to matter as 0: the rounding of a 0 would be a cycle's only cost, [rows]."""
-    return np.where(prices * rows.scales <= trifle * abs(objective), 0.0, prices)
+    """Prices too small to matter as 0: the rounding of a 0 would be a cycle's only cost, [rows].
+
+    Args:
+        prices: [rows].
+        sizes: of each row: what policies take of it, for a price that is to prove a bound; what is
+            allowed of it is not enough, since the saving of a policy that takes more counts.
+        objective: to which a price's worth is compared.
+        trifle: share of it that does not matter.
+    """
+    return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
 
 
 def relaxed(rows: Rows, excess: FloatArray) -> Rows:

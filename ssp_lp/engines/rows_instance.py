@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray
 from ssp_lp.engines.instance import LeastFailure, checked_least_failure
 from ssp_lp.engines.label_instance import LabelInstance
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
@@ -55,15 +55,17 @@ class RowsInstance:
         return checked_least_failure(label, self.budget)
 
     def settled(self) -> RowsInstance:
-        """The instance at least failure, where the budget is equal to that up to rounding.
+        """The instance at least failure, where the budget does not exceed that.
+
+        However little it exceeds it, failing may be worth much more than that is.
 
         Raises:
-            InfeasibleError: the budget is below the least failure.
+            InfeasibleError: the budget is below the least failure by more than rounding.
         """
         if self.budget is None or self.budget >= 1.0:
             return self
-        near = self.budget <= self.least.column.failure + LEAST_BUDGET
-        return replace(self, budget=None) if near else self
+        at_least = self.budget <= self.least.column.failure
+        return replace(self, budget=None) if at_least else self
 
     @cached_property
     def _usable(self) -> BoolArray | None:

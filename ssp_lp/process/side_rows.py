@@ -102,8 +102,14 @@ def _side_row(model: SSP, name: str, limit: CostLimit) -> SideRow:
 
 
 def _is_amount(value: object) -> bool:
-    """Whether a value is a finite number >= 0."""
-    return isinstance(value, Real) and 0.0 <= float(value) < float("inf")
+    """Whether a value is a finite number >= 0, and no integer beyond all floats."""
+    if not isinstance(value, Real):
+        return False
+    try:
+        amount = float(value)
+    except OverflowError:
+        return False
+    return 0.0 <= amount < float("inf")
 
 
 def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
@@ -133,8 +139,8 @@ def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
 def _spread(model: SSP, name: str, cost: npt.ArrayLike) -> FloatArray:
     """Costs from an array of pairs or of outcomes, [outcomes]."""
     try:
-        given = np.array(cost, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+        given = _numbers(cost)
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
     if given.shape == (model.n_outcomes,):
         return given
@@ -144,3 +150,11 @@ def _spread(model: SSP, name: str, cost: npt.ArrayLike) -> FloatArray:
         f"limit {name!r}: the cost has shape {given.shape}; {model.n_pairs} pairs or "
         f"{model.n_outcomes} outcomes are needed"
     )
+
+
+def _numbers(cost: npt.ArrayLike) -> FloatArray:
+    """A copy as floats; complex numbers and texts, which numpy would convert, are refused."""
+    given = np.array(cost)
+    if given.dtype.kind not in "biufO":
+        raise TypeError(f"{given.dtype} is no type of real numbers")
+    return given.astype(np.float64)

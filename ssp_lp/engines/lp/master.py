@@ -106,7 +106,10 @@ def _scaled(
 
 
 def _basis(program: _Standard) -> IntArray:
-    """Variables of an optimal basis, found by HiGHS, [rows + 1]."""
+    """Variables of an optimal basis, found by HiGHS, [rows + 1].
+
+    No master is unbounded: where numbers far apart make HiGHS say so, its last basis is feasible.
+    """
     n_rows, n_variables = program.matrix.shape
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = n_variables, n_rows
@@ -126,20 +129,18 @@ def _basis(program: _Standard) -> IntArray:
         raise SolverError("HiGHS refuses the master program")
     solver.run()
     status = solver.getModelStatus()
-    if status != highspy.HighsModelStatus.kOptimal:
+    if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kUnbounded):
         raise SolverError(f"the master program: {solver.modelStatusToString(status)}")
     basic = highspy.HighsBasisStatus.kBasic
     basis = solver.getBasis()
     found = [i for i, state in enumerate(basis.col_status) if state == basic]
+    first_slack = n_variables - (n_rows - 1)
+    found += [first_slack + k for k, s in enumerate(basis.row_status[:-1]) if s == basic]
     return np.array(_completed(program, found), dtype=np.int64)
 
 
 def _completed(program: _Standard, found: list[int]) -> list[int]:
-    """A basis; where HiGHS keeps a row's own variable basic, at 0, the row's slack stands for it.
-
-    Only redundant rows are left without a variable of their own, and their slacks are independent
-    of all else but each other.
-    """
+    """A basis; a policy stands for the last row's own variable where HiGHS keeps that basic."""
     n_rows, n_variables = program.matrix.shape
     chosen = list(found)
     for variable in range(n_variables - 1, -1, -1):

@@ -34,6 +34,9 @@ from ssp_lp.process.contraction import Contracted, contract
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import FailureLabelled
 
+LARGEST = 1e150
+"""Prices and values beyond this are no numbers: products of two such overflow."""
+
 _UNIT = np.ones(1)
 _NONE = Work()
 
@@ -157,6 +160,7 @@ class PricedOracle:
         process, priced = self.process, self.rewards @ weights
         if values.shape != (process.n_states,):
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
+        values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
         smaller = self._contracted(weights)
         if smaller is None:
             checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
