@@ -32,6 +32,7 @@ from ssp_lp.engines.rows_instance import RowsInstance, lagrange_bound
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import LimitedProblem, rows_instance
+from ssp_lp.process.semantics import survival_of
 from ssp_lp.process.side_rows import FAILURE_ROW
 from ssp_lp.solution import NOT_YET_RUN, Run, Solution
 
@@ -136,9 +137,9 @@ def _opened(instance: RowsInstance, stated: RowsInstance, pace: Pace) -> _Opened
     first = proved_conflict(pool, rows, ended)
     if first is None:
         raise SolverError(
-            "no policy within all limits was found before "
+            "no policy within all limits was found, and it was not proved that there is none: "
             + ("rounding" if ended.finished else "the time limit")
-            + " ended the search, and it was not proved that there is none"
+            + " ended the search"
         )
     conflict = smallest_conflict(pool, rows, first, pace)
     raise _refusal(instance, stated, conflict, rows)
@@ -155,13 +156,19 @@ def _refusal(
     if at_least and budget is not None:
         told = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {told}"
         named = [FAILURE_ROW, *named]
-    reach = greatest_goal_reach(instance.model).goal
+    discount = instance.discount
     return InfeasibleError(
         told,
         failure_budget=budget,
-        least_failure=max(1.0 - float(instance.start @ reach), 0.0),
+        least_failure=_least_failure(instance, None),
+        least_discounted_failure=None if discount is None else _least_failure(instance, discount),
         conflicting_rows=tuple(named),
     )
+
+
+def _least_failure(instance: RowsInstance, discount: float | None) -> float:
+    reach = greatest_goal_reach(instance.model, survival_of(discount)).goal
+    return max(1.0 - float(instance.start @ reach), 0.0)
 
 
 def _programmed(

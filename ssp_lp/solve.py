@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from numbers import Real
 
 import numpy as np
 
@@ -82,6 +83,7 @@ def solve(
     """
     began = time.perf_counter()
     _check_arguments(engine, backend, policy_class, tolerance)
+    _check_time_limit(time_limit)
     if isinstance(problem, WithLimits):
         request = Request(engine, backend, policy_class, tolerance, time_limit, progress)
         return solve_constrained(problem, request)
@@ -127,6 +129,12 @@ def _by_measure(problem: Problem, instance: Instance, effort: Effort) -> Solutio
 def _timed(solution: Solution, began: float) -> Solution:
     run = replace(solution.run, seconds=time.perf_counter() - began)
     return replace(solution, run=run)
+
+
+def _check_time_limit(time_limit: float | None) -> None:
+    """Raise :class:`ModelError` for one that is no number of seconds."""
+    if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0.0):
+        raise ModelError(f"time_limit must be a number of seconds or None, not {time_limit!r}")
 
 
 def _check_arguments(engine: str, backend: str | None, policy_class: str, tolerance: float) -> None:

@@ -98,3 +98,18 @@ def test_certificates_do_not_overflow(value):
     assert absurd.accepted
     assert absurd.lower_bound == 0.0
     assert absurd.gap == 1.0
+
+
+def test_a_conflict_under_a_discount_says_both_least_failures():
+    model = model_of({"x": {"go": [(0.5, "g", 1), (0.5, "d", 1)]}, "d": {}})
+    fuel = CostLimit({"x": {"go": 2.0}}, bound=1.0)
+    with pytest.raises(InfeasibleError, match="'fuel' is at least") as caught:
+        solve(ConstrainedCost(model, "x", {"fuel": fuel}, failure_budget=0.9, discount=0.9))
+    assert caught.value.least_failure == pytest.approx(0.5, rel=1e-12)
+    assert caught.value.least_discounted_failure == pytest.approx(0.55, rel=1e-12)
+
+
+@pytest.mark.parametrize("time_limit", [float("nan"), -1.0, "soon"])
+def test_a_time_limit_is_a_number_of_seconds(time_limit):
+    with pytest.raises(ModelError, match="time_limit"):
+        solve(ConstrainedCost(model_of({"x": {"go": [(1.0, "g", 1)]}}), "x"), time_limit=time_limit)
