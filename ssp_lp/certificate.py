@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.cost_law import success_costs
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
@@ -17,7 +16,6 @@ from ssp_lp.engines.rows_instance import ATTAINABLE, RowsInstance, lagrange_boun
 from ssp_lp.errors import ModelError
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.problem import Problem, WithLimits, rows_instance
-from ssp_lp.process.measure import TailMeanOf
 from ssp_lp.process.semantics import Aim, start_distribution
 from ssp_lp.risk import risk_bound
 from ssp_lp.solution import Solution
@@ -79,8 +77,8 @@ def certify(solution: Solution) -> Certificate:
     if problem.semantics.aim is not Aim.LEAST_COST:
         return _goal_certificate(problem, found, failure)
     if problem.semantics.measure is not None:
-        certificate = _worth_certificate if problem.semantics.measure.maximised else _risk
-        return certificate(solution, found, failure)
+        maximised = problem.semantics.measure.maximised
+        return (_worth_certificate if maximised else _risk_certificate)(solution, found, failure)
     if problem.failure_budget is None:
         return _least_failure_certificate(problem, found, failure)
     price, values = solution.failure_price, solution.value_function
@@ -183,39 +181,32 @@ def _worth_certificate(solution: Solution, found: Evaluation, failure: float) ->
     Raises:
         ModelError: the solution carries no price and value function, or one that does not fit.
     """
-    problem, measure = solution.problem, solution.problem.semantics.measure
-    failing = 0.0 if measure is None else measure.failing
-    least = problem.instance().least_failure()
-    bound, budget, price = least.objective_bound, problem.failure_budget, solution.failure_price
+    problem, instance = solution.problem, solution.problem.instance()
+    least, budget, reason = instance.least_failure(), problem.failure_budget, ""
+    bound, allowed = least.objective_bound, least.column.failure
     if budget is not None:
-        values = solution.value_function
+        price, values = solution.failure_price, solution.value_function
         if price is None or values is None:
             raise ModelError("a certificate needs the failure price and its value function")
-        finite = bool(np.isfinite(price)) and price >= 0.0
-        reason, price = ("", price) if finite else ("the price is not a number >= 0", 0.0)
-        instance = problem.instance().matching(np.asarray(values))
+        if not (np.isfinite(price) and price >= 0.0):
+            reason, price = "the price is not a number >= 0", 0.0
         row = Row(max(budget, 0.0), problem.ratio, instance.lowest)
-        found_bound = row.lower_bound(instance.oracle().check(price, np.asarray(values)))
-        bound = max(found_bound, bound) if budget <= least.column.failure else found_bound
-    else:
-        reason = ""
-    allowed = max(-1.0 if budget is None else budget, least.column.failure)
+        oracle = instance.matching(np.asarray(values)).oracle()
+        priced = row.lower_bound(oracle.check(price, np.asarray(values)))
+        bound = max(priced, bound) if budget <= allowed else priced
+        allowed = max(budget, allowed)
     proved = _certificate(found, failure, found.objective, 0.0, allowed, reason)
-    return replace(proved, upper_bound=max(failing - bound, found.objective))
+    worth = problem.semantics.failing_worth - bound
+    return replace(proved, upper_bound=max(worth, found.objective))
 
 
-def _risk(solution: Solution, found: Evaluation, failure: float) -> Certificate:
+def _risk_certificate(solution: Solution, found: Evaluation, failure: float) -> Certificate:
     """A risk given success, and a bound below it that is searched for afresh."""
-    problem, instance = solution.problem, solution.problem.instance()
+    instance = solution.problem.instance()
     if not isinstance(instance, ChargeInstance) or not np.isfinite(found.objective):
         return _certificate(found, failure, 0.0, 0.0, 1.0, "the goal is never reached")
-    quantile = found.objective
-    if isinstance(problem.semantics.measure, TailMeanOf):
-        quantile = success_costs(solution.policy, problem).quantile(problem.semantics.measure.level)
-    bound = risk_bound(problem, instance, quantile, CERTIFYING)
-    least = instance.least_failure().column.failure
-    budget = least if problem.failure_budget is None else max(problem.failure_budget, least)
-    return _certificate(found, failure, bound, 0.0, budget, "")
+    bound, allowed = risk_bound(solution.problem, instance, found.objective, CERTIFYING)
+    return _certificate(found, failure, bound, 0.0, allowed, "")
 
 
 def _least_failure_certificate(problem: Problem, found: Evaluation, failure: float) -> Certificate:

@@ -6,8 +6,6 @@ first, whose duals are then the prices to begin with.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,6 +16,7 @@ from ssp_lp.engines.lp import check_agreement, solve_rows_program
 from ssp_lp.engines.lp.engine import ProgramOptimum
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.engines.oracles.priced import Point
+from ssp_lp.engines.refinement import Effort
 from ssp_lp.engines.rows_generation import (
     Generated,
     Pace,
@@ -34,19 +33,7 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import LimitedProblem, rows_instance
 from ssp_lp.process.semantics import survival_of
 from ssp_lp.process.side_rows import FAILURE_ROW
-from ssp_lp.solution import NOT_YET_RUN, Run, Solution
-
-
-@dataclass(frozen=True)
-class Request:
-    """How to solve: the arguments of ``solve`` that matter here."""
-
-    engine: str
-    backend: str | None
-    policy_class: str
-    tolerance: float
-    time_limit: float | None
-    progress: Callable[[int, float, float], None] | None
+from ssp_lp.solution import CUT_SHORT, Run, Solution
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,26 +49,28 @@ class _Opened:
     unlimited: float  # the least cost without any row: the bound at prices 0
 
 
-def solve_constrained(problem: LimitedProblem, request: Request) -> Solution:
-    """Solve a problem with secondary costs; the arguments are those of ``solve``.
+def solve_constrained(problem: LimitedProblem, effort: Effort) -> Solution:
+    """Solve a problem with secondary costs.
+
+    Args:
+        problem: the problem.
+        effort: engine, tolerance and limits.
 
     Raises:
-        ModelError: an engine, a backend or a class of policies that does not go with side rows.
+        ModelError: an engine or a backend that does not go with side rows.
         InfeasibleError: no policy keeps to the failure budget and the limits; names the smallest
             conflict that was found.
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
     """
-    began = time.perf_counter()
-    _check(problem, request)
-    deadline = np.inf if request.time_limit is None else began + request.time_limit
-    pace = Pace(request.tolerance, deadline, report=request.progress)
+    _check(problem, effort)
+    pace = Pace(effort.tolerance, effort.deadline, report=effort.progress)
     stated = rows_instance(problem)
     instance = stated.settled()
     opened = _opened(instance, stated, pace)
     program, centre = None, (np.zeros(len(opened.asked)), opened.unlimited)
-    if request.engine == "lp":
-        program, centre = _programmed(instance, opened, request.backend, deadline)
+    if effort.engine == "lp":
+        program, centre = _programmed(instance, opened, effort)
     found = generate(opened.pool, opened.rows, pace, centre=centre)
     if program is not None and found.finished:
         check_agreement(program, found.master.value)
@@ -89,25 +78,22 @@ def solve_constrained(problem: LimitedProblem, request: Request) -> Solution:
     reason = f"column generation with {len(opened.asked)} rows, {calls} oracle calls"
     if program is not None:
         reason = f"the full linear program, as asked, then {reason}"
-    solution = _concluded(problem, instance, opened, found)
     run = Run(
-        engine="lp" if program is not None else "columns",
+        engine=effort.engine,
         reason=reason,
         oracle_calls=calls,
-        seconds=time.perf_counter() - began,
+        seconds=0.0,
         work=opened.pool.work,
         program="" if program is None else program.report,
     )
-    return replace(solution, run=run)
+    return _concluded(problem, instance, opened, found, run)
 
 
-def _check(problem: LimitedProblem, request: Request) -> None:
+def _check(problem: LimitedProblem, effort: Effort) -> None:
     name = type(problem).__name__
-    if request.engine == "game":
+    if effort.engine == "game":
         raise ModelError(f"engine='game' knows one row only, not {name}: take 'columns' or 'lp'")
-    if request.policy_class != "mixed":
-        raise ModelError(f"policy_class={request.policy_class!r} is not available for {name}")
-    if request.backend == "highs-warm":
+    if effort.backend == "highs-warm":
         raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
 
 
@@ -172,7 +158,7 @@ def _least_failure(instance: RowsInstance, discount: float | None) -> float:
 
 
 def _programmed(
-    instance: RowsInstance, opened: _Opened, backend: str | None, deadline: float
+    instance: RowsInstance, opened: _Opened, effort: Effort
 ) -> tuple[ProgramOptimum, tuple[FloatArray, float]]:
     """The optimum of the full linear program, and the bound at its duals."""
     oracle, rows = instance.oracle, opened.rows
@@ -180,7 +166,7 @@ def _programmed(
         instance.names[index - 1]: (oracle.rewards[:, index], float(bound))
         for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
     }
-    program = solve_rows_program(oracle.process, limits, backend, deadline)
+    program = solve_rows_program(oracle.process, limits, effort.backend, effort.deadline)
     prices = np.array([program.prices[name] for name in limits])
     weights = rows.weights(prices, 1.0, oracle.rewards.shape[1])
     found = opened.pool.priced(weights)
@@ -189,7 +175,7 @@ def _programmed(
 
 
 def _concluded(
-    problem: LimitedProblem, instance: RowsInstance, opened: _Opened, found: Generated
+    problem: LimitedProblem, instance: RowsInstance, opened: _Opened, found: Generated, run: Run
 ) -> Solution:
     """The lottery, and a certified bound at the prices that the search ended with."""
     pool, rows, master = opened.pool, opened.rows, found.master
@@ -217,7 +203,7 @@ def _concluded(
         failure_price=named.get(FAILURE_ROW),
         value_function=read_only(proof.values),
         budget_used=float(master.weights[used] @ [point.figures[1] for point in members]),
-        run=NOT_YET_RUN,
+        run=run,
         note=_note(problem, instance, opened, found.finished),
         prices=named,
     )
@@ -236,5 +222,5 @@ def _note(problem: LimitedProblem, instance: RowsInstance, opened: _Opened, fini
                 "what is attainable and counts as equal to it"
             )
     if not finished:
-        remarks.append("stopped by the time limit; the gap is honest")
+        remarks.append(CUT_SHORT)
     return "; ".join(remarks)

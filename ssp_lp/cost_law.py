@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -14,7 +14,7 @@ import numpy as np
 
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.arrivals import Arrivals, Live, Prospect
-from ssp_lp.chain import policy_chain
+from ssp_lp.chain import Chain, policy_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
@@ -58,8 +58,18 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem) -> CostLaw:
     start = start_distribution(problem.model, problem.start)
     lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
     used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
-    prospects = tuple(Prospect.of(policy_chain(problem.model, p, start)) for p, _ in used)
-    return CostLaw(prospects, np.array([w for _, w in used]))
+    chains = [policy_chain(problem.model, p, start) for p, _ in used]
+    return law_of_chains(chains, np.array([w for _, w in used]))
+
+
+def law_of_chains(chains: Sequence[Chain], weights: FloatArray) -> CostLaw:
+    """The law of a lottery from its members' chains.
+
+    Args:
+        chains: of the members.
+        weights: of the members, > 0, [members].
+    """
+    return CostLaw(tuple(Prospect.of(chain) for chain in chains), weights)
 
 
 class Atoms(NamedTuple):

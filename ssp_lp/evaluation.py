@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.chain import Chain, policy_chain, reaching
-from ssp_lp.cost_law import success_costs
+from ssp_lp.cost_law import law_of_chains
 from ssp_lp.ends import end_marks
 from ssp_lp.errors import ModelError
 from ssp_lp.failing import give_up_costs, lost_costs
@@ -59,15 +59,15 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
     if policy.model is not problem.model:
         raise ModelError("the policy was made for another model object")
     start = start_distribution(problem.model, problem.start)
-    if isinstance(policy, MixedPolicy):
-        parts = [_measure(p, problem, start) for p in policy.policies]
-        evaluation = _report(_mean(parts, policy.weights), problem)
-    else:
-        evaluation = _report(_measure(policy, problem, start), problem)
+    lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
+    chains = (policy_chain(problem.model, member, start) for member in lottery.policies)
     measure = problem.semantics.measure
     if measure is None:
-        return evaluation
-    return replace(evaluation, objective=measure.of(success_costs(policy, problem)))
+        return _report(_mean([_measure(c, problem) for c in chains], lottery.weights), problem)
+    kept, used = list(chains), lottery.weights > 0.0  # the law needs them as well
+    evaluation = _report(_mean([_measure(c, problem) for c in kept], lottery.weights), problem)
+    law = law_of_chains([kept[i] for i in np.flatnonzero(used)], lottery.weights[used])
+    return replace(evaluation, objective=measure.of(law))
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,7 @@ def _complement(probability: float) -> float:
     return min(max(1.0 - probability, 0.0), 1.0)
 
 
-def _measure(policy: Policy, problem: Problem, start: FloatArray) -> Measures:
-    chain = policy_chain(problem.model, policy, start)
+def _measure(chain: Chain, problem: Problem) -> Measures:
     gamma = survival_of(problem.discount)
     hopeful = reaching(chain, chain.goal > 0)
     alive = hopeful & (chain.goal == 0)

@@ -33,7 +33,7 @@ def solve_for_worth(problem: Problem, instance: Instance, effort: Effort) -> Sol
     """
     if problem.failure_budget is None:
         return _at_least_failure(problem, instance)
-    failing = _worth_of_failing(problem)
+    failing = problem.semantics.failing_worth
     outcome = optimise(instance, problem.failure_budget, effort)
     gained, worth = -outcome.found.objective, failing - outcome.found.objective
     if failing != 0.0 and 0.0 < abs(worth) < gained and not _is_met(outcome, failing, effort):
@@ -41,26 +41,19 @@ def solve_for_worth(problem: Problem, instance: Instance, effort: Effort) -> Sol
         outcome = outcome.followed_by(
             optimise(outcome.instance, problem.failure_budget, replace(effort, tolerance=finer))
         )
-    found, oracle = outcome.found, outcome.instance.oracle()
+    found = outcome.found
     return Solution(
         problem=problem,
-        policy=MixedPolicy(tuple(oracle.policy(c) for c in found.columns), found.weights),
+        policy=outcome.lottery,
         objective=failing - found.objective,
         lower_bound=failing - found.objective,
         failure_price=found.price,
         value_function=read_only(found.proof.values),
-        budget_used=float(
-            sum(w * c.failure for w, c in zip(found.weights, found.columns, strict=True))
-        ),
+        budget_used=found.failure,
         run=_run(outcome, effort),
         note=_note(problem, outcome, effort),
         upper_bound=failing - found.lower_bound,
     )
-
-
-def _worth_of_failing(problem: Problem) -> float:
-    measure = problem.semantics.measure
-    return 0.0 if measure is None else measure.failing
 
 
 def _is_met(outcome: Outcome, failing: float, effort: Effort) -> bool:
@@ -70,7 +63,7 @@ def _is_met(outcome: Outcome, failing: float, effort: Effort) -> bool:
 
 def _at_least_failure(problem: Problem, instance: Instance) -> Solution:
     least = checked_least_failure(instance, None)
-    failing = _worth_of_failing(problem)
+    failing = problem.semantics.failing_worth
     worth = failing - least.column.cost
     return Solution(
         problem=problem,

@@ -38,10 +38,6 @@ class Run:
         return self.work.products
 
 
-NOT_YET_RUN = Run("", "", 0, 0.0)
-"""Stands in for the run while a solution is put together."""
-
-
 @dataclass(frozen=True, eq=False)
 class Solution:
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
@@ -211,6 +207,10 @@ class Solution:
         return limit
 
 
+CUT_SHORT = "stopped by the time limit; the gap is honest"
+"""Said of every search that ran out of time."""
+
+
 def remarks(problem: Problem, granted: float, finished: bool) -> str:
     """What a reader should know: a budget that was raised to the least failure, a cut search."""
     found = []
@@ -221,5 +221,5 @@ def remarks(problem: Problem, granted: float, finished: bool) -> str:
             "to it"
         )
     if not finished:
-        found.append("stopped by the time limit; the gap is honest")
+        found.append(CUT_SHORT)
     return "; ".join(found)

@@ -10,25 +10,26 @@ from numbers import Real
 import numpy as np
 
 from ssp_lp.arrays import RELATIVE_GAP, read_only
-from ssp_lp.constrained import Request, solve_constrained
+from ssp_lp.constrained import solve_constrained
 from ssp_lp.crosscheck.stationary import stationary_game, value_function
 from ssp_lp.crosscheck.threshold import Patience
 from ssp_lp.deterministic import best_deterministic
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.cost_instance import CostInstance
-from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
+from ssp_lp.engines.instance import checked_least_failure
 from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
 from ssp_lp.engines.oracles.oracle import Work
-from ssp_lp.engines.refinement import Effort, Outcome, optimise
+from ssp_lp.engines.refinement import Effort, optimise
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.problem import Problem, WithLimits
+from ssp_lp.process.measure import Measure
 from ssp_lp.process.semantics import Aim
 from ssp_lp.reward import solve_for_worth
 from ssp_lp.risk import solve_for_risk
-from ssp_lp.solution import NOT_YET_RUN, Run, Solution, remarks
+from ssp_lp.solution import Run, Solution, remarks
 
 ENGINES = ("auto", "columns", "lp", "game")
 POLICY_CLASSES = ("mixed", "deterministic")
@@ -68,11 +69,12 @@ def solve(
             that never tosses a coin, stationary in the model's states, in case S in (state,
             accumulated cost); see ``ssp_lp.deterministic``. With engine "auto" or "lp" only.
         tolerance: relative gap to reach.
-        time_limit: seconds after which the best policy so far is returned with its honest gap.
+        time_limit: seconds after which the best policy so far is returned with its honest gap;
+            with limits on secondary costs, if any that keeps to them has been found.
         progress: called after each oracle call with (calls, failure price, objective).
 
     Returns:
-        The solution; its numbers are recomputed from the model. Of a greatest probability the
+        The solution; its numbers are recomputed from the model. Of what is to be large the
         certified side is ``upper_bound``, of everything else ``lower_bound``.
 
     Raises:
@@ -84,49 +86,29 @@ def solve(
     began = time.perf_counter()
     _check_arguments(engine, backend, policy_class, tolerance)
     _check_time_limit(time_limit)
-    if isinstance(problem, WithLimits):
-        request = Request(engine, backend, policy_class, tolerance, time_limit, progress)
-        return solve_constrained(problem, request)
-    instance = problem.instance()
-    deadline = np.inf if time_limit is None else began + time_limit
-    if engine == "game":
-        return _by_game(problem, instance, tolerance, Patience(deadline, progress), began)
-    if problem.semantics.aim is not Aim.LEAST_COST:
-        return _extreme_goal(problem, instance, engine, backend, began, deadline)
     effort = Effort(
         engine="columns" if engine == "auto" else engine,
         backend=backend,
         tolerance=tolerance,
-        deadline=deadline,
+        deadline=np.inf if time_limit is None else began + time_limit,
         progress=progress,
     )
-    if problem.semantics.measure is not None:
-        if policy_class == "deterministic":
-            raise ModelError("policy_class='deterministic' knows costs, not measures of their law")
-        return _timed(_by_measure(problem, instance, effort), began)
-    if problem.failure_budget is None:
-        return _at_least_failure(problem, checked_least_failure(instance, None), began)
-    outcome = optimise(instance, problem.failure_budget, effort)
-    solution = _conclude(problem, outcome)
-    if policy_class == "deterministic":
-        solution = best_deterministic(solution, outcome, tolerance, deadline)
-    unlimited = engine != "lp" and not problem.ratio and problem.failure_budget >= 1.0
-    reason = f"{_REASONS['unlimited' if unlimited else engine]}, {outcome.calls} oracle calls"
-    if policy_class == "deterministic":
-        reason += "; then one policy by mixed-integer programs"
-    seconds = time.perf_counter() - began
-    run = Run(effort.engine, reason, outcome.calls, seconds, outcome.work, outcome.program)
-    return replace(solution, run=run)
-
-
-def _by_measure(problem: Problem, instance: Instance, effort: Effort) -> Solution:
-    """The best worth of arriving, or the least risk given success."""
-    if isinstance(instance, ChargeInstance) and instance.ratio:
-        return solve_for_risk(problem, instance, effort)
-    return solve_for_worth(problem, instance, effort)
-
-
-def _timed(solution: Solution, began: float) -> Solution:
+    measure, deterministic = problem.semantics.measure, policy_class == "deterministic"
+    if deterministic and (measure is not None or isinstance(problem, WithLimits)):
+        name = type(problem).__name__
+        raise ModelError(f"policy_class='deterministic' is not available for {name}")
+    if isinstance(problem, WithLimits):
+        solution = solve_constrained(problem, effort)
+    elif engine == "game":
+        solution = _by_game(problem, effort)
+    elif measure is not None:
+        solution = _by_measure(problem, measure, effort)
+    elif problem.semantics.aim is not Aim.LEAST_COST:
+        solution = _extreme_goal(problem, effort)
+    elif problem.failure_budget is None:
+        solution = _at_least_failure(problem)
+    else:
+        solution = _within_budget(problem, problem.failure_budget, effort, engine, deterministic)
     run = replace(solution.run, seconds=time.perf_counter() - began)
     return replace(solution, run=run)
 
@@ -154,18 +136,17 @@ def _check_arguments(engine: str, backend: str | None, policy_class: str, tolera
         raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
 
 
-def _by_game(
-    problem: Problem, instance: Instance, tolerance: float, patience: Patience, began: float
-) -> Solution:
+def _by_game(problem: Problem, effort: Effort) -> Solution:
     """The paper's own construction, which knows neither columns nor programs."""
+    instance = problem.instance()
     if isinstance(instance, CostInstance) and instance.fixed_cap is not None:
         raise ModelError("engine='game' chooses its own cap M: leave cost_cap out")
-    found = stationary_game(problem, tolerance=tolerance, patience=patience)
+    patience = Patience(effort.deadline, effort.progress)
+    found = stationary_game(problem, tolerance=effort.tolerance, patience=patience)
     optimum = found.optimum
     replies = optimum.threshold.replies
     reason = f"the paper's game, {len(optimum.threshold.trials)} values of c"
     work = Work(backups=sum(r.sweeps for r in replies))
-    run = Run("game", reason, len(replies), time.perf_counter() - began, work)
     return Solution(
         problem=problem,
         policy=found.policy,
@@ -176,29 +157,32 @@ def _by_game(
         else optimum.price,
         value_function=read_only(value_function(found)),
         budget_used=optimum.threshold.condition,
-        run=run,
+        run=Run("game", reason, len(replies), 0.0, work),
         note=remarks(problem, optimum.threshold.budget, optimum.threshold.in_time),
     )
 
 
-def _extreme_goal(
-    problem: Problem,
-    instance: Instance,
-    engine: str,
-    backend: str | None,
-    began: float,
-    deadline: float,
-) -> Solution:
+def _by_measure(problem: Problem, measure: Measure, effort: Effort) -> Solution:
+    """The best worth of arriving, or the least risk given success."""
+    instance = problem.instance()
+    if measure.maximised:
+        return solve_for_worth(problem, instance, effort)
+    if not isinstance(instance, ChargeInstance):
+        raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
+    return solve_for_risk(problem, instance, effort)
+
+
+def _extreme_goal(problem: Problem, effort: Effort) -> Solution:
     """The greatest or the least goal probability; the full program, where asked for, agrees."""
-    aim = problem.semantics.aim
+    instance, aim = problem.instance(), problem.semantics.aim
     reach = extreme_goal_reach(problem.model, aim)
     objective, bound = float(instance.start @ reach.goal), float(instance.start @ reach.bound)
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
-    if engine == "lp":
-        optimum = solve_program(instance, Row(1.0, ratio=False), backend, deadline)
+    if effort.engine == "lp":
+        row = Row(1.0, ratio=False)
+        optimum = solve_program(instance, row, effort.backend, effort.deadline)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
         reason, program = "the full linear program agrees with policy iteration", optimum.report
-    seconds = time.perf_counter() - began
     return Solution(
         problem=problem,
         policy=MixedPolicy((DeterministicPolicy(problem.model, reach.decision),), np.ones(1)),
@@ -207,44 +191,58 @@ def _extreme_goal(
         failure_price=None,
         value_function=None,
         budget_used=max(1.0 - objective, 0.0),
-        run=Run("lp" if engine == "lp" else "columns", reason, 1, seconds, program=program),
+        run=Run(effort.engine, reason, 1, 0.0, program=program),
         upper_bound=max(bound, objective) if greatest else None,
     )
 
 
-def _at_least_failure(problem: Problem, least: LeastFailure, began: float) -> Solution:
-    policy = MixedPolicy((least.policy,), np.ones(1))
+def _at_least_failure(problem: Problem) -> Solution:
+    least = checked_least_failure(problem.instance(), None)
     row = Row(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
     reason = "two stages: greatest goal probability, then least cost"
-    run = Run("columns", reason, 2, time.perf_counter() - began)
     return Solution(
         problem=problem,
-        policy=policy,
+        policy=MixedPolicy((least.policy,), np.ones(1)),
         objective=objective,
         lower_bound=min(least.objective_bound, objective),
         failure_price=None,
         value_function=None,
         budget_used=least.column.failure,
-        run=run,
+        run=Run("columns", reason, 2, 0.0),
     )
 
 
-def _conclude(problem: Problem, outcome: Outcome) -> Solution:
-    found, oracle, ratio = outcome.found, outcome.instance.oracle(), outcome.row.ratio
-    policies = tuple(oracle.policy(c) for c in found.columns)
-    price = max(found.price - found.objective, 0.0) if ratio else found.price
-    price += problem.semantics.penalty
-    return Solution(
+def _within_budget(
+    problem: Problem, budget: float, effort: Effort, asked: str, deterministic: bool
+) -> Solution:
+    """The best lottery within the budget, or the best single policy.
+
+    Args:
+        problem: the problem.
+        budget: of failure.
+        effort: engine, tolerance and limits.
+        asked: the engine's name as it was given.
+        deterministic: no lotteries.
+    """
+    outcome = optimise(problem.instance(), budget, effort)
+    found = outcome.found
+    price = max(found.price - found.objective, 0.0) if outcome.row.ratio else found.price
+    unlimited = asked != "lp" and not problem.ratio and budget >= 1.0
+    reason = f"{_REASONS['unlimited' if unlimited else asked]}, {outcome.calls} oracle calls"
+    solution = Solution(
         problem=problem,
-        policy=MixedPolicy(policies, found.weights),
+        policy=outcome.lottery,
         objective=found.objective,
         lower_bound=found.lower_bound,
-        failure_price=price,
+        failure_price=price + problem.semantics.penalty,
         value_function=read_only(found.proof.values),
-        budget_used=float(
-            sum(w * c.failure for w, c in zip(found.weights, found.columns, strict=True))
-        ),
-        run=NOT_YET_RUN,
-        note=remarks(problem, outcome.row.budget, outcome.found.finished),
+        budget_used=found.failure,
+        run=Run(effort.engine, reason, outcome.calls, 0.0, outcome.work, outcome.program),
+        note=remarks(problem, outcome.row.budget, found.finished),
     )
+    if not deterministic:
+        return solution
+    reason += "; then one policy by mixed-integer programs"
+    single = best_deterministic(solution, outcome, effort.tolerance, effort.deadline)
+    return replace(single, run=replace(single.run, reason=reason))

@@ -2,11 +2,13 @@
 
 import math
 
+import numpy as np
 import pytest
 
 import criteria_tour
-from formulations import CostLimit, compare_criteria
+from formulations import AlphaMCMP, CostLimit, MaxProb, compare_criteria
 from small_models import EXACT, TWO_MOVES, model_of
+from ssp_lp import solve
 
 STOPS = list(criteria_tour.tour())
 
@@ -19,6 +21,28 @@ def test_every_criterion_lies_on_the_frontier(name, domain):
     assert len(rows) == len(criteria_tour.FRACTIONS) + len(criteria_tour.PENALTIES)
     for what, found, theory in rows:
         assert found == pytest.approx(theory, rel=1e-8, abs=1e-12), what
+
+
+@pytest.mark.parametrize(("name", "domain"), STOPS, ids=[name for name, _ in STOPS])
+def test_the_cost_of_a_share_is_linear_up_to_the_best_ratio(name, domain):
+    """Giving up at the start is free: linear up to the least cost per probability, then convex."""
+    model, start = domain
+    frontier = criteria_tour.free_frontier(domain)
+    goal = 1.0 - frontier.failure
+    greatest = solve(MaxProb(model, start)).objective
+    ratios = frontier.cost[goal > 1e-9] / goal[goal > 1e-9]
+    ratio = float(ratios.min())
+    reach = float(goal[goal > 1e-9][ratios <= ratio * (1.0 + 1e-9)].max())
+    shares = np.append(np.linspace(0.0, 1.0, 21), reach / greatest)
+    for share in shares:
+        cost = solve(AlphaMCMP(model, start, float(min(share, 1.0)))).objective
+        line = ratio * share * greatest
+        if share * greatest <= reach * (1.0 + 1e-12):
+            assert cost == pytest.approx(line, rel=1e-8, abs=1e-12)
+        else:
+            assert cost > line
+    costs = [solve(AlphaMCMP(model, start, float(share))).objective for share in shares[:-1]]
+    assert (np.diff(costs, 2) >= -1e-9 * max(costs)).all()
 
 
 def test_the_tour_prints_a_table_for_each_domain(capsys):

@@ -14,24 +14,11 @@ Array = np.ndarray[Any, Any]
 
 @one_or_all_cores
 def back_up_layer(
-    offsets: Array,
-    indptr: Array,
-    indices: Array,
-    data: Array,
-    cost: Array,
-    slope: Array,
-    layer: float,
-    charge: Array,
-    growth: Array,
-    gain: Array,
-    failure: Array,
-    survival: float,
-    values: Array,
-    measured: Array,
-    minima: Array,
-    position: Array,
-    totals: Array,
-) -> None:
+    offsets: Array, indptr: Array, indices: Array, data: Array,
+    cost: Array, slope: Array, layer: float,
+    charge: Array, growth: Array, gain: Array, failure: Array, survival: float,
+    values: Array, measured: Array, minima: Array, position: Array, totals: Array,
+) -> None:  # fmt: skip
     """Least values of a layer, who attains them, and the (charge, failure, goal) of that choice.
 
     The chosen row is read again while it is still near.

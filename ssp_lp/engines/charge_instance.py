@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray
 from ssp_lp.engines.instance import LeastFailure
+from ssp_lp.engines.layered_instance import MOST_ENTRIES, LayeredInstance, check_table
 from ssp_lp.engines.oracles.goal_reach import (
     GoalReach,
     ReachPolicy,
@@ -16,19 +17,12 @@ from ssp_lp.engines.oracles.goal_reach import (
     greatest_goal_reach,
     least_goal_reach,
 )
-from ssp_lp.engines.oracles.layered import LayeredOracle
 from ssp_lp.engines.oracles.moment_reach import MomentReach, cost_horizon, greatest_moment
-from ssp_lp.engines.oracles.oracle import Column, required
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.process.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.process.charge import Charge, ExponentialReward, TailValues
-from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess, Tails
-from ssp_lp.process.materialise import chosen_pairs, materialise
-
-_MOST_ENTRIES = 200_000_000
-"""Largest table of decisions, nodes x layers."""
 
 _FIRST_LAYERS = 64
 """Layers of a first attempt where nothing says how many are needed."""
@@ -43,7 +37,7 @@ _LEAST = 1e-12  # relative room below the goal probability of policies that all 
 
 
 @dataclass(frozen=True, eq=False)
-class ChargeInstance:
+class ChargeInstance(LayeredInstance):
     """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited; exact.
 
     The table of accumulated costs ends where the charge has become affine: what is best beyond it
@@ -102,12 +96,7 @@ class ChargeInstance:
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
         cap = self._first_guess() if self.cap is None else self.cap
-        if (cap + self.base.width) * self.base.n_nodes > _MOST_ENTRIES:
-            raise ModelError(
-                f"{cap:.6g} layers of accumulated cost (unit {self.base.unit:g}) on "
-                f"{self.base.n_nodes:,} states are too many; a coarser grid of costs, or a smaller "
-                "bound on them, makes it less"
-            )
+        check_table(cap, self.base, "bound on them")
         return LayeredProcess(self.base, cap, self._tails, self.charge)
 
     def _settled_layers(self) -> int:
@@ -165,18 +154,6 @@ class ChargeInstance:
             bound = bound / greatest if greatest > 0.0 else 0.0
         return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
 
-    def oracle(self) -> LayeredOracle:
-        """One backward sweep over the layers."""
-        return LayeredOracle(self.process)
-
-    def explicit(self) -> ExplicitProcess:
-        """All layers below the cap, written out."""
-        return materialise(self.process)
-
-    def explicit_choice(self, column: Column) -> IntArray:
-        """The column's pairs in all layers, its tails beyond them and the source's only pair."""
-        return chosen_pairs(self.process, required(column.choice), column.tail_price)
-
     def lossless_layers(self, price: float) -> int:
         """Layers beyond which it is best to fail at this price of failure, with some room.
 
@@ -200,22 +177,22 @@ class ChargeInstance:
         else:
             lossless = self.lossless_layers(price)
             wanted = lossless if here < lossless <= 4 * here else wanted
-        too_large = (wanted + self.base.width) * self.base.n_nodes > _MOST_ENTRIES
+        too_large = (wanted + self.base.width) * self.base.n_nodes > MOST_ENTRIES
         if too_large or wanted <= here:
             return None
         return self.charging(charge, wanted)
 
     def charging(self, charge: Charge, cap: int | None = None) -> ChargeInstance:
-        """The same process with another charge and cap, handing on what has been worked out."""
-        exponential = (isinstance(c, ExponentialReward) for c in (charge, self.charge))
-        same_tails = charge == self.charge or not any(exponential)
-        kept = ("base", *(("_moments", "_tails", "cost_horizon") if same_tails else ()))
-        return self._handing_on(replace(self, charge=charge, cap=cap), kept)
+        """The same process with another charge and cap; what charges share is worked out once.
 
-    def worked_out(self) -> ChargeInstance:
-        """The instance itself, with all that other charges on the same process need as well."""
-        vars(self)["_tails"] = self._tails
-        return self
+        An exponential reward has tails of its own.
+        """
+        kept: tuple[str, ...] = ("base",)
+        exponential = (isinstance(c, ExponentialReward) for c in (charge, self.charge))
+        if charge == self.charge or not any(exponential):
+            vars(self)["_tails"] = self._tails
+            kept = ("base", "_tails", "_moments", "cost_horizon")
+        return self._handing_on(replace(self, charge=charge, cap=cap), kept)
 
     def _handing_on(self, other: ChargeInstance, kept: tuple[str, ...]) -> ChargeInstance:
         """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
@@ -241,7 +218,3 @@ class ChargeInstance:
         if values.ndim != 2 or values.shape[0] < least:
             raise ModelError(f"a value function of {least} or more layers is needed")
         return self.charging(self.charge, values.shape[0])
-
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
-        """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
-        return self.oracle().tail_loss(price, slack=slack)

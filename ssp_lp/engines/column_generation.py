@@ -38,6 +38,12 @@ class HullSearch:
     work: Work  # what they took, with the proof
     finished: bool  # false: stopped by the time limit
 
+    @property
+    def failure(self) -> float:
+        """What the lottery fails with."""
+        pairs = zip(self.weights, self.columns, strict=True)
+        return float(sum(weight * column.failure for weight, column in pairs))
+
 
 @dataclass(frozen=True, eq=False)
 class Edge:

@@ -7,8 +7,9 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray
 from ssp_lp.engines.instance import LeastFailure
+from ssp_lp.engines.layered_instance import MOST_ENTRIES, LayeredInstance, check_table
 from ssp_lp.engines.oracles.goal_reach import (
     GoalReach,
     ReachPolicy,
@@ -17,20 +18,14 @@ from ssp_lp.engines.oracles.goal_reach import (
     greatest_goal_reach,
     least_goal_reach,
 )
-from ssp_lp.engines.oracles.layered import LayeredOracle
-from ssp_lp.engines.oracles.oracle import Column, required
+from ssp_lp.engines.oracles.oracle import Column
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.process.charge import TailValues
-from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.layered import LayeredProcess, Tails
-from ssp_lp.process.materialise import chosen_pairs, materialise
 from ssp_lp.process.semantics import survival_of
-
-_MOST_ENTRIES = 800_000_000
-"""Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""
 
 _FIRST_LAYERS = 2.5
 """Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
@@ -46,7 +41,7 @@ _MOST_GROWTH = 4
 
 
 @dataclass(frozen=True, eq=False)
-class CostInstance:
+class CostInstance(LayeredInstance):
     """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
 
     ``cap`` says where the table of accumulated costs ends; None: a first guess, to learn the
@@ -126,18 +121,6 @@ class CostInstance:
         """The process cut at the cap."""
         return LayeredProcess(self.base, self._cap_layers(), self._tails)
 
-    def oracle(self) -> LayeredOracle:
-        """One backward sweep over the layers."""
-        return LayeredOracle(self.process)
-
-    def explicit(self) -> ExplicitProcess:
-        """All layers below the cap, written out."""
-        return materialise(self.process)
-
-    def explicit_choice(self, column: Column) -> IntArray:
-        """The column's pairs in all layers, its tails beyond them and the source's only pair."""
-        return chosen_pairs(self.process, required(column.choice), column.tail_price)
-
     def refined(self, price: float) -> CostInstance | None:
         """The same problem with more layers or better tails, unless nothing is left to improve."""
         here, exact = self.process.cap, self._has_exact_tails
@@ -150,7 +133,7 @@ class CostInstance:
             wanted, exact = lossless if here < lossless <= _MOST_GROWTH * here else here, True
         else:
             wanted = lossless if here < lossless <= 2 * here else 2 * here
-        if wanted * self.base.n_nodes > _MOST_ENTRIES:
+        if wanted * self.base.n_nodes > MOST_ENTRIES:
             if self._has_exact_tails:
                 return None
             wanted, exact = here, True
@@ -172,10 +155,6 @@ class CostInstance:
             return self
         exact = self._carry(replace(self, exact_tails=True))
         return self._carry(replace(exact, cap=exact.process.cap))
-
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
-        """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
-        return self.oracle().tail_loss(price, slack=slack)
 
     def _carry(self, other: CostInstance) -> CostInstance:
         """Hand what does not depend on the cap to a copy of this instance."""
@@ -217,9 +196,5 @@ class CostInstance:
             goal = float(base.start @ tails.goal[0]) + base.start_goal
             typical = cost / max(goal, 1e-300) / base.unit
             layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
-        if (layers + base.width) * base.n_nodes > _MOST_ENTRIES:
-            raise ModelError(
-                f"{layers:,} layers of accumulated cost (unit {base.unit:g}) on {base.n_nodes:,} "
-                "states are too many; round the costs to a coarser grid, or set a smaller cost_cap"
-            )
+        check_table(layers, base, "cost_cap")
         return layers

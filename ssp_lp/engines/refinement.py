@@ -13,6 +13,7 @@ from ssp_lp.engines.lp import check_agreement, solve_program
 from ssp_lp.engines.opening import Hint, Opening, open_at, open_by_pricing
 from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.row import Row, relative_gap
+from ssp_lp.policies import MixedPolicy
 
 _PATIENCE = 3
 
@@ -56,6 +57,12 @@ class Outcome:
     calls: int = 0
     work: Work = field(default_factory=Work)
     program: str = ""  # report of the last linear program
+
+    @property
+    def lottery(self) -> MixedPolicy:
+        """The lottery on the model that the search ended with."""
+        oracle = self.instance.oracle()
+        return MixedPolicy(tuple(oracle.policy(c) for c in self.found.columns), self.found.weights)
 
     def followed_by(self, other: Outcome) -> Outcome:
         """The other, with the work of both."""

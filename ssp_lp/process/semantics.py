@@ -58,6 +58,11 @@ class Semantics:
         return self.penalty == np.inf
 
     @property
+    def failing_worth(self) -> float:
+        """What a run that fails is worth by the measure; 0 without one."""
+        return 0.0 if self.measure is None else self.measure.failing
+
+    @property
     def counts_cost_alone(self) -> bool:
         """Whether only a budget can keep a policy from failing: no penalty, aim or measure."""
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None

@@ -44,9 +44,6 @@ def least_quantile(problem: Problem, question: Question, level: float, effort: E
         late = time.perf_counter() > effort.deadline
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
-    remarks = [question.note] if question.note else []
-    if high - low > 1:
-        remarks.append("stopped by the time limit; the gap is honest")
     return Solution(
         problem=problem,
         policy=kept.policy,
@@ -56,7 +53,7 @@ def least_quantile(problem: Problem, question: Question, level: float, effort: E
         value_function=None,
         budget_used=1.0 - law.goal,
         run=Run(effort.engine, f"bisection over cost bounds, {calls} oracle calls", calls, 0.0),
-        note="; ".join(remarks),
+        note=question.remarks(in_time=high - low <= 1),
     )
 
 

@@ -18,7 +18,7 @@ def solve_for_risk(problem: Problem, instance: ChargeInstance, effort: Effort) -
 
     Args:
         problem: its measure says which, and at which level.
-        instance: the accumulated-cost process, a ratio of whatever charge.
+        instance: the accumulated-cost process, whose ratio is the cost given success.
         effort: engine, tolerance and limits.
 
     Raises:
@@ -35,20 +35,23 @@ def solve_for_risk(problem: Problem, instance: ChargeInstance, effort: Effort) -
 
 
 def risk_bound(
-    problem: Problem, instance: ChargeInstance, quantile: float, effort: Effort
-) -> float:
+    problem: Problem, instance: ChargeInstance, attained: float, effort: Effort
+) -> tuple[float, float]:
     """Prove a lower bound of the least risk afresh, from the model alone.
 
     Args:
         problem: the problem.
         instance: its process.
-        quantile: of the cost given success under the policy in question.
+        attained: the risk of the policy in question.
         effort: tolerance and limits.
+
+    Returns:
+        The bound, and the failure that is allowed.
     """
     question = pose(problem, instance)
     match problem.semantics.measure:
         case CostQuantileOf(level):
-            return quantile_bound(question, level, quantile, effort)
+            return quantile_bound(question, level, attained, effort), question.allowed
         case TailMeanOf(level):
-            return tail_mean_bound(problem, question, level, quantile, effort)
+            return tail_mean_bound(problem, question, level, effort), question.allowed
     raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")

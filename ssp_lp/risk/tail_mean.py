@@ -60,10 +60,8 @@ class _Search:
         """The better of the best so far and the best policy at a threshold, and the trial."""
         trial = attempt(self.question, self.charge(layer), self.effort, kappa)
         law = success_costs(trial.policy, self.problem)
-        value, quantile = (
-            law.tail_mean(self.level),
-            self.question.layer_of(law.quantile(self.level)),
-        )
+        value = law.tail_mean(self.level)
+        quantile = self.question.layer_of(law.quantile(self.level))
         calls = trial.calls + (0 if best is None else best.calls)
         tied = _TIED if quantile == layer else -_TIED  # of equals the one whose z is its quantile
         if best is not None and value > best.value * (1.0 + tied):
@@ -78,7 +76,7 @@ class _Search:
             best: to begin with.
             bounds: lower bounds of the thresholds tried; those tried here are added.
         """
-        while self.level > 0.0 and best.layer not in bounds and self._in_time:
+        while best.layer not in bounds and self._in_time:
             layer = best.layer
             best, trial = self.attempt(layer, best, best.kappa)
             bounds[layer] = trial.lower_bound
@@ -132,15 +130,7 @@ def least_tail_mean(problem: Problem, question: Question, level: float, effort: 
         level: in [0, 1).
         effort: engine, tolerance and limits.
     """
-    search = _Search(problem, question, level, effort)
-    best, first = search.attempt(0, None)
-    bounds = {0: first.lower_bound}
-    best = search.alternate(best, bounds)
-    best, bound = _proved(search, best, bounds)
-    remarks = [question.note] if question.note else []
-    if bound == float("-inf"):
-        bound = first.lower_bound * (1.0 - level)  # no mean of a tail is below the whole mean
-        remarks.append("stopped by the time limit; the gap is honest")
+    best, bound, in_time = _proved(_Search(problem, question, level, effort))
     reason = f"thresholds on the lattice of costs, {best.calls} oracle calls"
     return Solution(
         problem=problem,
@@ -151,37 +141,38 @@ def least_tail_mean(problem: Problem, question: Question, level: float, effort: 
         value_function=None,
         budget_used=best.failure,
         run=Run(effort.engine, reason, best.calls, 0.0),
-        note="; ".join(remarks),
+        note=question.remarks(in_time=in_time),
     )
 
 
-def tail_mean_bound(
-    problem: Problem, question: Question, level: float, quantile: float, effort: Effort
-) -> float:
-    """Prove a lower bound of every policy's tail mean afresh; 0 if that fails.
+def tail_mean_bound(problem: Problem, question: Question, level: float, effort: Effort) -> float:
+    """Prove a lower bound of every policy's tail mean afresh.
 
     Args:
         problem: the problem.
         question: the policies that count.
         level: in [0, 1).
-        quantile: of a good policy: where to begin.
         effort: tolerance and limits.
     """
-    search = _Search(problem, question, level, effort)
+    return _proved(_Search(problem, question, level, effort))[1]
+
+
+def _proved(search: _Search) -> tuple[Best, float, bool]:
+    """The best policy, a lower bound of every policy's tail mean, and whether time sufficed.
+
+    All thresholds on both sides of the best one are refuted; its own bound is known.
+    """
     best, first = search.attempt(0, None)
-    layer = search.question.layer_of(quantile)
-    best, trial = search.attempt(layer, best, best.kappa)
-    bounds = {0: first.lower_bound, layer: trial.lower_bound}
-    _, least = _proved(search, search.alternate(best, bounds), bounds)
-    return max(least, 0.0)
-
-
-def _proved(search: _Search, best: Best, bounds: dict[int, float]) -> tuple[Best, float]:
-    """Refute all thresholds on both sides of the best one, whose own bound is known."""
+    bounds = {0: first.lower_bound}
     if search.level == 0.0:
-        return best, bounds[0]  # the whole mean: the least threshold is best
+        return best, first.lower_bound, True  # the whole mean: the least threshold is best
+    best = search.alternate(best, bounds)
     middle = best.layer
     own = bounds.get(middle, float("-inf"))
     best, above = search.refute(best, middle + 1, +1)
     best, below = search.refute(best, middle - 1, -1)
-    return best, min(own, above, below)
+    bound = min(own, above, below)
+    in_time = bound > float("-inf")
+    if not in_time:
+        bound = first.lower_bound * (1.0 - search.level)  # no tail's mean is below the whole's
+    return best, max(bound, 0.0), in_time

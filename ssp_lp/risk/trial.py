@@ -12,7 +12,8 @@ from ssp_lp.engines.refinement import Effort, optimise
 from ssp_lp.engines.row import Row
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.process.charge import TOTAL_COST, Charge
+from ssp_lp.process.charge import Charge
+from ssp_lp.solution import CUT_SHORT
 
 _ROUNDING = 1e-14
 """A budget above the least failure by this share of the success is meant to be equal to it."""
@@ -22,9 +23,19 @@ _ROUNDING = 1e-14
 class Question:
     """The policies among which the least risk is sought."""
 
-    instance: ChargeInstance  # of one charge or another
+    instance: ChargeInstance  # of the total cost
     budget: float | None  # of failure; None: only policies of least failure
+    least: float  # the least failure
     note: str = ""
+
+    def remarks(self, *, in_time: bool) -> str:
+        """The note, and whether time ran out."""
+        return "; ".join(told for told in (self.note, "" if in_time else CUT_SHORT) if told)
+
+    @property
+    def allowed(self) -> float:
+        """The failure that is allowed: the budget, or what is least."""
+        return self.least if self.budget is None else self.budget
 
     @property
     def unit(self) -> float:
@@ -58,22 +69,22 @@ def pose(problem: Problem, instance: ChargeInstance) -> Question:
 
     Args:
         problem: says the budget.
-        instance: the accumulated-cost process, a ratio of whatever charge.
+        instance: the accumulated-cost process, whose ratio is the cost given success.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
-    budget, total = problem.failure_budget, instance.charging(TOTAL_COST)
-    column = checked_least_failure(total, budget).column
+    budget = problem.failure_budget
+    column = checked_least_failure(instance, budget).column
     least = column.failure
     if budget is not None and budget > least + _ROUNDING * column.goal:
-        return Question(total.worked_out(), budget)
+        return Question(instance, budget, least)
     note = ""
     if budget is not None and budget != least:
         side = "below" if budget < least else "above"
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return Question(total.safest().worked_out(), None, note)
+    return Question(instance.safest(), None, least, note)
 
 
 def attempt(question: Question, charge: Charge, effort: Effort, kappa: float = 0.0) -> Trial:
@@ -93,9 +104,8 @@ def attempt(question: Question, charge: Charge, effort: Effort, kappa: float = 0
         value = column.cost / column.goal
         return Trial(value, min(refuted_below(question, instance, 0.0), value), policy, 0.0, 2)
     outcome = optimise(instance, question.budget, effort)
-    found, pricing = outcome.found, outcome.instance.oracle()
-    policy = MixedPolicy(tuple(pricing.policy(c) for c in found.columns), found.weights)
-    return Trial(found.objective, found.lower_bound, policy, found.price, outcome.calls)
+    found = outcome.found
+    return Trial(found.objective, found.lower_bound, outcome.lottery, found.price, outcome.calls)
 
 
 def charging(question: Question, charge: Charge, kappa: float) -> ChargeInstance:
