@@ -6,6 +6,7 @@ draws time against model size.
 
     python examples/compare_solvers.py
     python examples/compare_solvers.py --instances robot-20x12-M --solvers columns storm lp-ipx
+    python examples/compare_solvers.py --structures --solvers columns storm storm-sound
     python examples/compare_solvers.py --frontier
 
 Instances: robot-SEGMENTSxHEADINGS-CASE and random-STATES-CASE; CASE is M or S, S80 with a cap on
@@ -25,7 +26,7 @@ from pathlib import Path
 from typing import Any
 
 from comparison_growth import growth_text
-from comparison_instances import DEFAULT_INSTANCES, Instance, parse_instance
+from comparison_instances import DEFAULT_INSTANCES, STRUCTURES, Instance, parse_instance
 from comparison_machine import describe_machine, machine_text
 from comparison_memory import physical_memory
 from comparison_process import Limits, python_command, watch
@@ -160,6 +161,7 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     known = solver_names()
     add = parser.add_argument
     add("--instances", nargs="+", metavar="NAME", help="such as robot-20x12-M, robot-20x12-S80")
+    add("--structures", action="store_true", help="one instance of each structure")
     add("--solvers", nargs="+", choices=known, default=known, metavar="NAME", help=", ".join(known))
     add("--time-limit", type=float, default=60.0, help="seconds for one call of a solver")
     add("--prepare-limit", type=float, default=1800.0, help="seconds until its first call")
@@ -173,6 +175,8 @@ def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--frontier", action="store_true", help="trace the frontier of the instances instead")
     add("--output", type=Path, default=Path("comparison_output"), help="folder")
     options = parser.parse_args(arguments)
+    if options.instances is None and options.structures:
+        options.instances = list(STRUCTURES)
     if options.instances is None:
         options.instances = ["robot-20x12-M"] if options.frontier else list(DEFAULT_INSTANCES)
     try:

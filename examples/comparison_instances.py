@@ -2,12 +2,15 @@
 
     robot-SEGMENTSxHEADINGS-CASE     the paper's robot, refined
     random-STATES-CASE               a random sparse model
+    grid-300-M, layered-1000x100-M   ... a family of `comparison_families`
 
 CASE is M or S, with a cap on accumulated cost as S80, or a discount as M@0.999.
 """
 
 import re
 from dataclasses import dataclass, replace
+
+from comparison_families import WARM_UP_SIZES
 
 FAILURE_BUDGET = 0.05
 
@@ -22,18 +25,33 @@ DEFAULT_INSTANCES = (
     "random-20000-M",
 )
 
-_PATTERN = re.compile(
-    r"(?P<family>robot|random)-(?P<size>\d+(x\d+)?)-(?P<case>[MS])(?P<cap>\d+)?(@(?P<discount>.+))?"
+STRUCTURES = (
+    "layered-1000x100-M",
+    "layered-100x1000-M",
+    "river-1000x100-M",
+    "river-100x1000-M",
+    "grid-300-M",
+    "corridor-10000-M",
+    "scattered-100000-M",
+    "rooms-250x20-M",
+    "ring-10000-M",
+    "robot-40x24-M",
 )
-_WARM_UP_SIZE = {"robot": (20, 12), "random": (5_000,)}
+"""One instance of each structure."""
+
+_WARM_UP_SIZE = {"robot": (20, 12), "random": (5_000,), **WARM_UP_SIZES}
+_PATTERN = re.compile(
+    rf"(?P<family>{'|'.join(_WARM_UP_SIZE)})-(?P<size>\d+(x\d+)?)"
+    r"-(?P<case>[MS])(?P<cap>\d+)?(@(?P<discount>.+))?"
+)
 
 
 @dataclass(frozen=True)
 class Instance:
     """A model of a family together with the criterion asked of it."""
 
-    family: str  # "robot" or "random"
-    size: tuple[int, ...]  # (segments, headings), or (states,)
+    family: str  # "robot", "random", or one of `comparison_families`
+    size: tuple[int, ...]  # (segments, headings), (states,), or as the family has it
     case: str  # "M" or "S"
     cost_cap: float | None = None  # case S: the cap on accumulated cost
     discount: float | None = None
@@ -65,7 +83,7 @@ def parse_instance(name: str) -> Instance:
         ValueError: the name is of no known form.
     """
     found = _PATTERN.fullmatch(name)
-    if found is None or (found["family"] == "robot") != ("x" in found["size"]):
+    if found is None or len(_WARM_UP_SIZE[found["family"]]) != 1 + ("x" in found["size"]):
         raise ValueError(f"{name!r} is no instance: robot-20x12-M, robot-20x12-S80, random-5000-M")
     return Instance(
         family=found["family"],

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from comparison_families import FAMILIES
 from comparison_instances import Instance
 from formulations import MCMP, S3P
 from robot import RobotGrid, grid_model, start_state
@@ -30,7 +31,7 @@ class ReadyInstance:
             return S3P(
                 model, self.start, asked.failure_budget, asked.discount, cost_cap=asked.cost_cap
             )
-        give_up = "dead_ends" if asked.family == "random" else "attention"
+        give_up = "attention" if asked.family == "robot" else "dead_ends"
         return MCMP(model, self.start, asked.failure_budget, asked.discount, give_up=give_up)
 
 
@@ -39,7 +40,8 @@ def build(instance: Instance) -> ReadyInstance:
     if instance.family == "robot":
         grid = RobotGrid(segments=instance.size[0], headings=instance.size[1])
         return ReadyInstance(instance, grid_model(grid), start_state(grid))
-    return ReadyInstance(instance, random_model(instance.size[0]), start=0)
+    family = FAMILIES.get(instance.family, random_model)
+    return ReadyInstance(instance, family(*instance.size), start=0)
 
 
 def random_model(n_states: int) -> SSP:

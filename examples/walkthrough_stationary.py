@@ -176,7 +176,7 @@ def _written_out() -> list[Row]:
     # discount=1: no mass is lost, so J_cond is the failure probability.
     lp = label_models(model, start_distribution(model, START), problem.semantics, discount=1.0)
     outflow = np.repeat(np.eye(lp.n_nodes), np.diff(lp.pair_offsets), axis=0)
-    flow = (outflow - lp.transitions.toarray()).T
+    flow = (outflow - lp.dynamics.transitions.toarray()).T
     found = linprog(lp.objective, lp.condition[None, :], [float(BUDGET)], flow, lp.start)
     return [
         Row("M, exact, written out: c*", float(lp.objective @ found.x), Fraction(26, 5)),

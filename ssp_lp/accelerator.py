@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import sys
 from functools import cache
+from pathlib import Path
 from typing import Final
 
 from ssp_lp.errors import ModelError
@@ -16,8 +18,16 @@ from ssp_lp.errors import ModelError
 SWITCH: Final = "SSP_LP_ACCELERATOR"
 """Environment variable: "numba", "none", or unset: numba where it is installed."""
 
-_WORTH_COMPILING: Final = 100_000
-"""Entries below which loading compiled code costs more than it saves."""
+_LOADED: Final = 10_000
+"""Entries of a loop that is worth running compiled where compiled loops have been loaded."""
+
+_CACHED: Final = 60_000
+"""Entries that are worth loading compiled loops from numba's cache, which takes about a second."""
+
+_COLD: Final = 1_500_000
+"""Entries that are worth compiling loops for the first time, which takes some ten seconds."""
+
+_INDEX: Final = "**/bellman.back_up*.nbi"  # numba's index of the loop that every solve needs
 
 
 @cache
@@ -35,4 +45,22 @@ def has_accelerator() -> bool:
 
 def accelerated(entries: int) -> bool:
     """Whether a loop over so many entries is to run compiled."""
-    return entries >= _WORTH_COMPILING and has_accelerator()
+    return entries >= least_entries() and has_accelerator()
+
+
+def least_entries() -> int:
+    """Entries from which a loop is run compiled, the start of compiled code counted."""
+    if not _is_compiled_before():
+        return _COLD
+    return _LOADED if "ssp_lp.compiled.loops" in sys.modules else _CACHED
+
+
+@cache
+def _is_compiled_before() -> bool:
+    """Whether numba's cache holds the compiled loops of this version of the library."""
+    sources = Path(__file__).parent / "compiled"
+    changed = (sources / "bellman.py").stat().st_mtime
+    wished = os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(wished)] if wished else [sources / "__pycache__", Path.home() / ".cache/numba"]
+    found = (index for place in places for index in place.glob(_INDEX))
+    return any(index.stat().st_mtime >= changed for index in found)

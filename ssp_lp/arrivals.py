@@ -12,8 +12,8 @@ from scipy.sparse.csgraph import connected_components
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.chain import Chain, reaching
+from ssp_lp.dynamic_programming.linear_system import System
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate, without_self_loops
 from ssp_lp.process.lattice import common_unit, layers_of
 
 _FIRST_LAYERS = 64
@@ -92,7 +92,7 @@ class FreeMoves:
         inside = sp.csr_array((live.probability[free], where), shape=(n, n))
         inside.sum_duplicates()
         leak = np.bincount(live.source[~free], weights=live.probability[~free], minlength=n)
-        self._own, self._departs = without_self_loops(inside, np.arange(n), leak + live.lost)
+        self._inside, self._leaving = inside, leak + live.lost
         count, self._component = connected_components(inside, directed=False)
         self._busy = np.zeros(count, dtype=np.bool_)
         self._busy[self._component[where[0]]] = True
@@ -107,8 +107,9 @@ class FreeMoves:
         nodes = np.flatnonzero((entered & self._busy)[self._component])
         visits = inflow.copy()
         if nodes.size:
-            own = self._own if nodes.size == inflow.size else self._own[nodes][:, nodes]
-            visits[nodes] = accumulate(sp.csr_array(own.T), inflow[nodes]) / self._departs[nodes]
+            every = nodes.size == inflow.size
+            own = self._inside if every else sp.csr_array(self._inside[nodes][:, nodes])
+            visits[nodes] = System(own, self._leaving[nodes]).solve_transposed(inflow[nodes])
         return visits
 
 

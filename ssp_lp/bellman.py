@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
-from scipy.sparse import linalg
 
 from ssp_lp.accelerator import accelerated
 from ssp_lp.arrays import (
@@ -82,7 +81,7 @@ def best_pairs(
 
     minima, choice = np.empty(n), np.empty(n, dtype=np.int32)
     here = np.empty(0 if held is None else n)
-    own = _NOBODY if held is None else _unsigned(held)
+    own = _NOBODY if held is None else unsigned(held)
     compiled.back_up(transitions.nnz)(
         *unsigned_parts(pair_offsets, transitions), *cost.parts, values, own,
         minima, choice.view(np.uint32), here,
@@ -182,7 +181,7 @@ class ChosenRows:
         indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
         data = np.empty(indices.size)
         run = compiled.extract(indices.size)
-        run(*self._arrays, _unsigned(indptr), _unsigned(indices), data)
+        run(*self._arrays, unsigned(indptr), unsigned(indices), data)
         return sp.csr_array((data, indices, indptr), shape=self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
@@ -196,45 +195,6 @@ class ChosenRows:
         run = compiled.product if x.ndim == 1 else compiled.products
         run(self._entries)(*self._arrays, x, result)
         return result
-
-    def sweep(self, reward: FloatArray, x: FloatArray) -> tuple[FloatArray, float, float]:
-        """``reward + rows @ x``, its greatest change from x, and its greatest size.
-
-        Compiled and gathered rows use new values at once (Gauss and Seidel) and overwrite x.
-
-        Args:
-            reward: [states, rewards].
-            x: [states, rewards].
-        """
-        if not (self._is_compiled and self._is_gathered):
-            ahead = reward + self @ x
-            return ahead, float(np.abs(ahead - x).max()), float(np.abs(ahead).max())
-        from ssp_lp.compiled import chains as compiled
-
-        self.products += 1
-        run = compiled.sweep_two if x.shape[1] == 2 else compiled.sweep
-        change, size = run(*_parts(self._transitions), reward, x)
-        return x, change, size
-
-    def solve(self, residual: FloatArray, target: float, most_steps: int) -> FloatArray:
-        """The x of ``x - rows @ x == residual`` by BiCGStab, up to ``target``, [states].
-
-        The last step may be far from it, where the method breaks down.
-        """
-        if not self._is_compiled:
-            system = linalg.LinearOperator(
-                self.shape, matvec=lambda x: x - self @ x, dtype=np.float64
-            )
-            with np.errstate(all="ignore"):  # a breakdown shows in the residual
-                return np.asarray(
-                    linalg.bicgstab(system, residual, rtol=0.0, atol=target, maxiter=most_steps)[0]
-                )
-        from ssp_lp.compiled import chains as compiled
-
-        x = np.zeros(self.shape[0])
-        run = compiled.bicgstab(self._entries)
-        self.products += run(*self._arrays, residual.copy(), target, most_steps, x)
-        return x
 
     @property
     def _arrays(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
@@ -257,13 +217,13 @@ def unsigned_parts(
     offsets: IntArray, matrix: sp.csr_array
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
     """Offsets and the three arrays of a matrix as compiled loops take them."""
-    return _unsigned(offsets), *_parts(matrix)
+    return unsigned(offsets), *_parts(matrix)
 
 
 def _parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:
-    return _unsigned(matrix.indptr), _unsigned(matrix.indices), matrix.data
+    return unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
 
 
-def _unsigned(indices: IntArray) -> npt.NDArray[Any]:
+def unsigned(indices: IntArray) -> npt.NDArray[Any]:
     """A view of non-negative whole numbers as unsigned ones."""
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)

@@ -16,10 +16,11 @@ from ssp_lp.arrays import (
     read_only,
     sorted_unique,
 )
+from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.linear_system import System
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate, without_self_loops
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import dead_ends
+from ssp_lp.model.graph import dead_ends, reached_along
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
 
 _MOST_KEYS = 2_000_000_000
@@ -76,83 +77,42 @@ class Chain:
     ) -> FloatArray:
         """Expected total reward from each node while the chain moves within ``inside``.
 
-        Blocks of equal memory are solved last first, since no move leads back to an earlier one.
-
         Args:
             reward: [nodes] or [nodes, rewards]; counted at nodes of ``inside`` only.
             inside: nodes, from all of which the chain leaves for good, [nodes].
             survival: factor of every move.
 
         Returns:
-            Like ``reward``; zero outside.
+            Like ``reward``; zero outside. The numbers are verified (``evaluate_chain``).
         """
         result = np.zeros_like(reward)
-        matrix = self.matrix
-        for begin, end, moves_inside in self._blocks:
-            block = _rows(matrix, begin, end)
-            ahead = reward[begin:end] + survival * (block @ result)
-            here = inside[begin:end]
-            if moves_inside and here.any():
-                nodes = np.flatnonzero(here)
-                own, departs = self._own(block, begin, nodes, survival)
-                scaled = (ahead[nodes].T / departs).T
-                result[begin + nodes] = accumulate(own, scaled)
-            else:
-                result[begin:end][here] = ahead[here]
+        nodes, system = self._system(inside, survival)
+        if nodes.size:
+            own = reward[nodes].reshape(nodes.size, -1)
+            result[nodes] = evaluate_chain(system, own).values.reshape(reward[nodes].shape)
         return result
 
     def push(self, inflow: FloatArray, survival: float = 1.0) -> FloatArray:
         """Expected visits of each node, given what enters each from outside, [nodes]."""
-        visits = np.array(inflow, dtype=np.float64)
-        matrix = self.matrix
-        for begin, end, moves_inside in reversed(self._blocks):
-            block = _rows(matrix, begin, end)
-            if moves_inside:
-                own, departs = self._own(block, begin, np.arange(end - begin), survival)
-                visits[begin:end] = accumulate(sp.csr_array(own.T), visits[begin:end]) / departs
-            onward = survival * (block.T @ visits[begin:end])
-            onward[begin:end] = 0.0
-            visits += onward
-        return visits
+        everywhere = np.ones(self.n_nodes, dtype=np.bool_)
+        return self._system(everywhere, survival)[1].solve_transposed(inflow)
 
-    def _own(
-        self, block: sp.csr_array, begin: int, nodes: IntArray, survival: float
-    ) -> tuple[sp.csr_array, FloatArray]:
-        """Moves among nodes of a block seen on departing only, and the mass that departs."""
-        own = sp.csr_array(block[nodes][:, begin + nodes] * survival)
-        own.sum_duplicates()
-        own.eliminate_zeros()
-        outside = np.ones(self.n_nodes)
-        outside[begin + nodes] = 0.0
-        leak = survival * (block[nodes] @ outside) + (1.0 - survival)
-        leak += survival * self.give_up[begin + nodes]
-        return without_self_loops(own, np.arange(nodes.size), leak)
+    def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
+        """The equations of the moves within some nodes, kept for further rewards."""
+        key = survival, inside.tobytes()
+        if key not in self._systems:
+            nodes = np.flatnonzero(inside)
+            rows = self.matrix if nodes.size == self.n_nodes else self.matrix[nodes]
+            own = sp.csr_array(rows[:, nodes] * survival)
+            beyond = np.where(inside, 0.0, survival)
+            ending = (self.goal + self.dead)[nodes] > 0.0
+            moving = (1.0 - survival) + survival * self.give_up[nodes] + rows @ beyond
+            self._systems[key] = nodes, System(own, np.where(ending, 1.0, moving))
+        return self._systems[key]
 
     @cached_property
-    def _blocks(self) -> list[tuple[int, int, bool]]:
-        """Ranges of nodes with equal memory, last first, and whether they move inside."""
-        n = self.n_nodes
-        if not self.layered:
-            return [(0, n, True)]
-        cuts = np.flatnonzero(np.diff(self.memory, prepend=-1, append=-1))
-        stays = self.memory[self.source] == self.memory[self.target]
-        busy = np.zeros(n + 1, dtype=np.bool_)
-        busy[self.source[stays]] = True
-        ranges = zip(cuts[:-1].tolist(), cuts[1:].tolist(), strict=True)
-        return [(b, e, bool(busy[b:e].any())) for b, e in reversed(list(ranges))]
-
-
-def _rows(matrix: sp.csr_array, begin: int, end: int) -> sp.csr_array:
-    """A block of rows, sharing the matrix's data."""
-    first, last = matrix.indptr[begin], matrix.indptr[end]
-    return sp.csr_array(
-        (
-            matrix.data[first:last],
-            matrix.indices[first:last],
-            matrix.indptr[begin : end + 1] - first,
-        ),
-        shape=(end - begin, matrix.shape[1]),
-    )
+    def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
+        return {}
 
 
 def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
@@ -170,6 +130,12 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
     first = np.flatnonzero(start > 0)
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
+    if policy.is_stationary:
+        keys = _stationary_nodes(model, policy, first, ended)
+        visited = np.zeros(model.n_states, dtype=np.bool_)
+        visited[keys] = True
+        found = [_expand(model, policy, keys, ended)]
+        return _assemble(model, visited, start_key, start[first], dead, found, policy.monotone)
     visited = np.zeros(0, dtype=np.bool_)
     frontier, found = sorted_unique(start_key), []
     while frontier.size:
@@ -179,6 +145,21 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
         visited = _grown(visited, int(step[1].max(initial=0)))
         frontier = sorted_unique(step[1][~visited[step[1]]])
     return _assemble(model, visited, start_key, start[first], dead, found, policy.monotone)
+
+
+def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolArray) -> IntArray:
+    """The states that a policy without memory comes to, by one search on its graph."""
+    acting = np.flatnonzero(~ended)
+    branch = policy.branches(acting, np.zeros(acting.size, dtype=np.int64))
+    moves = branch.pair >= 0
+    pair, source = branch.pair[moves], acting[branch.situation[moves]]
+    begin = model.outcome_offsets[pair]
+    count = model.outcome_offsets[pair + 1] - begin
+    outcome = concatenated_ranges(begin, count)
+    possible = model.probabilities[outcome] > 0.0
+    edges = np.bincount(np.repeat(source, count)[possible], minlength=model.n_states)
+    offsets = np.append(0, np.cumsum(edges))
+    return np.flatnonzero(reached_along(model.successors[outcome[possible]], offsets, start))
 
 
 def _marked(visited: BoolArray, keys: IntArray) -> BoolArray:
@@ -266,12 +247,5 @@ def _assemble(
 
 def reaching(chain: Chain, ends: BoolArray) -> BoolArray:
     """Nodes from which the chain may come to one of the given nodes, [nodes]."""
-    mask = ends.copy()
     backward = chain.matrix.tocsc()
-    frontier: IntArray = np.flatnonzero(mask)
-    while frontier.size:
-        begin = backward.indptr[frontier]
-        before = backward.indices[concatenated_ranges(begin, backward.indptr[frontier + 1] - begin)]
-        frontier = sorted_unique(before[~mask[before]])
-        mask[frontier] = True
-    return mask
+    return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))

@@ -75,9 +75,11 @@ class Measures:
     """Quantities of a policy that are linear in the start lottery."""
 
     goal: float
+    failure: float  # 1 - goal, summed from its own exits
     success_cost: float
     expected_cost: float
     discounted_goal: float  # E[gamma^T; goal]
+    discounted_failure: float  # 1 - that, likewise
     discounted_cost: float  # case M: discounted E[r_tau]; case S: E[gamma^(T - 1) r_T; goal]
     ends: Mapping[str, float]
     secondary: Mapping[str, float]  # discounted like the cost
@@ -101,8 +103,7 @@ def _mean(parts: list[Measures], weights: FloatArray) -> Measures:
 
 def _report(sums: Measures, problem: Problem) -> Evaluation:
     discounted = problem.discount is not None
-    failure = _complement(sums.goal)
-    surrogate = _complement(sums.discounted_goal)
+    failure, surrogate = sums.failure, sums.discounted_failure
     objective = sums.discounted_cost
     semantics = problem.semantics
     if semantics.aim is not Aim.LEAST_COST:
@@ -134,7 +135,9 @@ def _measure(chain: Chain, problem: Problem) -> Measures:
     hopeful = reaching(chain, chain.goal > 0)
     alive = hopeful & (chain.goal == 0)
     goal, success = _success(chain, alive, 1.0)
-    early, early_cost = _success(chain, alive, gamma)
+    early, early_cost = (goal, success) if gamma == 1.0 else _success(chain, alive, gamma)
+    reached, failed = _two_ways(chain, goal, alive, 1.0)
+    kept, surrogate = _two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
     stopped = _until_failure(chain, hopeful, problem.semantics, 1.0)
     if problem.ratio:
         target = float(chain.start @ early_cost)
@@ -143,10 +146,12 @@ def _measure(chain: Chain, problem: Problem) -> Measures:
             chain, hopeful, problem.semantics, gamma
         )  # fmt: skip
     return Measures(
-        goal=float(chain.start @ (goal + chain.goal)),
+        goal=reached,
+        failure=failed,
         success_cost=float(chain.start @ success),
         expected_cost=stopped,
-        discounted_goal=float(chain.start @ (gamma * early + chain.goal)),
+        discounted_goal=kept,
+        discounted_failure=surrogate,
         discounted_cost=target,
         ends=_ends(chain),
         secondary=_secondary(chain, hopeful, problem),
@@ -176,6 +181,27 @@ def _success(chain: Chain, alive: BoolArray, survival: float) -> tuple[FloatArra
     weight = np.where(chain.goal[chain.target] > 0, 1.0, survival * early[chain.target])
     priced = chain.per_node(weight * chain.cost)
     return early, chain.accumulate(priced, alive, survival)
+
+
+def _two_ways(
+    chain: Chain, early: FloatArray, alive: BoolArray, survival: float
+) -> tuple[float, float]:
+    """Probabilities of reaching the goal and of failing, each from its own exits, discounted.
+
+    Args:
+        chain: the chain.
+        early: E[survival^(T-1); goal], [nodes].
+        alive: nodes from which the goal can be reached, [nodes].
+        survival: the discount.
+    """
+    goal = min(float(chain.start @ (survival * early + chain.goal)), 1.0)
+    ended = (~alive & (chain.goal == 0.0)).astype(np.float64)
+    leaks = (1.0 - survival) + survival * (chain.matrix @ ended + chain.give_up)
+    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival)
+    failure = min(float(chain.start @ (failed + ended)), 1.0)
+    if failure == 0.0:  # decided on the graph: no exit leads to failure
+        return 1.0, 0.0
+    return goal, 1.0 if goal == 0.0 else failure
 
 
 def _until_failure(

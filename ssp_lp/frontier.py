@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, FloatArray
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.column_generation import Edge, search
 from ssp_lp.engines.instance import Instance, checked_least_failure
-from ssp_lp.engines.oracles.oracle import Column, Oracle, Work
+from ssp_lp.engines.oracles.oracle import Column, Oracle
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.policies import MixedPolicy

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.engines.oracles.oracle import Work
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.row import relative_gap
 from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.occupation import equivalent_randomised_policy

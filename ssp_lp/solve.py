@@ -14,12 +14,12 @@ from ssp_lp.constrained import solve_constrained
 from ssp_lp.crosscheck.stationary import stationary_game, value_function
 from ssp_lp.crosscheck.threshold import Patience
 from ssp_lp.deterministic import best_deterministic
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.cost_instance import CostInstance
 from ssp_lp.engines.instance import checked_least_failure
 from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
-from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.refinement import Effort, optimise
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError

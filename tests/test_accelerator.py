@@ -12,7 +12,7 @@ from formulations import MCMP, S3P
 from robot import RobotGrid, grid_model, start_state
 from ssp_lp import ModelError, accelerator, certify, solve
 from ssp_lp.bellman import ChosenRows, PairCost, best_pairs, safe_minima
-from ssp_lp.linear import accumulate
+from ssp_lp.dynamic_programming.linear_system import System
 from ssp_lp.model import SSP
 from ssp_lp.process.rows import RowChoice, live_rows
 
@@ -27,7 +27,7 @@ def accelerate(monkeypatch: pytest.MonkeyPatch) -> Switch:
 
     def switch(on: bool) -> None:
         monkeypatch.setattr(accelerator, "has_accelerator", lambda: on)
-        monkeypatch.setattr(accelerator, "_WORTH_COMPILING", 0)
+        monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
 
     return switch
 
@@ -87,11 +87,13 @@ def test_chains_are_the_same(accelerate: Switch, vectors: int) -> None:
 
     def work() -> tuple[np.ndarray, ...]:
         rows = ChosenRows(transitions, choice)
-        return rows @ reward, rows.gathered() @ reward, *rows.sweep(reward, reward[::-1])
+        return rows @ reward, rows.gathered() @ reward
 
     compiled, plain = both(accelerate, work)
     assert_same(compiled, plain)
-    solved = both(accelerate, lambda: accumulate(ChosenRows(transitions, choice), reward))
+    chain = sp.csr_array(transitions[choice])
+    exits = 1.0 - chain.sum(axis=1)
+    solved = both(accelerate, lambda: System(chain, exits).solve(reward))
     np.testing.assert_allclose(*solved, rtol=1e-13)
     x = solved[0]
     np.testing.assert_allclose(x, reward + transitions[choice] @ x, rtol=1e-13)
@@ -104,10 +106,9 @@ def test_slowly_leaving_chains_are_solved_too(accelerate: Switch, slow: float) -
     after = (np.arange(n) + 1) % n
     ring = sp.csr_array((np.full(n, slow), (np.arange(n), after)), shape=(n, n))
     rows = sp.csr_array(0.5 * ring + 0.5 * slow * sp.eye_array(n, format="csr"))
-    choice = np.arange(n, dtype=np.int32)
     for on in (True, False):
         accelerate(on)
-        totals = accumulate(ChosenRows(rows, choice), np.ones(n))
+        totals = System(rows, np.full(n, 1.0 - slow)).solve(np.ones(n))
         np.testing.assert_allclose(totals, 1.0 / (1.0 - slow), rtol=1e-10)
 
 
@@ -200,7 +201,7 @@ def test_rows_are_filled_within_their_arrays() -> None:
     node_of, pair_at = np.zeros(1, dtype=np.int32), numbers[:n]
     indices, data = np.empty(n, dtype=np.int32), np.empty(n)
     for home, kept in ((none, n), (np.ones(n, dtype=np.int32), n)):
-        rows.count.py_func(*outcomes, node_of, pair_at, home, counts, departs)
+        rows.count.py_func(*outcomes, node_of, pair_at, home, counts, departs, np.empty(n))
         assert counts.sum() == kept
         rows.fill.py_func(
             *outcomes, none, node_of, 1, pair_at, home, departs, 1.0, numbers, indices, data

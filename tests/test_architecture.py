@@ -12,8 +12,9 @@ ROOT = Path(__file__).parent.parent
 ORDER = [
     ("errors", "arrays", "accelerator"),
     ("compiled",),
-    ("bellman", "linear"),
+    ("bellman",),
     ("model",),
+    ("dynamic_programming",),
     ("policies",),
     ("process",),
     ("program",),

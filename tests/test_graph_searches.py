@@ -17,7 +17,7 @@ def path(request, monkeypatch):
     if compiled and not has_accelerator():
         pytest.skip("no accelerator")
     monkeypatch.setattr("ssp_lp.model.chunks.CHUNK", chunk)
-    monkeypatch.setattr("ssp_lp.accelerator._WORTH_COMPILING", 0 if compiled else 1 << 62)
+    monkeypatch.setattr("ssp_lp.accelerator.least_entries", lambda: 0 if compiled else 1 << 62)
 
 
 def drawn_model(seed, n_states):

@@ -9,7 +9,8 @@ import pytest
 
 from formulations import MCMP, S3P
 from ssp_lp import SSP, certify, evaluate, solve
-from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.engines.oracles.window import Window
 from ssp_lp.goal_probability import max_goal_probability, min_goal_probability
 
@@ -133,10 +134,11 @@ def test_sub_solutions_are_sub_solutions(seed: int) -> None:
     dense = rng.random((n * actions, n)) * (rng.random((n * actions, n)) < 0.5)
     dense *= rng.uniform(0.5, 0.99) / np.maximum(dense.sum(axis=1, keepdims=True), 1e-9)
     cost = rng.choice([0.0, 1.0, 2.5], size=n * actions)
+    dynamics = Dynamics(offsets, sp.csr_array(dense), 1.0 - dense.sum(axis=1))
     optimum = np.zeros(n)
     for _ in range(5000):
         optimum = (cost + dense @ optimum).reshape(n, actions).min(axis=1)
     for given in (optimum, optimum * 1.1, optimum + rng.normal(size=n), np.full(n, np.inf)):
-        checked = sub_solution(offsets, sp.csr_array(dense), cost, given)
+        checked = sub_solution(dynamics, cost, given)
         assert (checked <= optimum * (1 + 1e-12)).all()
-    assert sub_solution(offsets, sp.csr_array(dense), cost, optimum) == pytest.approx(optimum)
+    assert sub_solution(dynamics, cost, optimum) == pytest.approx(optimum)

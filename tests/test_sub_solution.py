@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from ssp_lp.dynamic_programming.dual_bound import shortfall, sub_solution
 
-from ssp_lp.engines.oracles.sub_solution import shortfall, sub_solution
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 
 
 def test_ties_between_a_cost_and_a_free_step_do_not_drop_the_bound() -> None:
@@ -15,9 +16,10 @@ def test_ties_between_a_cost_and_a_free_step_do_not_drop_the_bound() -> None:
     transitions = sp.csr_array(np.array([[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]))
     cost = np.array([0.0, total - 5e-14, total - 5e-14])
     offsets = np.array([0, 2, 3], dtype=np.int32)
-    lowered = sub_solution(offsets, transitions, cost, np.full(2, total))
+    dynamics = Dynamics(offsets, transitions, np.array([0.0, 1.0, 1.0]))
+    lowered = sub_solution(dynamics, cost, np.full(2, total))
     assert lowered == pytest.approx([total, total], rel=1e-12)
-    assert not shortfall(offsets, transitions, cost, lowered).any()
+    assert not shortfall(dynamics, cost, lowered).any()
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -32,6 +34,7 @@ def test_what_passes_is_a_lower_bound(seed: int) -> None:
     for _ in range(2_000):
         optimum = (cost + dense @ optimum).reshape(10, 3).min(axis=1)
     guess = optimum * (1.0 + rng.normal(scale=1e-8, size=10))
-    lowered = sub_solution(offsets, sp.csr_array(dense), cost, guess)
+    dynamics = Dynamics(offsets, sp.csr_array(dense), 1.0 - dense.sum(axis=1))
+    lowered = sub_solution(dynamics, cost, guess)
     assert (lowered <= optimum * (1.0 + 1e-14) + 1e-14).all()
     assert lowered == pytest.approx(optimum, rel=1e-5, abs=1e-6)

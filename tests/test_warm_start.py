@@ -16,7 +16,6 @@ from ssp_lp.engines.lp.answer import residuals
 from ssp_lp.engines.lp.highs import solve_with_highs
 from ssp_lp.engines.lp.warm_start import policy_basis
 from ssp_lp.engines.row import Row
-from ssp_lp.linear import accumulate
 from ssp_lp.program import occupation_program
 from test_larger_models import drawn_model
 
@@ -94,7 +93,7 @@ def test_a_basis_is_regular_and_its_policies_lie_on_both_sides(robot: Any, crite
     second = first.copy()
     second[process.pair_state[extra]] = extra
     inside, outside = (
-        float(process.start @ accumulate(process.transitions[pairs], process.failure[pairs]))
+        float(process.start @ process.dynamics.chain(pairs).solve(process.failure[pairs]))
         for pairs in (first, second)
     )
     assert inside <= TIGHT < outside

@@ -20,12 +20,15 @@ def count(
     home: Array,
     counts: Array,
     departs: Array,
+    leaks: Array,
 ) -> None:
-    """Entries of each row, and the mass that departs where waiting in place is left out."""
+    """Entries of each row, the mass that departs where waiting is left out, what ends there."""
     departing = home.size > 0
     for row in range(pair_at.size):
         entries, loops, leak, away = 0, 0, 0.0, 0.0
-        if pair_at[row] >= 0:
+        if pair_at[row] < 0:
+            leak = 1.0
+        else:
             pair = np.uint32(pair_at[row])
             for k in range(outcome_offsets[pair], outcome_offsets[pair + np.uint32(1)]):
                 node = node_of[successors[k]]
@@ -42,6 +45,7 @@ def count(
             entries += loops
         counts[row] = entries
         departs[row] = mass if loops > 0 and mass > 0.0 else 1.0
+        leaks[row] = leak
 
 
 @njit(cache=True)

@@ -17,15 +17,14 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.bellman import ChosenRows, best_pairs, chosen_product
+from ssp_lp.bellman import best_pairs, chosen_product
 from ssp_lp.crosscheck.belief import horizon_of
 from ssp_lp.crosscheck.iteration import iterate_values
 from ssp_lp.crosscheck.label_game import LabelPlayer
 from ssp_lp.crosscheck.models import LabelModels
 from ssp_lp.crosscheck.reply import Reply
-from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate
 from ssp_lp.model.graph import pairs_into
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.timed import TimedPolicy
@@ -114,18 +113,18 @@ class BayesLabelPlayer:
         choice = models.skeleton.nearer(pairs_into(model, model.goal_mask))
         choice = offsets[:-1].copy() if choice is None else choice.astype(np.int32)
         while True:
-            values = accumulate(ChosenRows(models.transitions, choice), cost[choice])
-            backup = best_pairs(offsets, models.transitions, cost, values, choice)
+            values = models.dynamics.chain(choice).solve(cost[choice])
+            backup = best_pairs(offsets, models.dynamics.transitions, cost, values, choice)
             better = backup.minima < backup.here * (1.0 - _GAIN)
             if not better.any():
                 break
             choice = np.where(better, backup.choice, choice)
-        discounted = ChosenRows(self.stationary.process.transitions, choice)
-        condition = accumulate(discounted, models.condition[choice])
+        discounted = self.stationary.process.dynamics.chain(choice)
+        condition = discounted.solve(models.condition[choice])
         return Cheapest(
             choice=choice,
             totals=np.stack([values, condition], axis=1),
-            least_objective=sub_solution(offsets, models.transitions, cost, values),
+            least_objective=sub_solution(models.dynamics, cost, values),
         )
 
     def _beyond(self, weights: FloatArray) -> FloatArray:
@@ -150,9 +149,11 @@ class BayesLabelPlayer:
         totals, choice = last.totals, np.empty((horizon, models.n_nodes), dtype=np.int32)
         for time in reversed(range(horizon)):
             priced = costs @ (weights * [1.0, gamma**time])
-            backup = best_pairs(offsets, models.transitions, priced, lowest)
+            backup = best_pairs(offsets, models.dynamics.transitions, priced, lowest)
             choice[time], lowest = backup.choice, backup.minima
-            onward = chosen_product(models.transitions, backup.choice, totals * [1.0, gamma])
+            onward = chosen_product(
+                models.dynamics.transitions, backup.choice, totals * [1.0, gamma]
+            )
             totals = costs[backup.choice] + onward
         fixed = np.array([models.start_objective, models.start_condition])
         objective, condition = (models.start @ totals + fixed).tolist()
@@ -161,5 +162,5 @@ class BayesLabelPlayer:
 
     def _rounding(self, horizon: int) -> float:
         """Relative rounding of so many backups of non-negative numbers."""
-        longest = int(np.diff(self.models.transitions.indptr).max(initial=0))
+        longest = int(np.diff(self.models.dynamics.transitions.indptr).max(initial=0))
         return (horizon + 1) * (longest + 4) * MACHINE_EPSILON

@@ -19,7 +19,7 @@ from ssp_lp.bellman import (
 from ssp_lp.crosscheck.iteration import Discounted, improved
 from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.crosscheck.tail import Tail, outer_tail
-from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.engines.oracles.window import Window
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
@@ -189,7 +189,7 @@ class CostPlayer:
     def _layer(self, onward: FloatArray) -> Discounted:
         """The free steps of a layer, with all that follows them among the costs."""
         base = self.base
-        return Discounted(base.pair_offsets, base.instant, onward, base.survival)
+        return Discounted(base.instant_dynamics, onward, base.survival)
 
     def _lowest(
         self, pair_cost: FloatArray, size: FloatArray, ahead: FloatArray, guess: IntArray
@@ -210,7 +210,7 @@ class CostPlayer:
         onward = pair_cost + base.later @ ahead - backup_rounding(base.later) * size
         chosen, totals, _ = improved(self._layer(onward[:, None]), np.ones(1), guess)
         floor = min(float((onward / (1.0 - base.survival)).min(initial=0.0)), 0.0)
-        values = sub_solution(base.pair_offsets, base.instant, onward, totals[:, 0], floor)
+        values = sub_solution(base.instant_dynamics, onward, totals[:, 0], floor)
         return values, chosen
 
 

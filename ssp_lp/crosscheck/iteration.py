@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import IMPROVEMENT, MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.bellman import ChosenRows, best_pairs
-from ssp_lp.engines.oracles.sub_solution import sub_solution
-from ssp_lp.linear import accumulate
+from ssp_lp.bellman import best_pairs
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 
 _FIRST_SWEEPS = 16
 _MOST_SWEEPS = 1 << 14
@@ -25,11 +24,10 @@ _ROUNDED = 64.0 * MACHINE_EPSILON
 class Discounted:
     """A discounted decision process with two costs per pair: the operator T_alpha of section 3.5.
 
-    Every row of ``transitions`` is scaled by gamma, so that T is a contraction.
+    Every transition is scaled by gamma, so that T is a contraction.
     """
 
-    pair_offsets: IntArray  # [nodes + 1]
-    transitions: sp.csr_array  # [pairs, nodes]
+    dynamics: Dynamics
     costs: FloatArray  # [pairs, costs] non-negative
     discount: float  # gamma
 
@@ -68,9 +66,8 @@ def iterate_values(
         accuracy: relative distance of the two bounds to reach.
         guess: a policy to improve before the first sweep, [nodes].
     """
-    offsets, transitions = process.pair_offsets, process.transitions
-    pair_cost = process.costs @ weights
-    values = np.zeros(len(offsets) - 1)
+    dynamics, pair_cost = process.dynamics, process.costs @ weights
+    values = np.zeros(dynamics.n_states)
     best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
     rounding = _ROUNDED / (1.0 - process.discount)
     choice = guess
@@ -80,8 +77,8 @@ def iterate_values(
             sweeps += block
         choice, totals, steps = improved(process, weights, choice)
         attained, sweeps = totals @ weights, sweeps + steps
-        lifted = sub_solution(offsets, transitions, pair_cost, attained)
-        values = np.maximum(lifted, sub_solution(offsets, transitions, pair_cost, values))
+        lifted = sub_solution(dynamics, pair_cost, attained)
+        values = np.maximum(lifted, sub_solution(dynamics, pair_cost, values))
         below, above = float(watched @ values), float(watched @ attained)
         stuck = best > -np.inf and above - below <= rounding * above
         if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
@@ -93,8 +90,9 @@ def _swept(
     process: Discounted, pair_cost: FloatArray, values: FloatArray, times: int
 ) -> tuple[FloatArray, IntArray]:
     """So many backups of values that are nowhere above their backup, and the greedy pairs."""
+    dynamics = process.dynamics
     for _ in range(times):
-        backup = best_pairs(process.pair_offsets, process.transitions, pair_cost, values)
+        backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
         values = np.maximum(values, backup.minima)
     return values, backup.choice
 
@@ -103,10 +101,10 @@ def improved(
     process: Discounted, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
     """A policy after improvement by its own values, its exact costs, and the backups that took."""
-    offsets, transitions = process.pair_offsets, process.transitions
-    pair_cost, steps = process.costs @ weights, 0
+    dynamics, pair_cost, steps = process.dynamics, process.costs @ weights, 0
+    offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     while True:
-        totals = accumulate(ChosenRows(transitions, choice), process.costs[choice])
+        totals = dynamics.chain(choice).solve(process.costs[choice])
         steps += 1
         backup = best_pairs(offsets, transitions, pair_cost, totals @ weights, choice)
         better = backup.minima < backup.here - IMPROVEMENT * np.abs(backup.here)

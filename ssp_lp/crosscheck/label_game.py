@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.crosscheck.iteration import Discounted, Iterated, iterate_values
@@ -26,8 +25,7 @@ class LabelPlayer:
         """M_{o,gamma}^(M) and M_{d,gamma}^(M), whose transitions agree under discounting."""
         models = self.models
         return Discounted(
-            pair_offsets=models.pair_offsets,
-            transitions=sp.csr_array(models.discount * models.transitions),
+            dynamics=models.discounted_dynamics,
             costs=np.stack([models.discounted_objective, models.condition], axis=1),
             discount=models.discount,
         )

@@ -15,6 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, end_components
 from ssp_lp.policies.policy import GIVE_UP_CODE
@@ -29,7 +30,7 @@ class LabelModels:
 
     skeleton: Skeleton
     discount: float
-    transitions: sp.csr_array  # [pairs, nodes] real probabilities of going on
+    dynamics: Dynamics  # real probabilities of going on
     paid: FloatArray  # [pairs] E[G_o] of the step itself
     charged: FloatArray  # [pairs] E[G_o] of the step after it, where that enters a dead-end
     lost: FloatArray  # [pairs] probability of entering a dead-end
@@ -48,6 +49,13 @@ class LabelModels:
     def pair_offsets(self) -> IntArray:
         """Pairs of each node, [nodes + 1]."""
         return self.skeleton.pair_offsets
+
+    @property
+    def discounted_dynamics(self) -> Dynamics:
+        """The same, where each step is survived with probability gamma."""
+        real, gamma = self.dynamics, self.discount
+        exits = (1.0 - gamma) + gamma * real.exits
+        return Dynamics(real.pair_offsets, sp.csr_array(gamma * real.transitions), exits)
 
     @property
     def gives_up(self) -> BoolArray:
@@ -95,7 +103,7 @@ def label_models(
     return LabelModels(
         skeleton=skeleton,
         discount=discount,
-        transitions=skeleton.transitions(1.0, departing=False)[0],
+        dynamics=skeleton.dynamics(1.0, departing=False)[0],
         paid=skeleton.at_pairs(cost_means(model), charge),
         charged=skeleton.at_pairs(successor_means(model, entering)),
         lost=skeleton.at_pairs(successor_means(model, skeleton.dead)),

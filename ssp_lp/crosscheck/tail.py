@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.bellman import ChosenRows
 from ssp_lp.crosscheck.iteration import Discounted, Iterated, iterate_values
-from ssp_lp.linear import accumulate
 from ssp_lp.process.accumulated_cost import AccumulatedCost
 from ssp_lp.process.expectations import cost_means
 
@@ -75,12 +73,12 @@ def outer_tail(base: AccumulatedCost) -> Tail:
     Both are value iterations on the discounted process without accumulated cost.
     """
     skeleton, gamma = base.skeleton, base.survival
-    transitions = skeleton.transitions(gamma, departing=False)[0]
+    dynamics, _ = skeleton.dynamics(gamma, departing=False)
     watched = np.full(base.n_nodes, 1.0 / max(base.n_nodes, 1))
     success = np.where(skeleton.pair_at >= 0, gamma * base.gain, 0.0)
 
     def least(costs: FloatArray) -> Iterated:
-        process = Discounted(skeleton.pair_offsets, transitions, costs[:, None], gamma)
+        process = Discounted(dynamics, costs[:, None], gamma)
         return iterate_values(process, np.ones(1), watched, accuracy=_ACCURACY)
 
     safest, riskiest = least(base.failure), least(success)
@@ -112,11 +110,11 @@ def _followed(
 ) -> tuple[FloatArray, FloatArray]:
     """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] of policies, [policies, nodes]."""
     skeleton, (early, cost) = base.skeleton, np.zeros((2, *choices.shape))
-    transitions = skeleton.transitions(survival, departing=False)[0]
+    dynamics, _ = skeleton.dynamics(survival, departing=False)
     for k, choice in enumerate(choices):
-        chain = ChosenRows(transitions, choice)
-        early[k] = accumulate(chain, base.gain[choice])
+        chain = dynamics.chain(choice)
+        early[k] = chain.solve(base.gain[choice])
         weight = np.where(skeleton.model.goal_mask, 1.0, survival * skeleton.lift(early[k]))
         priced = skeleton.at_pairs(cost_means(skeleton.model, weight))
-        cost[k] = accumulate(chain, priced[choice])
+        cost[k] = chain.solve(priced[choice])
     return early, cost

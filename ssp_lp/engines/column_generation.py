@@ -17,7 +17,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
-from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof, Work, excess_failure
+from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof, excess_failure
 from ssp_lp.engines.row import Row
 
 _ROUNDS = 200

@@ -14,9 +14,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.column_generation import Edge
 from ssp_lp.engines.instance import Instance, LeastFailure
-from ssp_lp.engines.oracles.oracle import Column, Oracle, Work
+from ssp_lp.engines.oracles.oracle import Column, Oracle
 from ssp_lp.engines.row import Row
 
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, RELATIVE_GAP
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
 from ssp_lp.engines.lp import check_agreement, solve_program
 from ssp_lp.engines.opening import Hint, Opening, open_at, open_by_pricing
-from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.row import Row, relative_gap
 from ssp_lp.policies import MixedPolicy
 

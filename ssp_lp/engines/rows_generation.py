@@ -17,8 +17,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.lp.master import MasterOptimum, solve_master
-from ssp_lp.engines.oracles.oracle import Work
 from ssp_lp.engines.oracles.priced import Point, PricedOracle
 
 _ROUNDS = 2_000

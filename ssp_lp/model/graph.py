@@ -27,17 +27,26 @@ def reachable_states(model: SSP, start: IntArray) -> BoolArray:
 
         return reached(model.pair_offsets, *arrays, start)
     ends, columns = possible_steps(*arrays)
-    return _reached(columns, ends[model.pair_offsets], start)
+    return reached_along(columns, ends[model.pair_offsets], start)
 
 
 def dead_ends(model: SSP) -> BoolArray:
     """States from which no policy reaches the goal, X_{d,all} of section 2.3, [states]."""
-    before, goals = model.predecessors, np.flatnonzero(model.goal_mask)
+    return ~reaching_states(model, model.goal_mask)
+
+
+def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
+    """States from which some policy may come to one of the given states, these included, [states].
+
+    Args:
+        ends: [states].
+    """
+    before, first = model.predecessors, np.flatnonzero(ends)
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled.graph import reaching
 
-        return ~reaching(before.offsets, before.pairs, model.pair_state, goals)
-    return ~_reached(model.pair_state[before.pairs], before.offsets, goals)
+        return reaching(before.offsets, before.pairs, model.pair_state, first)
+    return reached_along(model.pair_state[before.pairs], before.offsets, first)
 
 
 def attention_states(model: SSP) -> BoolArray:
@@ -161,8 +170,14 @@ def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]
     return component, inside
 
 
-def _reached(columns: IntArray, offsets: IntArray, start: IntArray) -> BoolArray:
-    """States reached along edges by scipy, from a node added and linked to the start, [states]."""
+def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> BoolArray:
+    """States reached along edges by scipy, from a node added and linked to the start, [states].
+
+    Args:
+        columns: where the edges lead, [edges].
+        offsets: of each state's edges, [states + 1].
+        start: states to begin with.
+    """
     n_states = len(offsets) - 1
     linked = np.concatenate([columns, np.asarray(start, dtype=columns.dtype)])
     graph = _edges(linked, np.append(offsets, linked.size))

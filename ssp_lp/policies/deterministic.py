@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,6 +21,7 @@ class DeterministicPolicy(Policy, Playable):
 
     model: SSP
     decision: IntArray  # [states] pair, GIVE_UP_CODE or UNDECIDED
+    is_stationary: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "decision", read_only(self.decision))

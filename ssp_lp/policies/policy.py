@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
-from typing import Final, NamedTuple
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 
@@ -45,6 +45,7 @@ class Policy(ABC):
 
     model: SSP
     monotone: bool = True
+    is_stationary: ClassVar[bool] = False  # whether there is no memory at all
 
     @abstractmethod
     def start_memory(self, states: IntArray) -> IntArray:

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.linear import without_self_loops
+from ssp_lp.dynamic_programming.departing import without_self_loops
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means, uniform_cost
@@ -52,6 +54,13 @@ class AccumulatedCost:
     def pair_offsets(self) -> IntArray:
         """Pairs of each node, [nodes + 1]."""
         return self.skeleton.pair_offsets
+
+    @cached_property
+    def instant_dynamics(self) -> Dynamics:
+        """Steps that cost nothing; whatever goes on to a later layer leaves."""
+        onward = np.asarray(self.later.sum(axis=1)).ravel()
+        exits = onward + self.survival * self.gain + self.failure
+        return Dynamics(self.pair_offsets, self.instant, exits)
 
     @property
     def steps(self) -> sp.csr_array:
@@ -141,7 +150,7 @@ def _arrivals(skeleton: Skeleton, lattice: Lattice) -> sp.csr_array:
     rows = RowChoice(
         skeleton.model, at_goal, 1, skeleton.pair_at, ahead=lattice.ahead, width=lattice.width
     )
-    return live_rows(rows)[0]
+    return live_rows(rows).matrix
 
 
 def _steps(
@@ -152,8 +161,8 @@ def _steps(
     rows = RowChoice(model, skeleton.node_of, n, skeleton.pair_at)
     uniform = uniform_cost(model)
     if lattice.width == 2 and uniform is not None and uniform > 0.0:  # one layer a step
-        later, _ = live_rows(rows, survival)
+        later = live_rows(rows, survival).matrix
         return sp.csr_array(later.shape), later
     rows = replace(rows, ahead=lattice.ahead, width=lattice.width)
-    steps = live_rows(rows, survival)[0]
+    steps = live_rows(rows, survival).matrix
     return sp.csr_array(steps[:, :n]), sp.csr_array(steps[:, n:])

@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model.approach import nearer_pairs
 from ssp_lp.model.predecessors import find_predecessors
 from ssp_lp.process.explicit import ExplicitProcess
@@ -26,15 +27,14 @@ from ssp_lp.process.explicit import ExplicitProcess
 class Contracted:
     """The pairs of a process that leave its free components, sorted by node."""
 
-    pair_offsets: IntArray  # [nodes + 1]
-    transitions: sp.csr_array  # [kept pairs, nodes]
+    dynamics: Dynamics  # of the nodes
     pairs: IntArray  # [kept pairs] pair of the process
     node_of: IntArray  # [states]
     inside: BoolArray  # [pairs] of the process: pairs that stay in a component
 
     def least(self, values: FloatArray) -> FloatArray:
         """Least value over the states of each node, [nodes]."""
-        result = np.full(len(self.pair_offsets) - 1, np.inf)
+        result = np.full(self.dynamics.n_states, np.inf)
         np.minimum.at(result, self.node_of, values)
         return result
 
@@ -109,8 +109,11 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contracted | None:
     )
     counts = np.bincount(node_of[process.pair_state[kept]], minlength=n_nodes)
     return Contracted(
-        pair_offsets=np.append(0, np.cumsum(counts)).astype(process.pair_offsets.dtype),
-        transitions=sp.csr_array(process.transitions[kept] @ members),
+        dynamics=Dynamics(
+            pair_offsets=np.append(0, np.cumsum(counts)).astype(process.pair_offsets.dtype),
+            transitions=sp.csr_array(process.transitions[kept] @ members),
+            exits=process.dynamics.exits[kept],
+        ),
         pairs=kept,
         node_of=node_of,
         inside=inside,

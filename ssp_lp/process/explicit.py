@@ -9,6 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,11 @@ class ExplicitProcess:
     def n_pairs(self) -> int:
         """Number of pairs of the process."""
         return len(self.cost)
+
+    @cached_property
+    def dynamics(self) -> Dynamics:
+        """What the process does, whatever it costs."""
+        return Dynamics(self.pair_offsets, self.transitions, self.goal + self.failure)
 
     @cached_property
     def pair_state(self) -> IntArray:

@@ -162,10 +162,11 @@ def _fill(
     to_dead = skeleton.at_pairs(successor_means(model, skeleton.dead), 1.0)
     to_goal = skeleton.at_pairs(successor_means(model, model.goal_mask))
     leaks = np.where(skeleton.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)
-    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
+    rows = skeleton.transitions(survival, departing=survival == 1.0)
+    departs = rows.departs
     process = ExplicitProcess(
         pair_offsets=skeleton.pair_offsets,
-        transitions=transitions,
+        transitions=rows.matrix,
         start=np.zeros(skeleton.n_nodes),
         cost=stage / departs,
         failure=leaks / departs,

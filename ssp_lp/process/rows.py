@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -28,7 +29,15 @@ class RowChoice:
     width: int = 1  # blocks of columns
 
 
-def live_rows(rows: RowChoice, survival: float = 1.0) -> tuple[sp.csr_array, FloatArray]:
+class LiveRows(NamedTuple):
+    """Rows of a process, what they were divided by, and what leaves it."""
+
+    matrix: sp.csr_array  # [rows, width * nodes], possibly several entries for one column
+    departs: FloatArray  # [rows] probability of departing, 1 where nothing was divided
+    exits: FloatArray  # [rows] probability of going where the process ends, or being discounted
+
+
+def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     """Probabilities of going from each row's pair to each node.
 
     Where a home is given, rows are seen on departing only: waiting in place changes no total but
@@ -38,13 +47,9 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> tuple[sp.csr_array, Flo
     Args:
         rows: the rows.
         survival: factor of every probability.
-
-    Returns:
-        [rows, width * nodes], possibly with several entries for one column; and the probability
-        of departing, [rows], 1 where nothing was divided.
     """
     n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
-    counts, departs = _count(rows)
+    counts, departs, leaks = _count(rows)
     indptr = np.zeros(n_rows + 1, dtype=np.int64)
     np.cumsum(counts, out=indptr[1:])
     small = max(int(indptr[-1]), n_columns) < 2**31
@@ -67,21 +72,24 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> tuple[sp.csr_array, Flo
             place = slice(indptr[some.start], indptr[some.stop])
             indices[place] = column
             data[place] = probability / departs[some][row] * survival
-    return sp.csr_array((data, indices, indptr), shape=(n_rows, n_columns)), departs
+    matrix = sp.csr_array((data, indices, indptr), shape=(n_rows, n_columns))
+    exits = leaks if survival == 1.0 else (1.0 - survival) + survival * leaks
+    return LiveRows(matrix, departs, exits / departs)
 
 
-def _count(rows: RowChoice) -> tuple[IntArray, FloatArray]:
-    """Entries of each row and its probability of departing, [rows] each."""
+def _count(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Entries of each row, its probability of departing, and what ends there, [rows] each."""
     counts, departs = np.zeros(len(rows.pair_at), dtype=np.int32), np.ones(len(rows.pair_at))
+    leaks = np.ones(len(rows.pair_at))
     model = rows.model
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled import rows as compiled
 
         compiled.count(
             model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
-            rows.node_of, rows.pair_at, _array(rows.home), counts, departs,
+            rows.node_of, rows.pair_at, _array(rows.home), counts, departs, leaks,
         )  # fmt: skip
-        return counts, departs
+        return counts, departs, leaks
     for some in _row_chunks(rows):
         outcome, row, size = *_outcomes(rows, some), some.stop - some.start
         probability = model.probabilities[outcome]
@@ -91,14 +99,14 @@ def _count(rows: RowChoice) -> tuple[IntArray, FloatArray]:
         if rows.home is not None:
             loop = live & (node == rows.home[some][row])
         away = live & ~loop
-        mass = np.bincount(row[node < 0], probability[node < 0], size) + np.bincount(
-            row[away], probability[away], size
-        )
+        leak = np.bincount(row[node < 0], probability[node < 0], size)
+        leaks[some] = np.where(rows.pair_at[some] < 0, 1.0, leak)
+        mass = leak + np.bincount(row[away], probability[away], size)
         loops = np.bincount(row[loop], minlength=size)
         entries = np.bincount(row[away], minlength=size)
         counts[some] = np.where(mass == 0, entries + loops, entries)
         departs[some] = np.where((loops > 0) & (mass > 0), mass, 1.0)
-    return counts, departs
+    return counts, departs, leaks
 
 
 def _entries(

@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids, segment_sums
+from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import approach_pairs, dead_ends, end_components
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
-from ssp_lp.process.rows import RowChoice, live_rows
+from ssp_lp.process.rows import LiveRows, RowChoice, live_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,20 +32,22 @@ class Skeleton:
     pair_node: IntArray  # [pairs] increasing
     pair_offsets: IntArray  # [nodes + 1]
 
-    def transitions(self, survival: float, *, departing: bool) -> tuple[sp.csr_array, FloatArray]:
-        """Probability of going from each pair to each node, [pairs, nodes].
+    def transitions(self, survival: float, *, departing: bool) -> LiveRows:
+        """Probability of going from each pair to each node, and of ending, [pairs, nodes].
 
         Args:
             survival: factor of every probability, the discount.
             departing: see each node's outcomes on departing from it only (see ``live_rows``).
-
-        Returns:
-            The matrix and what its rows were divided by, [pairs].
         """
         home = self.pair_node if departing else None
         return live_rows(
             RowChoice(self.model, self.node_of, self.n_nodes, self.pair_at, home), survival
         )
+
+    def dynamics(self, survival: float, *, departing: bool) -> tuple[Dynamics, FloatArray]:
+        """The same as a process to be solved, and what its rows were divided by, [pairs]."""
+        rows = self.transitions(survival, departing=departing)
+        return Dynamics(self.pair_offsets, rows.matrix, rows.exits), rows.departs
 
     def at_pairs(self, per_pair: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
         """Values of the model's pairs, in the order of the pairs here, [pairs].

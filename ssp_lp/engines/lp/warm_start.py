@@ -20,13 +20,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray
-from ssp_lp.bellman import ChosenRows
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.opening import open_at, open_by_pricing
 from ssp_lp.engines.oracles.oracle import Column
 from ssp_lp.engines.row import Row
-from ssp_lp.linear import accumulate
 from ssp_lp.process.explicit import ExplicitProcess
 
 _TOLERANCE = 1e-12
@@ -122,7 +120,7 @@ def _searched(instance: Instance, row: Row, deadline: float) -> HullSearch:
 def _best_pairs(process: ExplicitProcess, price: float, choice: IntArray) -> BoolArray:
     """Pairs that are as good as those of the best policy at a price of failure, [pairs]."""
     priced = process.cost + price * process.failure
-    values = accumulate(ChosenRows(process.transitions, choice.astype(np.int32)), priced[choice])
+    values = process.dynamics.chain(choice.astype(np.int32)).solve(priced[choice])
     excess = priced + process.transitions @ values - values[process.pair_state]
     return np.asarray(excess <= _TIE * float(np.abs(values).max(initial=0.0)))
 
@@ -161,5 +159,5 @@ def _mixed(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
 
 
 def _failure(process: ExplicitProcess, choice: IntArray) -> float:
-    chain = ChosenRows(process.transitions, choice.astype(np.int32))
-    return float(process.start @ accumulate(chain, process.failure[choice]))
+    chain = process.dynamics.chain(choice.astype(np.int32))
+    return float(process.start @ chain.solve(process.failure[choice]))

@@ -7,13 +7,14 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.bellman import ChosenRows
-from ssp_lp.engines.oracles.oracle import Column, Proof, Work, required
-from ssp_lp.engines.oracles.policy_iteration import approach, improve
-from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.approach import approach
+from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.dual_bound import dual_bound
+from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.engines.oracles.oracle import Column, Proof, required
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import FailureLabelled
@@ -34,12 +35,11 @@ class ExplicitOracle:
     def _leaving(self) -> IntArray:
         """A policy that leaves the process from every state, towards the goal first, [states]."""
         process = self.process
-        offsets, transitions = process.pair_offsets, process.transitions
         found = self.labelled.nearer_goal()
-        to_goal = approach(offsets, transitions, process.goal > 0) if found is None else found
+        to_goal = approach(process.dynamics, process.goal > 0) if found is None else found
         if to_goal.min(initial=0) >= 0:
             return to_goal
-        leaks = approach(offsets, transitions, process.goal + process.failure > 0)
+        leaks = approach(process.dynamics, process.dynamics.exits > 0)
         return np.where(to_goal >= 0, to_goal, leaks)
 
     @cached_property
@@ -53,11 +53,9 @@ class ExplicitOracle:
 
     def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
         """A policy of least ``cost + failure_price * failure``, measured exactly."""
-        process = self.process
         found = warm is not None and warm.choice is not None
         settled = improve(
-            process.pair_offsets,
-            process.transitions,
+            self.process.dynamics,
             self._rewards,
             np.array([1.0, failure_price]),
             warm.choice if warm is not None and warm.choice is not None else self._leaving,
@@ -71,9 +69,9 @@ class ExplicitOracle:
         Args:
             choice: [states].
         """
-        chain = ChosenRows(self.process.transitions, choice)
-        totals = accumulate(chain, self._rewards[choice])
-        return self._column(choice, totals, Work(0, chain.products))
+        system = self.process.dynamics.chain(choice)
+        totals = evaluate_chain(system, self._rewards[choice])
+        return self._column(choice, totals.values, Work(0, system.products))
 
     def _column(self, choice: IntArray, totals: FloatArray, work: Work) -> Column:
         cost, failure = (self.process.start @ totals).tolist()
@@ -98,10 +96,8 @@ class ExplicitOracle:
         if values.shape != (process.n_states,) or slack:
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
         priced = process.cost + price * process.failure
-        checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
-        summands = int(np.count_nonzero(process.start))  # a sum of one term is exact
-        bound = float(process.start @ checked) * (1.0 - (summands - 1.0) * MACHINE_EPSILON)
-        return Proof(price, price, bound, checked)
+        checked = dual_bound(process.dynamics, priced, values)
+        return Proof(price, price, checked.at(process.start), checked.values)
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""

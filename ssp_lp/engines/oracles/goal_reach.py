@@ -10,21 +10,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.arrays import MAXIMISER, BoolArray, FloatArray, IntArray
-from ssp_lp.bellman import ChosenRows
-from ssp_lp.engines.oracles.policy_iteration import approach, improve
-from ssp_lp.engines.oracles.sub_solution import sub_solution
-from ssp_lp.linear import accumulate
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.dynamic_programming.approach import approach
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.extreme_reach import Exits, extreme_reach
+from ssp_lp.dynamic_programming.linear_system import System
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import approach_pairs, attention_states, pairs_into
+from ssp_lp.model.graph import (
+    approach_pairs,
+    attention_states,
+    pairs_into,
+    reaching_states,
+    surely_reaching,
+)
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.process.charge import TailValues
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.process.rows import RowChoice, live_rows
 from ssp_lp.process.semantics import Aim
 from ssp_lp.process.skeleton import Skeleton, build_skeleton
-
-_ONE = np.ones(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,22 +61,26 @@ class ReachPolicy:
 def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     """MAXPROB: the greatest E[survival^T; goal] from every state.
 
+    Where the goal is reached for sure, and where it never is, is decided on the graph.
+
     Args:
+        model: the model.
         survival: the discount; 1 for probabilities.
     """
-    everything = np.ones(model.n_pairs, dtype=np.bool_) if survival == 1.0 else None
-    skeleton = build_skeleton(model, free=everything)  # moving about in a component risks nothing
-    offsets = skeleton.pair_offsets
-    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
-    hit = survival * _goal_mass(skeleton) / departs
-    first = approach(offsets, transitions, hit > 0)
-    settled = improve(offsets, transitions, hit[:, None], -_ONE, first)
-    chain = ChosenRows(transitions, settled.choice)
-    reach = accumulate(chain, hit[settled.choice], settled.totals[:, 0])
-    best = hit + transitions @ reach >= reach[skeleton.pair_node] * (1.0 - MAXIMISER)
-    best[settled.choice] = True
-    bound = -sub_solution(offsets, transitions, -hit, -reach, floor=-1.0 - 1e-9)
-    return _on_states(skeleton, reach, bound, best, settled.choice)
+    exact = survival == 1.0
+    sure, keeping = surely_reaching(model) if exact else (model.goal_mask, _no_pairs(model))
+    everything = np.ones(model.n_pairs, dtype=np.bool_) if exact else None
+    # moving about in a component risks nothing
+    skeleton = build_skeleton(model, free=everything, ended=sure)
+    found = _extreme(skeleton, sure, survival, greatest=True)
+    into_goal = pairs_into(model, model.goal_mask)
+    nearer = approach_pairs(model, into_goal & keeping, keeping) if exact else found.decision
+    inside = sure & ~model.goal_mask
+    return replace(
+        found,
+        usable=np.where(inside[model.pair_state], keeping, found.usable),
+        decision=np.where(inside, nearer, found.decision),
+    )
 
 
 def extreme_goal_reach(model: SSP, aim: Aim) -> GoalReach:
@@ -82,23 +91,55 @@ def extreme_goal_reach(model: SSP, aim: Aim) -> GoalReach:
 def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     """MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
 
-    Only states that cannot avoid the goal for sure need to be solved for.
+    Only states that cannot avoid the goal for sure need to be solved for, and of those only the
+    ones that can come to an attention state: from the others it is reached for sure.
     """
     attention = attention_states(model)
-    skeleton = build_skeleton(model, ended=attention)
-    offsets = skeleton.pair_offsets
-    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
-    hit = survival * _goal_mass(skeleton) / departs
-    first = np.asarray(offsets[:-1])
-    settled = improve(offsets, transitions, hit[:, None], _ONE, first)
-    chain = ChosenRows(transitions, settled.choice)
-    reach = np.maximum(accumulate(chain, hit[settled.choice], settled.totals[:, 0]), 0.0)
-    best = hit + transitions @ reach <= reach[skeleton.pair_node] * (1.0 + MAXIMISER)
-    best[settled.choice] = True
-    bound = sub_solution(offsets, transitions, hit, reach)
-    found = _on_states(skeleton, reach, bound, best, settled.choice)
+    bound_to = model.goal_mask
+    if survival == 1.0:
+        bound_to = ~reaching_states(model, attention)
+    skeleton = build_skeleton(model, ended=attention | bound_to)
+    found = _extreme(skeleton, bound_to, survival, greatest=False)
+    inside = bound_to & ~model.goal_mask
     decision = np.where(attention & ~skeleton.dead, GIVE_UP_CODE, found.decision)
-    return replace(found, decision=decision)
+    return replace(
+        found,
+        usable=found.usable | inside[model.pair_state],
+        decision=np.where(inside, model.pair_offsets[:-1], decision),
+    )
+
+
+def _extreme(
+    skeleton: Skeleton, hit_states: BoolArray, survival: float, *, greatest: bool
+) -> GoalReach:
+    """The greatest or the least E[survival^T; hit] over the live states.
+
+    Args:
+        skeleton: the live states.
+        hit_states: where episodes that count end, [states]; all others that end do not count.
+        survival: the discount.
+        greatest: or least.
+    """
+    model = skeleton.model
+    dynamics, departs = skeleton.dynamics(survival, departing=survival == 1.0)
+    hit = survival * skeleton.at_pairs(successor_means(model, hit_states)) / departs
+    missing = (skeleton.node_of < 0) & ~hit_states
+    miss = survival * skeleton.at_pairs(successor_means(model, missing)) / departs
+    if survival < 1.0:
+        miss = miss + (1.0 - survival)
+    reach = extreme_reach(Exits(dynamics, hit, miss), greatest=greatest)
+    usable = skeleton.inside.copy()
+    usable[skeleton.pair_at[reach.tied & (skeleton.pair_at >= 0)]] = True
+    return GoalReach(
+        goal=np.where(hit_states, 1.0, skeleton.lift(reach.hit)),
+        bound=np.where(hit_states, 1.0, skeleton.lift(reach.bound)),
+        usable=usable,
+        decision=skeleton.pull_back(reach.choice),
+    )
+
+
+def _no_pairs(model: SSP) -> BoolArray:
+    return np.zeros(model.n_pairs, dtype=np.bool_)
 
 
 def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
@@ -114,23 +155,20 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     free = costless_pairs(model, weight) & ~exits[model.pair_state] if survival == 1.0 else None
     usable = reach.usable & ~exits[model.pair_state]
     skeleton = build_skeleton(model, usable=usable, free=free, exits=exits)
-    transitions, departs = skeleton.transitions(survival, departing=survival == 1.0)
-    gain = _goal_mass(skeleton) / departs
+    dynamics, departs = skeleton.dynamics(survival, departing=survival == 1.0)
+    gain = skeleton.at_pairs(successor_means(model, model.goal_mask)) / departs
     pair_cost = skeleton.at_pairs(cost_means(model, weight)) / departs
-    first = approach(
-        skeleton.pair_offsets, transitions, (skeleton.pair_at == GIVE_UP_CODE) | (gain > 0)
-    )
+    first = approach(dynamics, (skeleton.pair_at == GIVE_UP_CODE) | (gain > 0))
     rewards, only_cost = np.stack([pair_cost, gain], axis=1), np.array([1.0, 0.0])
-    settled = improve(skeleton.pair_offsets, transitions, rewards, only_cost, first)
-    choice = settled.choice
-    solved = accumulate(ChosenRows(transitions, choice), rewards[choice], settled.totals)
-    bound = sub_solution(skeleton.pair_offsets, transitions, pair_cost, solved[:, 0])
-    early_goal = skeleton.lift(solved[:, 1])
+    settled = improve(dynamics, rewards, only_cost, first)
+    bound = sub_solution(dynamics, pair_cost, settled.totals[:, 0])
+    early_goal = np.clip(skeleton.lift(settled.totals[:, 1]), 0.0, 1.0)
+    surely = reach.goal == 1.0  # decided on the graph
     return ReachPolicy(
-        decision=skeleton.pull_back(choice),
-        goal=np.where(model.goal_mask, 1.0, survival * early_goal),
-        early=early_goal,
-        cost=skeleton.lift(solved[:, 0]),
+        decision=skeleton.pull_back(settled.choice),
+        goal=np.where(surely, 1.0, survival * early_goal),
+        early=np.where(surely & ~model.goal_mask, 1.0, early_goal),
+        cost=skeleton.lift(settled.totals[:, 0]),
         cost_bound=skeleton.lift(bound),
     )
 
@@ -147,35 +185,18 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     node_of[live] = np.arange(live.size)
     taken, exact = decision[live].astype(np.int32), survival == 1.0
     home = node_of[live] if exact else None
-    chain, departs = live_rows(RowChoice(model, node_of, live.size, taken, home), survival)
+    rows = live_rows(RowChoice(model, node_of, live.size, taken, home), survival)
+    chain, departs = System(rows.matrix, rows.exits), rows.departs
     hit = successor_means(model, model.goal_mask)[taken] / departs
     early = np.zeros(model.n_states)
-    early[live] = accumulate(chain, hit)
+    early[live] = chain.solve(hit)
     goal = np.where(model.goal_mask, 1.0, survival * early)
     cost = np.zeros(model.n_states)
-    cost[live] = accumulate(chain, cost_means(model, goal)[taken] / departs)
+    cost[live] = chain.solve(cost_means(model, goal)[taken] / departs)
     return ReachPolicy(
         decision=np.where(decision >= 0, decision, UNDECIDED),
         goal=goal,
         early=early,
         cost=cost,
         cost_bound=np.zeros(model.n_states),
-    )
-
-
-def _goal_mass(skeleton: Skeleton) -> FloatArray:
-    return skeleton.at_pairs(successor_means(skeleton.model, skeleton.model.goal_mask))
-
-
-def _on_states(
-    skeleton: Skeleton, reach: FloatArray, bound: FloatArray, best: BoolArray, choice: IntArray
-) -> GoalReach:
-    model = skeleton.model
-    usable = skeleton.inside.copy()
-    usable[skeleton.pair_at[best & (skeleton.pair_at >= 0)]] = True
-    return GoalReach(
-        goal=np.where(model.goal_mask, 1.0, skeleton.lift(np.clip(reach, 0.0, 1.0))),
-        bound=np.where(model.goal_mask, 1.0, skeleton.lift(np.clip(bound, 0.0, 1.0))),
-        usable=usable,
-        decision=skeleton.pull_back(choice),
     )

@@ -15,7 +15,6 @@ from ssp_lp.arrays import (
     least_integer_type,
 )
 from ssp_lp.bellman import (
-    ChosenRows,
     PairCost,
     backup_rounding,
     best_pairs,
@@ -23,13 +22,14 @@ from ssp_lp.bellman import (
     safe_minima,
     unsigned_parts,
 )
+from ssp_lp.dynamic_programming.approach import approach
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.oracles.layer_costs import Summands, priced_layers, summed_layers
-from ssp_lp.engines.oracles.oracle import Column, Proof, Work, required
-from ssp_lp.engines.oracles.policy_iteration import approach, improve
-from ssp_lp.engines.oracles.sub_solution import sub_solution
+from ssp_lp.engines.oracles.oracle import Column, Proof, required
 from ssp_lp.engines.oracles.window import Window
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.process.layered import LayeredProcess
@@ -95,7 +95,7 @@ class LayeredOracle:
             backup = best_pairs(offsets, base.later, cost, ahead.flat)
             return backup.choice, backup.minima
         onward = (cost.total + base.later @ ahead.flat)[:, None]
-        settled = improve(offsets, base.instant, onward, _ONE, inner)
+        settled = improve(base.instant_dynamics, onward, _ONE, inner)
         return settled.choice, settled.values
 
     def _fused(
@@ -139,7 +139,7 @@ class LayeredOracle:
         totals[:, 2] = base.survival * base.gain[chosen]
         totals += chosen_product(base.later, chosen, ahead.flat)
         if not self._acyclic:
-            totals = accumulate(ChosenRows(base.instant, chosen), totals)
+            totals = base.instant_dynamics.chain(chosen).solve(totals)
         return totals
 
     def _measures_beyond(self, tail_price: float) -> Window:
@@ -236,14 +236,14 @@ class LayeredOracle:
         self, sums: Summands, window: Window, given: FloatArray, inner: IntArray, floor: float
     ) -> tuple[FloatArray, IntArray]:
         """Checked values of a layer with steps inside it, [nodes], and its best choice."""
-        base, offsets = self.process.base, self.process.base.pair_offsets
+        base = self.process.base
         growth = 0.0 if sums.cost.slope is None else sums.cost.factor * sums.cost.slope
         size = (sums.magnitude + growth) + base.later @ np.abs(window.flat)
         ahead = (sums.cost.fixed + growth) + base.later @ window.flat
         ahead = np.where(size == sums.alone, ahead, ahead - backup_rounding(base.later) * size)
-        settled = improve(offsets, base.instant, ahead[:, None], _ONE, inner)
+        settled = improve(base.instant_dynamics, ahead[:, None], _ONE, inner)
         given = np.minimum(settled.values, given)
-        return sub_solution(offsets, base.instant, ahead, given, floor), settled.choice
+        return sub_solution(base.instant_dynamics, ahead, given, floor), settled.choice
 
     @cached_property
     def _anything(self) -> FloatArray:
@@ -271,7 +271,7 @@ class LayeredOracle:
     def _first_choice(self) -> IntArray:
         base = self.process.base
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
-        return approach(base.pair_offsets, base.instant, leaving)
+        return approach(base.instant_dynamics, leaving)
 
     def _tail_values(self, price: float, failing: float) -> FloatArray:
         """Values of the tails beyond the cap, [width - 1, nodes]."""

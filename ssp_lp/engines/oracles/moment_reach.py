@@ -14,11 +14,11 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
-from ssp_lp.bellman import ChosenRows
+from ssp_lp.dynamic_programming.approach import approach
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.engines.oracles.goal_reach import GoalReach
-from ssp_lp.engines.oracles.policy_iteration import approach, improve
-from ssp_lp.engines.oracles.sub_solution import sub_solution
-from ssp_lp.linear import accumulate
 from ssp_lp.model import SSP
 from ssp_lp.process.charge import TailValues
 from ssp_lp.process.expectations import costless_pairs, successor_means
@@ -58,15 +58,15 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> Moment
         usable: pairs, [model pairs], such as those of greatest goal probability; None: all.
     """
     skeleton = build_skeleton(model, usable=usable, free=costless_pairs(model))
-    offsets, shrinking = skeleton.pair_offsets, _shrunk(skeleton, rate)
+    shrinking = _shrunk(skeleton, rate)
     gain = skeleton.at_pairs(_shrunk_arrivals(model, rate))
     hit = skeleton.at_pairs(successor_means(model, model.goal_mask))
-    plain, _ = skeleton.transitions(1.0, departing=False)
-    first = approach(offsets, plain, hit > 0)
-    settled = improve(offsets, shrinking, gain[:, None], -_ONE, first)
+    plain, _ = skeleton.dynamics(1.0, departing=False)
+    first = approach(plain, hit > 0)
+    settled = improve(shrinking, gain[:, None], -_ONE, first)
     moment = settled.totals[:, 0]
-    bound = -sub_solution(offsets, shrinking, -gain, -moment, floor=-1.0 - 1e-9)
-    reached = accumulate(ChosenRows(plain, settled.choice), hit[settled.choice])
+    bound = -sub_solution(shrinking, -gain, -moment, floor=-1.0 - 1e-9)
+    reached = plain.chain(settled.choice).solve(hit[settled.choice])
     at_goal = model.goal_mask
     return MomentReach(
         decision=skeleton.pull_back(settled.choice),
@@ -115,8 +115,8 @@ def _shrunk_arrivals(model: SSP, rate: float, values: FloatArray | None = None) 
     return segment_sums(terms, model.outcome_offsets)
 
 
-def _shrunk(skeleton: Skeleton, rate: float) -> sp.csr_array:
-    """Transitions weighted by exp(rate * stage cost), [pairs, nodes]."""
+def _shrunk(skeleton: Skeleton, rate: float) -> Dynamics:
+    """The process whose transitions are weighted by exp(rate * stage cost)."""
     model = skeleton.model
     node = skeleton.node_of[model.successors]
     live = node >= 0
@@ -125,4 +125,6 @@ def _shrunk(skeleton: Skeleton, rate: float) -> sp.csr_array:
     every = sp.csr_array(
         (weight[live], (pair[live], node[live])), shape=(model.n_pairs, skeleton.n_nodes)
     )
-    return sp.csr_array(every[skeleton.pair_at])
+    lost = np.where(live, -np.expm1(rate * model.costs), 1.0) * model.probabilities
+    exits = skeleton.at_pairs(segment_sums(lost, model.outcome_offsets))
+    return Dynamics(skeleton.pair_offsets, sp.csr_array(every[skeleton.pair_at]), exits)

@@ -8,22 +8,11 @@ from typing import Any, Protocol, TypeVar
 import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 
 _Array = TypeVar("_Array", bound=npt.NDArray[Any])
-
-
-@dataclass(frozen=True)
-class Work:
-    """Passes over a process: what most of an oracle's time is spent on."""
-
-    backups: int = 0  # over all pairs
-    products: int = 0  # over one pair per state
-
-    def __add__(self, other: Work) -> Work:
-        """Both together."""
-        return Work(self.backups + other.backups, self.products + other.products)
 
 
 @dataclass(frozen=True, eq=False)

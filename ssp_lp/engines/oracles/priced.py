@@ -21,14 +21,13 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.bellman import ChosenRows
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
+from ssp_lp.dynamic_programming.policy_iteration import Settled, improve
+from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.oracles.explicit import ExplicitOracle
-from ssp_lp.engines.oracles.oracle import Work
-from ssp_lp.engines.oracles.policy_iteration import Settled, improve
-from ssp_lp.engines.oracles.sub_solution import sub_solution
 from ssp_lp.errors import ModelError
-from ssp_lp.linear import accumulate
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.contraction import Contracted, contract
 from ssp_lp.process.explicit import ExplicitProcess
@@ -121,8 +120,7 @@ class PricedOracle:
         priced = self.rewards @ weights
         priced = priced if isinstance(process, ExplicitProcess) else priced[process.pairs]
         return improve(
-            process.pair_offsets,
-            process.transitions,
+            process.dynamics,
             priced[:, None],
             _UNIT,
             choice,
@@ -139,9 +137,10 @@ class PricedOracle:
         return self._known[key]
 
     def _measured(self, choice: IntArray, guess: FloatArray | None, work: Work) -> Point:
-        chain = ChosenRows(self.process.transitions, choice)
-        totals = accumulate(chain, self.rewards[choice], guess)
-        spent = work + Work(0, chain.products)
+        system = self.process.dynamics.chain(choice)
+        first = None if guess is None else system.solve(self.rewards[choice], guess)
+        totals = evaluate_chain(system, self.rewards[choice], first).values
+        spent = work + Work(0, system.products)
         return Point(self.process.start @ totals, choice, totals, spent)
 
     def prove(self, weights: FloatArray, best: Point) -> Checked:
@@ -163,17 +162,12 @@ class PricedOracle:
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
         smaller = self._contracted(weights)
         if smaller is None:
-            checked = sub_solution(process.pair_offsets, process.transitions, priced, values)
+            checked = dual_bound(process.dynamics, priced, values)
         else:
-            checked = sub_solution(
-                smaller.pair_offsets,
-                smaller.transitions,
-                priced[smaller.pairs],
-                smaller.least(values),
-            )[smaller.node_of]
-        summands = int(np.count_nonzero(process.start))  # a sum of one term is exact
-        bound = float(process.start @ checked) * (1.0 - (summands - 1.0) * MACHINE_EPSILON)
-        return Checked(bound, checked, work)
+            found = dual_bound(smaller.dynamics, priced[smaller.pairs], smaller.least(values))
+            node = smaller.node_of
+            checked = DualBound(found.values[node], found.low[node])
+        return Checked(checked.at(process.start), checked.values, work)
 
     def policy(self, point: Point) -> DeterministicPolicy:
         """The policy on the original states."""

@@ -1,0 +1,91 @@
+"""Strong components of a sparse matrix's graph in the order in which they can be solved."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+Array = np.ndarray[Any, Any]
+
+
+@njit(cache=True)
+def order_components(indptr: Array, indices: Array, data: Array, label: Array, order: Array) -> int:
+    """Number the components, in place, so that each comes after all that it leads to.
+
+    Tarjan's search (1972) without recursion. Within a component the states stand in the order in
+    which the search was done with them, so that most come after those that they lead to.
+
+    Args:
+        indptr: [states + 1].
+        indices: [entries].
+        data: entries of 0 are no edges, [entries].
+        label: component of each state, written, [states].
+        order: states, one component after the other, written, [states].
+
+    Returns:
+        The number of components.
+    """
+    n = label.size
+    number, low = np.zeros(n, dtype=np.uint32), np.zeros(n, dtype=np.uint32)
+    place = indptr[:-1].copy()
+    opened, calls = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
+    finished = np.empty(n, dtype=np.uint32)
+    n_open, n_finished, visited, found = 0, 0, np.uint32(0), 0
+    label[:] = -1
+    for root in range(n):
+        if number[root] != 0:
+            continue
+        depth, entered = 0, root
+        while entered >= 0 or depth > 0:
+            if entered >= 0:
+                visited += np.uint32(1)
+                number[entered] = low[entered] = visited
+                opened[n_open] = calls[depth] = entered
+                n_open, depth = n_open + 1, depth + 1
+            state = calls[depth - 1]
+            entered = -1
+            k, end = place[state], indptr[np.uint32(state + np.uint32(1))]
+            while k < end:
+                successor = indices[k]
+                possible = data[k] > 0.0
+                k += 1
+                if not possible:
+                    continue
+                if number[successor] == 0:
+                    entered = np.int64(successor)
+                    break
+                if label[successor] < 0:
+                    low[state] = min(low[state], number[successor])
+            place[state] = k
+            if entered >= 0:
+                continue
+            depth -= 1
+            finished[n_finished] = state
+            n_finished += 1
+            if depth > 0:
+                caller = calls[depth - 1]
+                low[caller] = min(low[caller], low[state])
+            if low[state] == number[state]:
+                while True:
+                    n_open -= 1
+                    label[opened[n_open]] = found
+                    if opened[n_open] == state:
+                        break
+                found += 1
+    _sort_by_label(label, finished, found, order)
+    return found
+
+
+@njit(cache=True)
+def _sort_by_label(label: Array, finished: Array, found: int, order: Array) -> None:
+    """Counting sort that keeps the order of finishing within each component."""
+    begin = np.zeros(found + 1, dtype=np.int64)
+    for state in finished:
+        begin[label[state] + 1] += 1
+    for c in range(found):
+        begin[c + 1] += begin[c]
+    for state in finished:
+        order[begin[label[state]]] = state
+        begin[label[state]] += 1

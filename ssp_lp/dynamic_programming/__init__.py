@@ -1,0 +1,1 @@
+"""Dynamic programming on substochastic processes: equations of policies, improvement, bounds."""

@@ -1,0 +1,128 @@
+"""What a substochastic process does, whatever it costs: transitions, exits, and their graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import (
+    FloatArray,
+    IntArray,
+    concatenated_ranges,
+    segment_ids,
+    sorted_unique,
+)
+from ssp_lp.bellman import ChosenRows
+from ssp_lp.dynamic_programming.components import Components, strong_components
+from ssp_lp.dynamic_programming.linear_system import System
+from ssp_lp.model.predecessors import Predecessors, find_predecessors
+
+
+_KEPT_CHAINS = 4
+"""Layers of accumulated cost ask for the equations of the same few policies again and again."""
+
+_KEPT_STATES = 100_000  # states up to which they are kept
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """States that lead to earlier levels only, with their pairs."""
+
+    states: IntArray
+    pairs: IntArray
+    offsets: IntArray  # of each state's pairs among these, [states of the level + 1]
+    rows: sp.csr_array  # [pairs of the level, all states], without self-loops
+    departs: FloatArray  # [pairs of the level]
+
+
+@dataclass(frozen=True, eq=False)
+class Dynamics:
+    """Pairs of each state, where they lead, and with what probability they leave for good.
+
+    The exits are carried as data: formed as ``1 - sum`` they would be lost to rounding where a
+    process is hardly ever left. A row and its exits are the truth together: their sum is what is
+    called one.
+    """
+
+    pair_offsets: IntArray  # [states + 1]
+    transitions: sp.csr_array  # [pairs, states]
+    exits: FloatArray  # [pairs]
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return len(self.pair_offsets) - 1
+
+    @cached_property
+    def pair_state(self) -> IntArray:
+        """The state of each pair, [pairs]."""
+        return segment_ids(self.pair_offsets)
+
+    @cached_property
+    def components(self) -> Components:
+        """Strong components of the graph of all pairs, ends first; found once for all criteria."""
+        rows = self.transitions
+        return strong_components(rows.indptr[self.pair_offsets], rows.indices, rows.data)
+
+    @cached_property
+    def is_acyclic(self) -> bool:
+        """Whether no run comes back to a state that it has left."""
+        return self.components.n_components == self.n_states
+
+    @cached_property
+    def predecessors(self) -> Predecessors:
+        """The pairs that may lead to each state."""
+        rows = self.transitions
+        return find_predecessors(self.n_states, rows.indptr, rows.indices, rows.data)
+
+    @cached_property
+    def levels(self) -> list[Level]:
+        """The states of a process without cycles by how far they are from its ends at most."""
+        return list(_levels(self))
+
+    def chain(self, choice: IntArray) -> System:
+        """The equations of one pair per state, [states]; the last few are kept with their factors."""
+        if self.n_states > _KEPT_STATES:
+            return self._chain(choice)
+        key, kept = choice.astype(np.int32, copy=False).tobytes(), self._chains
+        if key not in kept:
+            if len(kept) >= _KEPT_CHAINS:
+                kept.pop(next(iter(kept)))
+            kept[key] = self._chain(choice)
+        return kept[key]
+
+    def _chain(self, choice: IntArray) -> System:
+        rows = ChosenRows(self.transitions, choice).gathered()
+        return System(rows.matrix, self.exits[choice])
+
+    @cached_property
+    def _chains(self) -> dict[bytes, System]:
+        return {}
+
+
+def _levels(dynamics: Dynamics) -> Iterator[Level]:
+    """Level by level, from the states that lead nowhere."""
+    home, entry = dynamics.pair_state, dynamics.transitions.tocoo()
+    away = (home[entry.row] != entry.col) & (entry.data > 0.0)
+    shape = dynamics.transitions.shape
+    moving = sp.csr_array((entry.data[away], (entry.row[away], entry.col[away])), shape=shape)
+    before = moving.tocsc()
+    waiting = np.bincount(home[entry.row[away]], minlength=dynamics.n_states)
+    states: IntArray = np.flatnonzero(waiting == 0)
+    while states.size:
+        begin = dynamics.pair_offsets[states]
+        counts = dynamics.pair_offsets[states + 1] - begin
+        pairs = concatenated_ranges(begin, counts)
+        rows = sp.csr_array(moving[pairs])
+        departs = dynamics.exits[pairs] + np.asarray(rows.sum(axis=1)).ravel()
+        departs = np.where(departs > 0.0, departs, np.nan)
+        yield Level(states, pairs, np.append(0, np.cumsum(counts)), rows, departs)
+        first = before.indptr[states]
+        entering = before.indices[concatenated_ranges(first, before.indptr[states + 1] - first)]
+        owners = home[entering]
+        waiting -= np.bincount(owners, minlength=dynamics.n_states)
+        states = sorted_unique(owners[waiting[owners] == 0])

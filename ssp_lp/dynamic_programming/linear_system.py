@@ -1,0 +1,301 @@
+"""The equations of a policy, ``x = reward + chain @ x``, solved along the structure of its chain.
+
+The chain's strong components are solved ends first, each by what suits it: by substitution where it
+is one state, by state reduction without subtractions where it is small or narrow, and where it is
+large by sweeps, then by a Krylov method on top of them, then by sparse factors. State reduction
+keeps the relative accuracy of every entry whatever the condition (Grassmann, Taksar and Heyman
+1985); what the other methods return is judged by ``evaluate_chain``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import linalg
+
+from ssp_lp.accelerator import accelerated
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.bellman import unsigned
+from ssp_lp.dynamic_programming.components import Components, strong_components
+from ssp_lp.dynamic_programming.large_component import LargeComponent
+from ssp_lp.dynamic_programming.state_reduction import reduce_states
+from ssp_lp.errors import SolverError
+
+_DENSE_STATES = 40
+"""Up to here a dense solve costs less than setting up a sparse one."""
+
+DIRECT_STATES = 1_000
+"""Up to here one sparse factorisation costs less than looking at the structure."""
+
+_SMALL = 256
+"""States of a component up to which a compiled dense reduction costs no more than other ways."""
+
+_FACTORABLE = 20_000
+"""States of a component up to which visits are had from sparse factors."""
+
+_STEPS = 2_000  # of BiCGStab
+_LEAST_RESIDUAL = 1e-11  # relative; worse ones are refused
+
+EXACT = 4e-15  # relative residual: a few units in the last place of the totals
+
+HOLDS_MASS = "a policy's chain holds mass for ever: from some states it is never left"
+
+Solver = Callable[[FloatArray], FloatArray]
+
+
+class System:
+    """Equations of a substochastic chain whose exits are carried as data."""
+
+    def __init__(self, matrix: sp.csr_array, exits: FloatArray) -> None:
+        """State the equations.
+
+        Args:
+            matrix: probabilities of going on, [states, states].
+            exits: probabilities of leaving for good, [states].
+        """
+        self.matrix, self.exits = matrix, exits
+        self.products = 0  # passes over the matrix
+        self.kept_runs: FloatArray | None = None  # checked run lengths, see ``evaluate_chain``
+        self._large: dict[int, LargeComponent] = {}
+        self._transposed: tuple[IntArray, linalg.SuperLU] | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return len(self.exits)
+
+    @cached_property
+    def components(self) -> Components:
+        """Strong components of the chain, ends first."""
+        return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
+
+    @cached_property
+    def closed(self) -> IntArray:
+        """States from which the chain never leaves, [some states]."""
+        found = self.components
+        entry = self.matrix.tocoo()
+        onward = (found.label[entry.row] != found.label[entry.col]) & (entry.data > 0.0)
+        left = np.zeros(found.n_components, dtype=np.bool_)
+        left[found.label[self.exits > 0.0]] = True
+        left[found.label[entry.row[onward]]] = True
+        return np.flatnonzero(~left[found.label])
+
+    def solve(
+        self, rewards: FloatArray, guess: FloatArray | None = None, accuracy: float = EXACT
+    ) -> FloatArray:
+        """Expected total rewards from each state.
+
+        Args:
+            rewards: [states] or [states, rewards].
+            guess: warm start of the iterative methods, like ``rewards``.
+            accuracy: relative residual of the iterative methods; the others are always exact.
+
+        Returns:
+            Totals, of the shape of ``rewards``.
+
+        Raises:
+            SolverError: the chain holds mass for ever, or no method gets anywhere.
+        """
+        if self.size == 0 or self.matrix.nnz == 0:
+            self._check_exits()
+            return rewards / (self.exits if rewards.ndim == 1 else self.exits[:, None])
+        columns = rewards.reshape(self.size, -1)
+        self.products += 1
+        if self.size <= DIRECT_STATES and not accelerated(self.matrix.nnz):
+            return self._factors(columns).reshape(rewards.shape)
+        x = np.zeros(columns.shape) if guess is None else guess.reshape(columns.shape).copy()
+        for first, last in self._runs:
+            if last - first == 1 and self.components.sizes[first] > _SMALL:
+                self._solve_large(first, columns, x, accuracy)
+            else:
+                self._solve_small(first, last, columns, x)
+        return x.reshape(rewards.shape)
+
+    def solve_by_reduction(self, rewards: FloatArray) -> FloatArray:
+        """The same without any subtraction, at any price: for chains that are hardly left.
+
+        Raises:
+            SolverError: the chain holds mass for ever.
+        """
+        columns = rewards.reshape(self.size, -1)
+        x, found = np.zeros(columns.shape), self.components
+        if accelerated(self.matrix.nnz):
+            for first, last in self._runs:
+                if last - first == 1 and found.sizes[first] > DIRECT_STATES:
+                    self._solve_large(first, columns, x, EXACT)
+                else:
+                    self._solve_compiled(first, last, columns, x)
+            return x.reshape(rewards.shape)
+        for c in range(found.n_components):
+            states = found.members(c)
+            if states.size > DIRECT_STATES:
+                self._solve_large(c, columns, x, EXACT)
+                continue
+            rows = self.matrix[states]
+            inner = rows[:, states].toarray()
+            beyond = np.ones(self.size)
+            beyond[states] = 0.0
+            x[states] = 0.0
+            leaving = self.exits[states] + rows @ beyond
+            x[states] = reduce_states(inner, leaving, columns[states] + rows @ x)
+        return x.reshape(rewards.shape)
+
+    def solve_transposed(self, inflow: FloatArray) -> FloatArray:
+        """Expected visits of each state, given what enters each from outside, [states].
+
+        Raises:
+            SolverError: the chain holds mass for ever.
+        """
+        if self.size == 0:
+            return inflow.copy()
+        if self.components.largest > _FACTORABLE:
+            return self._transposed_by_krylov(inflow)
+        if self._transposed is None:
+            order = self.components.order if self.components.largest <= _SMALL else None
+            factors = _factorised(
+                _equations(self.matrix, self.exits, order), in_order=order is not None
+            )
+            self._transposed = np.arange(self.size) if order is None else order, factors
+        order, factors = self._transposed
+        visits = np.empty_like(inflow)
+        visits[order] = factors.solve(inflow[order], trans="T")
+        return visits
+
+    def _transposed_by_krylov(self, inflow: FloatArray) -> FloatArray:
+        """The same by BiCGStab, for components whose factors would fill in."""
+        system = _equations(self.matrix, self.exits)
+        departs = system.diagonal()
+        onward = linalg.LinearOperator(
+            system.shape, matvec=lambda y: (system.T @ y) / departs, dtype=np.float64
+        )
+        target = EXACT * float(np.abs(inflow).max(initial=0.0))
+        right = inflow / departs
+        visits, state = linalg.bicgstab(onward, right, rtol=0.0, atol=target, maxiter=_STEPS)
+        missed = float(np.abs(inflow - system.T @ visits).max())
+        if state == 0 or missed <= _LEAST_RESIDUAL * float(np.abs(visits).max()):
+            return np.asarray(visits)
+        return np.asarray(_factorised(system).solve(inflow, trans="T"))
+
+    @cached_property
+    def _runs(self) -> list[tuple[int, int]]:
+        """Ranges of components to be solved at once: small ones together, large ones alone."""
+        sizes = self.components.sizes
+        large = np.flatnonzero(sizes > _SMALL).tolist()
+        runs, begin = [], 0
+        for c in large:
+            if c > begin:
+                runs.append((begin, c))
+            runs.append((c, c + 1))
+            begin = c + 1
+        if begin < len(sizes):
+            runs.append((begin, len(sizes)))
+        return runs
+
+    def _check_exits(self) -> None:
+        if (self.exits <= 0.0).any():
+            raise SolverError(HOLDS_MASS)
+
+    @cached_property
+    def _factors(self) -> Solver:
+        """Solve all equations at once, by factors that are kept."""
+        system = _equations(self.matrix, self.exits)
+        if self.size <= _DENSE_STATES:
+            return _dense(system.toarray())
+        factors = _factorised(system)
+        return lambda rewards: _refined(factors.solve, system, rewards)
+
+    def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
+        """Solve a run of small components, in place."""
+        if accelerated(self.matrix.nnz):
+            self._solve_compiled(first, last, rewards, x)
+            return
+        found = self.components
+        states = found.order[found.offsets[first] : found.offsets[last]]
+        rows = self.matrix[states]
+        x[states] = 0.0
+        beyond = rewards[states] + rows @ x
+        if (first, last) not in self._kept:
+            inside = np.ones(self.size)
+            inside[states] = 0.0
+            leaving = self.exits[states] + rows @ inside
+            own = sp.csr_array(rows[:, states])
+            self._kept[first, last] = _factorised(_equations(own, leaving), in_order=True).solve
+        x[states] = self._kept[first, last](beyond)
+
+    @cached_property
+    def _kept(self) -> dict[tuple[int, int], Solver]:
+        return {}
+
+    def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
+        from ssp_lp.compiled.elimination import solve_components
+
+        found, rows = self.components, self.matrix
+        stuck = solve_components(
+            unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
+            unsigned(found.order), found.offsets, first, last,
+            int(found.sizes[first:last].max(initial=1)), rewards, x,
+        )  # fmt: skip
+        if stuck >= 0:
+            raise SolverError(HOLDS_MASS)
+
+    def _solve_large(self, c: int, rewards: FloatArray, x: FloatArray, accuracy: float) -> None:
+        """Solve one large component, in place, given all that it leads to."""
+        if c not in self._large:
+            self._large[c] = LargeComponent(self.matrix, self.exits, self.components.members(c))
+        block = self._large[c]
+        block.solve(rewards, x, accuracy)
+        self.products += block.take_products()
+
+
+def _equations(
+    matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
+) -> sp.csc_array:
+    """``I - chain`` with a diagonal that is the sum of where a state departs to."""
+    n = len(exits)
+    entry = matrix.tocoo()
+    away = (entry.row != entry.col) & (entry.data != 0.0)
+    row, column, data = entry.row[away], entry.col[away], entry.data[away]
+    departs = exits + np.bincount(row, weights=data, minlength=n)
+    if (departs <= 0.0).any():
+        raise SolverError(HOLDS_MASS)
+    place = np.arange(n)
+    if order is not None:
+        place = np.empty(n, dtype=np.int64)
+        place[order] = np.arange(n)
+    row, column = place[row], place[column]
+    return sp.csc_array(
+        (
+            np.concatenate([departs, -data]),
+            (np.concatenate([place, row]), np.concatenate([place, column])),
+        ),
+        shape=(n, n),
+    )
+
+
+def _factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
+    """Sparse factors; in the given order where that is topological, so that nothing fills in."""
+    order = "NATURAL" if in_order else "COLAMD"
+    threshold = 0.0 if in_order else 1.0  # diagonally dominant by rows: the order is kept
+    try:
+        return linalg.splu(system, permc_spec=order, diag_pivot_thresh=threshold)
+    except RuntimeError as error:
+        raise SolverError(HOLDS_MASS) from error
+
+
+def _refined(solve: Solver, system: sp.csc_array, rewards: FloatArray) -> FloatArray:
+    x = solve(rewards)
+    return x + solve(rewards - system @ x)
+
+
+def _dense(system: FloatArray) -> Solver:
+    def solve(rewards: FloatArray) -> FloatArray:
+        try:
+            x = np.linalg.solve(system, rewards)
+            return x + np.linalg.solve(system, rewards - system @ x)
+        except np.linalg.LinAlgError as error:
+            raise SolverError(HOLDS_MASS) from error
+
+    return solve
