@@ -101,3 +101,28 @@ def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) 
     segment = segment_ids(offsets)
     attained = np.flatnonzero(values == minima[segment])
     return attained[np.flatnonzero(np.diff(segment[attained], prepend=-1))]
+
+
+def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
+    """``columns @ weights``, without waking the threads of a matrix product, [rows].
+
+    Args:
+        columns: [rows, columns]; few columns.
+        weights: [columns].
+    """
+    result = columns[:, 0] * weights[0]
+    for j in range(1, len(weights)):
+        if weights[j] != 0.0:
+            result += columns[:, j] * weights[j]
+    return result
+
+
+def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
+    """``start @ values`` over the states that are started in, for a start that is mostly zeros.
+
+    Args:
+        start: distribution, [states].
+        values: [states] or [states, values].
+    """
+    used = np.flatnonzero(start)
+    return np.asarray(start[used] @ values[used])

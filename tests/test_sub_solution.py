@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from ssp_lp.dynamic_programming.dual_bound import shortfall, sub_solution
 
+from ssp_lp.dynamic_programming.dual_bound import shortfall, sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 
 

@@ -50,7 +50,8 @@ def solve_components(
     """
     n_rewards = rewards.shape[1]
     inner, right = np.empty((most, most)), np.empty((most, n_rewards))
-    leaving, place = np.empty(most), np.full(exits.size if most > 1 else 0, -1, dtype=np.int32)
+    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
+    place = np.full(exits.size if most > 1 else 0, -1, dtype=np.int32)
     for c in range(first, last):
         begin, size = offsets[c], offsets[c + 1] - offsets[c]
         if size == 1:
@@ -73,9 +74,9 @@ def solve_components(
             place[order[begin + i]] = i
         _gather(
             indptr, indices, data, exits, order, begin, size, place, rewards, x,
-            inner, leaving, right,
+            inner, low, leaving, right,
         )  # fmt: skip
-        if not _eliminate(inner, leaving, right, size):
+        if not _eliminate(inner, low, leaving, right, size):
             return c
         for i in range(size):
             for j in range(n_rewards):
@@ -87,16 +88,33 @@ def solve_components(
 @njit(cache=True)
 def _gather(
     indptr: Array, indices: Array, data: Array, exits: Array, order: Array, begin: int, size: int,
-    place: Array, rewards: Array, x: Array, inner: Array, leaving: Array, right: Array,
+    place: Array, rewards: Array, x: Array,
+    inner: Array, low: Array, leaving: Array, right: Array,
 ) -> None:  # fmt: skip
-    """One component as a dense matrix, what leaves it, and its rewards with what lies beyond."""
+    """One component as a matrix, what leaves it, and its rewards with what lies beyond.
+
+    ``low[i]`` is the first column of the lower triangle, and the first row of the upper one, that
+    is not zero beside the diagonal's entry i, when all later states have been taken out.
+    """
+    for i in range(size):
+        low[i] = i
+    for i in range(size):
+        s = order[begin + i]
+        for k in range(indptr[s], indptr[s + np.uint32(1)]):
+            j = np.int64(place[indices[k]])
+            if j >= 0:
+                low[max(i, j)] = min(low[max(i, j)], min(i, j))
+    for i in range(size - 1, 1, -1):
+        if low[i] < i - 1:
+            low[i - 1] = min(low[i - 1], low[i])
+    for i in range(size):
+        for j in range(low[i], i + 1):
+            inner[i, j] = inner[j, i] = 0.0
     for i in range(size):
         s = order[begin + i]
         leaving[i] = exits[s]
         for j in range(right.shape[1]):
             right[i, j] = rewards[s, j]
-        for j in range(size):
-            inner[i, j] = 0.0
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
             successor, p = indices[k], data[k]
             if place[successor] >= 0:
@@ -108,30 +126,30 @@ def _gather(
 
 
 @njit(cache=True)
-def _eliminate(inner: Array, leaving: Array, right: Array, size: int) -> bool:
-    """Solve one dense component, in place; false if it is never left."""
+def _eliminate(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
+    """Solve one component, in place; false if it is never left."""
     n_rewards = right.shape[1]
     for i in range(size - 1, -1, -1):
         departs = leaving[i]
-        for j in range(i):
+        for j in range(low[i], i):
             departs += inner[i, j]
         if departs <= 0.0:
             return False
-        for j in range(i):
+        for j in range(low[i], i):
             inner[i, j] /= departs
         leaving[i] /= departs
         for j in range(n_rewards):
             right[i, j] /= departs
-        for r in range(i):
+        for r in range(low[i], i):
             weight = inner[r, i]
             if weight > 0.0:
-                for j in range(i):
+                for j in range(low[i], i):
                     inner[r, j] += weight * inner[i, j]
                 leaving[r] += weight * leaving[i]
                 for j in range(n_rewards):
                     right[r, j] += weight * right[i, j]
     for i in range(1, size):
-        for j in range(i):
+        for j in range(low[i], i):
             weight = inner[i, j]
             for k in range(n_rewards):
                 right[i, k] += weight * right[j, k]

@@ -79,6 +79,23 @@ def order_components(indptr: Array, indices: Array, data: Array, label: Array, o
 
 
 @njit(cache=True)
+def mark_left(
+    indptr: Array, indices: Array, data: Array, exits: Array, label: Array, left: Array
+) -> None:
+    """Mark, in place, the components from which a step leads elsewhere or out, [components]."""
+    for s in range(label.size):
+        if left[label[s]]:
+            continue
+        if exits[s] > 0.0:
+            left[label[s]] = True
+            continue
+        for k in range(indptr[s], indptr[np.uint32(s + 1)]):
+            if data[k] > 0.0 and label[indices[k]] != label[s]:
+                left[label[s]] = True
+                break
+
+
+@njit(cache=True)
 def _sort_by_label(label: Array, finished: Array, found: int, order: Array) -> None:
     """Counting sort that keeps the order of finishing within each component."""
     begin = np.zeros(found + 1, dtype=np.int64)

@@ -21,7 +21,6 @@ from ssp_lp.dynamic_programming.components import Components, strong_components
 from ssp_lp.dynamic_programming.linear_system import System
 from ssp_lp.model.predecessors import Predecessors, find_predecessors
 
-
 _KEPT_CHAINS = 4
 """Layers of accumulated cost ask for the equations of the same few policies again and again."""
 

@@ -41,6 +41,8 @@ _LEAST_RESIDUAL = 1e-11  # relative; worse ones are refused
 
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
 
+_NOBODY = np.zeros(0, dtype=np.int64)
+
 HOLDS_MASS = "a policy's chain holds mass for ever: from some states it is never left"
 
 Solver = Callable[[FloatArray], FloatArray]
@@ -75,13 +77,19 @@ class System:
     @cached_property
     def closed(self) -> IntArray:
         """States from which the chain never leaves, [some states]."""
-        found = self.components
-        entry = self.matrix.tocoo()
-        onward = (found.label[entry.row] != found.label[entry.col]) & (entry.data > 0.0)
+        found, rows = self.components, self.matrix
         left = np.zeros(found.n_components, dtype=np.bool_)
-        left[found.label[self.exits > 0.0]] = True
-        left[found.label[entry.row[onward]]] = True
-        return np.flatnonzero(~left[found.label])
+        if accelerated(rows.nnz):
+            from ssp_lp.compiled.order import mark_left
+
+            arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
+            mark_left(*arrays, self.exits, found.label, left)
+        else:
+            entry = rows.tocoo()
+            onward = (found.label[entry.row] != found.label[entry.col]) & (entry.data > 0.0)
+            left[found.label[self.exits > 0.0]] = True
+            left[found.label[entry.row[onward]]] = True
+        return np.flatnonzero(~left[found.label]) if not left.all() else _NOBODY
 
     def solve(
         self, rewards: FloatArray, guess: FloatArray | None = None, accuracy: float = EXACT

@@ -22,6 +22,7 @@ from ssp_lp.arrays import (
     IntArray,
     first_minimisers,
     segment_minima,
+    weighted,
 )
 from ssp_lp.bellman import Backup, best_pairs, unsigned_parts
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
@@ -91,7 +92,7 @@ def improve(
         SolverError: a policy that never leaves the process, or totals that cannot be verified.
     """
     choice = np.array(choice, dtype=np.int32)
-    pair_cost = rewards @ weights
+    pair_cost = weighted(rewards, weights)
     if dynamics.n_states > DIRECT_STATES and dynamics.is_acyclic:
         choice, work = _backward(dynamics, pair_cost), Work(1, 0)
         system, solved, left = dynamics.chain(choice), None, 0.0
@@ -106,7 +107,7 @@ def improve(
         totals = evaluate_chain(system, taken, solved)
     except SolverError:
         return _precisely(dynamics, rewards, weights, choice, work)
-    values = totals.values @ weights
+    values = weighted(totals.values, weights)
     scale = float(np.abs(values).max(initial=0.0))
     hidden = (left + 4.0 * MACHINE_EPSILON * scale) * float(totals.runs.max(initial=0.0))
     work = work + Work(0, system.products)
@@ -149,10 +150,14 @@ def _settle(
         The policy, its equations and totals, the greatest gain that was left to be rounding, and
         the work.
     """
-    offsets, transitions, pair_cost = dynamics.pair_offsets, dynamics.transitions, rewards @ weights
+    offsets, transitions, pair_cost = (
+        dynamics.pair_offsets,
+        dynamics.transitions,
+        weighted(rewards, weights),
+    )
     accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES else _FINE
     work, rounds = Work(), 0
-    changed_before = dynamics.n_states
+    changed_before = np.inf
     before: IntArray | None = None
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
@@ -160,7 +165,7 @@ def _settle(
         totals = system.solve(rewards[choice], totals, accuracy)
         work, rounds = work + Work(1, system.products), rounds + 1
         system.products = 0
-        values = totals @ weights
+        values = weighted(totals, weights)
         if accuracy <= _FINE and above is not None and _rises(values, above):
             raise SolverError("a policy that was to improve the last one is worse")
         backup = best_pairs(offsets, transitions, pair_cost, values, choice)
@@ -245,7 +250,7 @@ def _precisely(
     Raises:
         SolverError: a policy that never leaves, or totals that cannot be verified.
     """
-    pair_cost, before = rewards @ weights, None
+    pair_cost, before = weighted(rewards, weights), None
     offsets = dynamics.pair_offsets
     for _ in range(_MOST_ROUNDS):
         system = dynamics.chain(choice)

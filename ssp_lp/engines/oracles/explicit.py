@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
 from ssp_lp.dynamic_programming.approach import approach
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
@@ -74,7 +74,7 @@ class ExplicitOracle:
         return self._column(choice, totals.values, Work(0, system.products))
 
     def _column(self, choice: IntArray, totals: FloatArray, work: Work) -> Column:
-        cost, failure = (self.process.start @ totals).tolist()
+        cost, failure = expected(self.process.start, totals).tolist()
         return Column(cost, failure, 1.0 - failure, choice, totals=totals, work=work)
 
     def aligned(self, column: Column, price: float) -> Column:
@@ -84,7 +84,7 @@ class ExplicitOracle:
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
-        return self.check(price, required(column.totals) @ np.array([1.0, price]))
+        return self.check(price, weighted(required(column.totals), np.array([1.0, price])))
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [states], to a checked sub-solution.

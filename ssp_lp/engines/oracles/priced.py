@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.policy_iteration import Settled, improve
@@ -96,7 +96,7 @@ class PricedOracle:
             warm: a policy to start from.
         """
         smaller, choice = self._contracted(weights), self._first if warm is None else warm.choice
-        guess = None if warm is None else warm.totals @ weights
+        guess = None if warm is None else weighted(warm.totals, weights)
         if smaller is None:
             settled = self._improved(self.process, weights, choice, guess)
             found = settled.choice
@@ -117,7 +117,7 @@ class PricedOracle:
         guess: FloatArray | None,
     ) -> Settled:
         """Policy iteration on the process, or on what is left of it."""
-        priced = self.rewards @ weights
+        priced = weighted(self.rewards, weights)
         priced = priced if isinstance(process, ExplicitProcess) else priced[process.pairs]
         return improve(
             process.dynamics,
@@ -141,12 +141,12 @@ class PricedOracle:
         first = None if guess is None else system.solve(self.rewards[choice], guess)
         totals = evaluate_chain(system, self.rewards[choice], first).values
         spent = work + Work(0, system.products)
-        return Point(self.process.start @ totals, choice, totals, spent)
+        return Point(expected(self.process.start, totals), choice, totals, spent)
 
     def prove(self, weights: FloatArray, best: Point) -> Checked:
         """Prove a lower bound from the values of a policy of least weighted totals."""
         best = self.minimise(weights, best)
-        return self.check(weights, best.totals @ weights, best.work)
+        return self.check(weights, weighted(best.totals, weights), best.work)
 
     def check(self, weights: FloatArray, values: FloatArray, work: Work = _NONE) -> Checked:
         """Lower values, [states], to a checked sub-solution at the weights, [rewards].
@@ -156,7 +156,7 @@ class PricedOracle:
         Raises:
             ModelError: values of another shape.
         """
-        process, priced = self.process, self.rewards @ weights
+        process, priced = self.process, weighted(self.rewards, weights)
         if values.shape != (process.n_states,):
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
