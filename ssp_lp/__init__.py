@@ -1,6 +1,8 @@
 """ssp-lp: reach the goal as cheaply as possible, and fail with probability at most epsilon."""
 
-from ssp_lp.agreement import Agreement, cross_check
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from ssp_lp.certificate import Certificate, certify
 from ssp_lp.cost_law import CostLaw, success_costs
 from ssp_lp.errors import (
@@ -11,7 +13,6 @@ from ssp_lp.errors import (
     SSPError,
 )
 from ssp_lp.evaluation import Evaluation, evaluate
-from ssp_lp.frontier import Frontier, trace_frontier
 from ssp_lp.model import SSP
 from ssp_lp.policies import (
     GIVE_UP,
@@ -22,9 +23,13 @@ from ssp_lp.policies import (
     TimedPolicy,
 )
 from ssp_lp.process.semantics import GiveUp
-from ssp_lp.simulation import simulate
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
+
+if TYPE_CHECKING:
+    from ssp_lp.agreement import Agreement, cross_check
+    from ssp_lp.frontier import Frontier, trace_frontier
+    from ssp_lp.simulation import simulate
 
 __version__ = "0.1.0"
 
@@ -56,3 +61,20 @@ __all__ = [
     "success_costs",
     "trace_frontier",
 ]
+
+_ON_DEMAND = {
+    "Agreement": "ssp_lp.agreement",
+    "cross_check": "ssp_lp.agreement",
+    "Frontier": "ssp_lp.frontier",
+    "trace_frontier": "ssp_lp.frontier",
+    "simulate": "ssp_lp.simulation",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import what most processes never use when it is first asked for."""
+    if name not in _ON_DEMAND:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(_ON_DEMAND[name]), name)
+    globals()[name] = found
+    return found

@@ -110,7 +110,7 @@ def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
         columns: [rows, columns]; few columns.
         weights: [columns].
     """
-    result = columns[:, 0] * weights[0]
+    result: FloatArray = columns[:, 0] * weights[0]
     for j in range(1, len(weights)):
         if weights[j] != 0.0:
             result += columns[:, j] * weights[j]

@@ -6,12 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
+from ssp_lp.engines.label_instance import LabelInstance
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
 from ssp_lp.engines.oracles.priced import LARGEST
 from ssp_lp.engines.refinement import CERTIFYING
-from ssp_lp.engines.row import Row, relative_gap
+from ssp_lp.engines.row import CONTRADICTION, Row, relative_gap
 from ssp_lp.engines.rows_instance import ATTAINABLE, RowsInstance, lagrange_bound
 from ssp_lp.errors import ModelError
 from ssp_lp.evaluation import Evaluation, evaluate
@@ -21,6 +23,9 @@ from ssp_lp.risk import risk_bound
 from ssp_lp.solution import Solution
 
 _BUDGET_ROUNDING = 1e-12
+
+_STEEP_PRICES = (1e1, 1e3, 1e5)
+"""Prices of failure, in values of the policy, at which least failure is proved best."""
 
 _BELOW = 2.5e-10
 """Relative step below the ratio at which a slack budget's bound is checked: there it is strictly
@@ -152,6 +157,9 @@ def _certificate(
         reason = f"the policy fails with {failure:.12g}, above the budget {budget:.12g}"
     if not reason and not np.isfinite(found.objective):
         reason = f"the policy's objective is {found.objective}"
+    most = found.objective + CONTRADICTION * abs(found.objective) + _BUDGET_ROUNDING
+    if not reason and bound > most:
+        reason = f"the policy's value {found.objective!r} lies below its bound {bound!r}"
     return Certificate(
         objective=found.objective,
         lower_bound=min(bound, found.objective) if not reason else bound,
@@ -210,6 +218,23 @@ def _risk_certificate(solution: Solution, found: Evaluation, failure: float) -> 
 
 
 def _least_failure_certificate(problem: Problem, found: Evaluation, failure: float) -> Certificate:
-    """At least failure the bound is that of the second stage over the maximising actions."""
-    least = problem.instance().least_failure()
-    return _certificate(found, failure, least.objective_bound, 0.0, least.column.failure, "")
+    """At least failure: a bound at finite prices of failure, which holds for every policy.
+
+    Where rounding at such prices leaves a gap, the bound is that of the second stage over the pairs
+    that were decided to maximise.
+    """
+    instance = problem.instance()
+    least = instance.least_failure()
+    allowed, bound = least.column.failure, least.objective_bound
+    if isinstance(instance, LabelInstance) and np.isfinite(found.objective):
+        oracle, column = instance.oracle(), None
+        for steps in _STEEP_PRICES:
+            price = steps * max(found.objective, 1.0)
+            column = oracle.minimise(price, column)
+            priced = lagrange_bound(
+                oracle.prove(price, column).bound, np.array([price]), np.array([allowed])
+            )
+            if relative_gap(found.objective, priced) <= RELATIVE_GAP:
+                bound = priced
+                break
+    return _certificate(found, failure, bound, 0.0, allowed, "")

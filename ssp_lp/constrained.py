@@ -17,6 +17,7 @@ from ssp_lp.engines.lp.engine import ProgramOptimum
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.engines.oracles.priced import Point
 from ssp_lp.engines.refinement import Effort
+from ssp_lp.engines.row import least_of
 from ssp_lp.engines.rows_generation import (
     Generated,
     Pace,
@@ -184,6 +185,7 @@ def _concluded(
     weights = rows.weights(prices, 1.0, instance.oracle.rewards.shape[1])
     best = pool.points[int(np.argmin(weights @ pool.figures))]
     proof = instance.oracle.prove(weights, best)
+    bound = max(lagrange_bound(proof.bound, prices, rows.bounds), 0.0)
     used = np.flatnonzero(master.weights > 0.0)
     members: list[Point] = [pool.points[k] for k in used.tolist()]
     named = dict.fromkeys(instance.names, 0.0)
@@ -199,7 +201,7 @@ def _concluded(
             tuple(instance.oracle.policy(point) for point in members), master.weights[used]
         ),
         objective=objective,
-        lower_bound=min(max(lagrange_bound(proof.bound, prices, rows.bounds), 0.0), objective),
+        lower_bound=least_of(bound, objective),
         failure_price=named.get(FAILURE_ROW),
         value_function=read_only(proof.values),
         budget_used=float(master.weights[used] @ [point.figures[1] for point in members]),

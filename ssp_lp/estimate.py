@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import special
 
 from ssp_lp.arrays import FloatArray
 
@@ -21,6 +20,8 @@ class Estimate(NamedTuple):
 
 def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
     """Clopper and Pearson's exact interval of a probability."""
+    from scipy import special
+
     miss = (1.0 - confidence) / 2.0
     low = 0.0 if hits == 0 else float(special.betaincinv(hits, trials - hits + 1, miss))
     high = 1.0 if hits == trials else float(special.betaincinv(hits + 1, trials - hits, 1.0 - miss))
@@ -34,6 +35,8 @@ def mean_estimate(sample: FloatArray, confidence: float) -> Estimate:
     mean = float(sample.mean())
     if sample.size == 1:
         return Estimate(mean, -float("inf"), float("inf"), confidence)
+    from scipy import special
+
     quantile = float(special.ndtri(0.5 + confidence / 2.0))
     half = quantile * float(sample.std(ddof=1)) / float(np.sqrt(sample.size))
     return Estimate(mean, mean - half, mean + half, confidence)

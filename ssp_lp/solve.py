@@ -9,11 +9,8 @@ from numbers import Real
 
 import numpy as np
 
-from ssp_lp.arrays import RELATIVE_GAP, read_only
+from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, read_only
 from ssp_lp.constrained import solve_constrained
-from ssp_lp.crosscheck.stationary import stationary_game, value_function
-from ssp_lp.crosscheck.threshold import Patience
-from ssp_lp.deterministic import best_deterministic
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.cost_instance import CostInstance
@@ -21,8 +18,8 @@ from ssp_lp.engines.instance import checked_least_failure
 from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
 from ssp_lp.engines.refinement import Effort, optimise
-from ssp_lp.engines.row import Row
-from ssp_lp.errors import ModelError
+from ssp_lp.engines.row import Row, least_of
+from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.problem import Problem, WithLimits
 from ssp_lp.process.measure import Measure
@@ -33,6 +30,8 @@ from ssp_lp.solution import Run, Solution, remarks
 
 ENGINES = ("auto", "columns", "lp", "game")
 POLICY_CLASSES = ("mixed", "deterministic")
+
+_ROUNDING = 1e-12  # of sums of probabilities
 
 _REASONS = {
     "auto": "column generation, which scales best for one failure row",
@@ -109,8 +108,37 @@ def solve(
         solution = _at_least_failure(problem)
     else:
         solution = _within_budget(problem, problem.failure_budget, effort, engine, deterministic)
+    _check_answer(solution)
     run = replace(solution.run, seconds=time.perf_counter() - began)
-    return replace(solution, run=run)
+    return replace(solution, run=run, note=_with_gap(solution, tolerance))
+
+
+def _with_gap(solution: Solution, tolerance: float) -> str:
+    """The note, which says so where the tolerance is missed and nothing else says why."""
+    if solution.note or solution.gap <= tolerance:
+        return solution.note
+    return f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
+
+
+def _check_answer(solution: Solution) -> None:
+    """Check what every answer must satisfy, whoever found it.
+
+    Raises:
+        SolverError: a probability outside [0, 1], a budget that is not kept, weights that are no
+            lottery, or a value that is no number.
+    """
+    budget, used = solution.problem.failure_budget, solution.budget_used
+    wrong = {
+        f"its value is {solution.objective!r}": not np.isfinite(solution.objective),
+        f"it fails with {used!r}": not 0.0 <= used <= 1.0 + _ROUNDING,
+        f"it fails with {used!r}, {budget!r} allowed": budget is not None
+        and used > budget + LEAST_BUDGET,
+        "its weights are no lottery": not solution.policy.weights.min() >= 0.0
+        or abs(float(solution.policy.weights.sum()) - 1.0) > _ROUNDING,
+    }
+    told = ", ".join(reason for reason, found in wrong.items() if found)
+    if told:
+        raise SolverError(f"the answer fails its check: {told}; please report the model")
 
 
 def _check_time_limit(time_limit: float | None) -> None:
@@ -138,6 +166,9 @@ def _check_arguments(engine: str, backend: str | None, policy_class: str, tolera
 
 def _by_game(problem: Problem, effort: Effort) -> Solution:
     """The paper's own construction, which knows neither columns nor programs."""
+    from ssp_lp.crosscheck.stationary import stationary_game, value_function
+    from ssp_lp.crosscheck.threshold import Patience
+
     instance = problem.instance()
     if isinstance(instance, CostInstance) and instance.fixed_cap is not None:
         raise ModelError("engine='game' chooses its own cap M: leave cost_cap out")
@@ -151,7 +182,7 @@ def _by_game(problem: Problem, effort: Effort) -> Solution:
         problem=problem,
         policy=found.policy,
         objective=optimum.objective,
-        lower_bound=min(optimum.lower_bound, optimum.objective),
+        lower_bound=least_of(optimum.lower_bound, optimum.objective),
         failure_price=max(optimum.price - optimum.objective, 0.0)
         if problem.ratio
         else optimum.price,
@@ -187,12 +218,12 @@ def _extreme_goal(problem: Problem, effort: Effort) -> Solution:
         problem=problem,
         policy=MixedPolicy((DeterministicPolicy(problem.model, reach.decision),), np.ones(1)),
         objective=objective,
-        lower_bound=objective if greatest else min(bound, objective),
+        lower_bound=objective if greatest else least_of(bound, objective),
         failure_price=None,
         value_function=None,
         budget_used=max(1.0 - objective, 0.0),
         run=Run(effort.engine, reason, 1, 0.0, program=program),
-        upper_bound=max(bound, objective) if greatest else None,
+        upper_bound=-least_of(-bound, -objective) if greatest else None,
     )
 
 
@@ -205,7 +236,7 @@ def _at_least_failure(problem: Problem) -> Solution:
         problem=problem,
         policy=MixedPolicy((least.policy,), np.ones(1)),
         objective=objective,
-        lower_bound=min(least.objective_bound, objective),
+        lower_bound=least_of(least.objective_bound, objective),
         failure_price=None,
         value_function=None,
         budget_used=least.column.failure,
@@ -243,6 +274,8 @@ def _within_budget(
     )
     if not deterministic:
         return solution
+    from ssp_lp.deterministic import best_deterministic
+
     reason += "; then one policy by mixed-integer programs"
     single = best_deterministic(solution, outcome, effort.tolerance, effort.deadline)
     return replace(single, run=replace(single.run, reason=reason))

@@ -52,6 +52,7 @@ def solve_components(
     inner, right = np.empty((most, most)), np.empty((most, n_rewards))
     low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
     place = np.full(exits.size if most > 1 else 0, -1, dtype=np.int32)
+    rows = np.arange(exits.size if most > 1 else 0).astype(np.uint32)
     for c in range(first, last):
         begin, size = offsets[c], offsets[c + 1] - offsets[c]
         if size == 1:
@@ -73,7 +74,7 @@ def solve_components(
         for i in range(size):
             place[order[begin + i]] = i
         _gather(
-            indptr, indices, data, exits, order, begin, size, place, rewards, x,
+            indptr, indices, data, exits, rows, order, begin, size, place, rewards, x,
             inner, low, leaving, right,
         )  # fmt: skip
         if not _eliminate(inner, low, leaving, right, size):
@@ -87,23 +88,26 @@ def solve_components(
 
 @njit(cache=True)
 def _gather(
-    indptr: Array, indices: Array, data: Array, exits: Array, order: Array, begin: int, size: int,
-    place: Array, rewards: Array, x: Array,
+    indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
+    order: Array, begin: int, size: int, place: Array, rewards: Array, x: Array,
     inner: Array, low: Array, leaving: Array, right: Array,
 ) -> None:  # fmt: skip
     """One component as a matrix, what leaves it, and its rewards with what lies beyond.
 
     ``low[i]`` is the first column of the lower triangle, and the first row of the upper one, that
-    is not zero beside the diagonal's entry i, when all later states have been taken out.
+    is not zero beside the diagonal's entry i, when all later states have been taken out. ``rows``
+    says which row belongs to each state.
     """
     for i in range(size):
         low[i] = i
     for i in range(size):
-        s = order[begin + i]
+        s = rows[order[begin + i]]
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
-            j = np.int64(place[indices[k]])
-            if j >= 0:
-                low[max(i, j)] = min(low[max(i, j)], min(i, j))
+            other = np.int64(place[indices[k]])
+            if other >= i:
+                low[other] = min(low[other], i)
+            elif other >= 0:
+                low[i] = min(low[i], other)
     for i in range(size - 1, 1, -1):
         if low[i] < i - 1:
             low[i - 1] = min(low[i - 1], low[i])
@@ -111,7 +115,7 @@ def _gather(
         for j in range(low[i], i + 1):
             inner[i, j] = inner[j, i] = 0.0
     for i in range(size):
-        s = order[begin + i]
+        s = rows[order[begin + i]]
         leaving[i] = exits[s]
         for j in range(right.shape[1]):
             right[i, j] = rewards[s, j]
@@ -210,3 +214,95 @@ def solve_band(band: Array, departs: Array, right: Array) -> None:
             if weight > 0.0:
                 for k in range(n_rewards):
                     right[i, k] += weight * right[j, k]
+
+
+@njit(cache=True)
+def improve_components(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
+    order: Array, components: Array, most: int, cost: Array, noise: float,
+    choice: Array, values: Array,
+) -> int:  # fmt: skip
+    """Least values of a process with small components, each solved once and for all, ends first.
+
+    A component of one state takes its best pair; in a larger one Howard's rounds start from the
+    given policy, which leaves it.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [pairs].
+        order: states, component by component, [states].
+        components: offsets of the components in the order, [components + 1].
+        most: states of the largest component.
+        cost: [pairs].
+        noise: relative gain up to which a pair is kept.
+        choice: pairs of a policy that leaves, improved in place, [states].
+        values: written, [states].
+
+    Returns:
+        The first component that a policy does not leave; -1 if there is none.
+    """
+    n = values.size
+    inner, right = np.empty((most, most)), np.empty((most, 1))
+    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
+    place = np.full(n if most > 1 else 0, -1, dtype=np.int32)
+    column, rewards = values.reshape(n, 1), cost.reshape(cost.size, 1)
+    for c in range(components.size - 1):
+        begin, size = components[c], components[c + 1] - components[c]
+        if size == 1:
+            s = order[begin]
+            pick, least, _ = _best_pair(
+                offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+            )
+            if least == np.inf:
+                return c
+            choice[s], values[s] = pick, least
+            continue
+        for i in range(size):
+            place[order[begin + i]] = i
+        changed = True
+        while changed:
+            _gather(
+                indptr, indices, data, exits, choice, order, begin, size, place, rewards, column,
+                inner, low, leaving, right,
+            )  # fmt: skip
+            if not _eliminate(inner, low, leaving, right, size):
+                return c
+            changed = False
+            for i in range(size):
+                values[order[begin + i]] = right[i, 0]
+            for i in range(size):
+                s = order[begin + i]
+                pick, least, kept = _best_pair(
+                    offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+                )
+                if least < kept - noise * abs(kept):
+                    choice[s] = pick
+                    changed = True
+        for i in range(size):
+            place[order[begin + i]] = -1
+    return -1
+
+
+@njit(cache=True)
+def _best_pair(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
+    cost: Array, values: Array, s: int, held: int,
+) -> tuple[int, float, float]:  # fmt: skip
+    """The best pair of a state on departing from it, its value, and that of the held pair."""
+    pick, least, kept = held, np.inf, np.inf
+    for pair in range(offsets[s], offsets[s + np.uint32(1)]):
+        total, departs = cost[pair], exits[pair]
+        for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
+            if indices[k] != s:
+                departs += data[k]
+                total += data[k] * values[indices[k]]
+        if departs > 0.0:
+            total /= departs
+            if pair == held:
+                kept = total
+            if total < least:
+                pick, least = pair, total
+    return pick, least, kept

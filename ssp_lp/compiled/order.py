@@ -37,7 +37,7 @@ def order_components(indptr: Array, indices: Array, data: Array, label: Array, o
     for root in range(n):
         if number[root] != 0:
             continue
-        depth, entered = 0, root
+        depth, entered = 0, np.int64(root)
         while entered >= 0 or depth > 0:
             if entered >= 0:
                 visited += np.uint32(1)
@@ -45,7 +45,7 @@ def order_components(indptr: Array, indices: Array, data: Array, label: Array, o
                 opened[n_open] = calls[depth] = entered
                 n_open, depth = n_open + 1, depth + 1
             state = calls[depth - 1]
-            entered = -1
+            entered = np.int64(-1)
             k, end = place[state], indptr[np.uint32(state + np.uint32(1))]
             while k < end:
                 successor = indices[k]

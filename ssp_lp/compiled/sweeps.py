@@ -237,22 +237,3 @@ def improve(
         else:
             values[s] = kept
     return changed, most
-
-
-@njit(cache=True)
-def backward(
-    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
-    cost: Array, choice: Array, values: Array,
-) -> None:  # fmt: skip
-    """Least values where no run comes back to a state it has left, in one pass, ends first."""
-    for s in order:
-        least, pick = np.inf, offsets[s]
-        for pair in range(offsets[s], offsets[s + np.uint32(1)]):
-            total, departs = cost[pair], exits[pair]
-            for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
-                if indices[k] != s:
-                    departs += data[k]
-                    total += data[k] * values[indices[k]]
-            if departs > 0.0 and total / departs < least:
-                least, pick = total / departs, pair
-        values[s], choice[s] = least, pick

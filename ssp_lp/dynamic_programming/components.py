@@ -54,13 +54,13 @@ def strong_components(indptr: IntArray, indices: IntArray, data: FloatArray) -> 
     if accelerated(len(indices)):
         from ssp_lp.compiled.order import order_components
 
-        label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
-        found = order_components(indptr, unsigned(indices), data, label, order)
-        sizes = np.bincount(label, minlength=found)
-        return Components(label, order.view(np.int32), np.append(0, np.cumsum(sizes)))
+        of_state, finished = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
+        count = order_components(indptr, unsigned(indices), data, of_state, finished)
+        sizes = np.bincount(of_state, minlength=count)
+        return Components(of_state, finished.view(np.int32), np.append(0, np.cumsum(sizes)))
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
-    label = csgraph.connected_components(_possible(graph), connection="strong")[1]
-    label = _topological(graph, label)
+    found = csgraph.connected_components(_possible(graph), connection="strong")[1]
+    label = _topological(graph, found)
     order = np.argsort(label, kind="stable").astype(np.int32)
     return Components(label, order, np.append(0, np.cumsum(np.bincount(label))))
 

@@ -7,12 +7,11 @@ import scipy.sparse as sp
 from scipy.sparse import linalg
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.equations import HOLDS_MASS
 from ssp_lp.errors import SolverError
 
 _MOST_STATES = 200_000
 """States above which sparse factors may exceed memory."""
-
-_NEVER_LEFT = "a policy's chain holds mass for ever: it is never left"
 
 
 class Band:
@@ -40,7 +39,7 @@ class Band:
         ordered = np.empty(size)
         ordered[place] = leaving
         if not eliminate_band(self._band, ordered, self._departs):
-            raise SolverError(_NEVER_LEFT)
+            raise SolverError(HOLDS_MASS)
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Totals of the members, [members, rewards]."""
@@ -99,7 +98,7 @@ class Factors:
                 diag_pivot_thresh=1.0 if place is None else 0.0,
             )
         except RuntimeError as error:
-            raise SolverError(_NEVER_LEFT) from error
+            raise SolverError(HOLDS_MASS) from error
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Totals of the members, [members, rewards]."""

@@ -21,12 +21,21 @@ from ssp_lp.dynamic_programming.precise import exact_sum, precise_advantages, sa
 from ssp_lp.errors import SolverError
 
 _ROUNDS = 12
+_LOWERINGS = 4  # by what is lacking, before looking at where it is met again
 _ROUNDED = 2e-15  # of a value: its own rounding and that of a backup
 _TIED = 1024.0  # lacks within which a pair may turn out to be the best after lowering
 _RUN_ACCURACY = 1e-3  # runs are used times 1.5 and checked
 _LARGE = 50_000  # states from which looking for the least that will do takes too long
 _SLIGHT = 1e-13  # share by which a large model's values are lowered throughout
 _SHRINKAGES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+
+_SPARE = 16.0  # lacks within which a pair is taken to be as good as the best
+
+_HOPELESS = 1e-3
+"""Lack, relative to the values, from which they are those of no near-optimal policy."""
+
+_LONGEST = 1e9  # steps, beyond which shrinking by the lack's share cannot help
+_LEAST_SCALE = 1e-300
 
 _LOST = 1e-11
 """Share of the values that lowering them may cost before they are worked out more precisely."""
@@ -136,21 +145,24 @@ def _lowered(
     if floor == 0.0 and len(values) > _LARGE and passes(lowered := shrunk(_SLIGHT)):
         return lowered
     lowered, still = values, lack
-    for _ in range(_ROUNDS):
+    for _ in range(_LOWERINGS):
         lowered = np.maximum(lowered - still, floor)
         still = shortfall(dynamics, pair_cost, lowered)
         if not still.any():
             return lowered
     worst = float(lack.max())
     rounding = np.minimum(_ROUNDED * np.abs(values), worst)
-    for least in (rounding, np.full_like(values, worst)):
+    share = worst / max(float(np.abs(values).max()), _LEAST_SCALE)
+    for least in (rounding, np.full_like(values, worst)) if share <= _HOPELESS else ():
         run = _longest_run(dynamics, pair_cost, values, lack, least)
-        for factor in (1.5, 4.0, 16.0, 64.0, 1024.0) if run is not None else ():
+        if run is None:
+            continue
+        for factor in (1.5, 4.0, 16.0, 64.0, 1024.0):
             lowered = np.maximum(values - factor * run, floor)
             if passes(lowered):
                 return lowered
-    for share in _SHRINKAGES:
-        if passes(lowered := shrunk(share)):
+    for smaller in _SHRINKAGES:
+        if smaller > share / _LONGEST and passes(lowered := shrunk(smaller)):
             return lowered
     return np.full_like(values, floor)
 
@@ -164,8 +176,9 @@ def _longest_run(
 ) -> FloatArray | None:
     """Total lack gathered along the worst near-optimal policy, [states]; None if it is endless.
 
-    A state that comes to lack something counts with at least ``least``, [states]. Lowering the values by this amount absorbs the lack wherever it is met again: the violation
-    times the longest expected run (DESIGN, section 5). States that never meet it are left alone.
+    A state that comes to lack something counts with at least ``least``, [states]. Lowering the
+    values by this amount absorbs the lack wherever it is met again: the violation times the longest
+    expected run (DESIGN, section 5). States that never meet it are left alone.
     """
     pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     worst_lack, met = float(lack.max()), lack > 0
@@ -198,26 +211,37 @@ def _precise_bound(
     """The bound of a policy that is optimal in twice the working precision; None: there is none."""
     choice = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values).choice
     try:
-        settled = improve(dynamics, pair_cost[:, None], _ONE, _leaving(dynamics, choice))
+        choice = _leaving(dynamics, choice)
+        settled = improve(dynamics, pair_cost[:, None], _ONE, choice, precise=True)
+        ahead = _precisely_ahead(dynamics, pair_cost, settled.values, settled.low)
+        lack = max(-float(ahead.min(initial=0.0)), 0.0)
+        tied = ahead <= _SPARE * lack
+        for _ in range(_ROUNDS):
+            tied[settled.choice] = True
+            kept = np.flatnonzero(tied)
+            place = np.cumsum(tied) - 1
+            steps = -np.ones((kept.size, 1))
+            longest = improve(dynamics.restricted(kept), steps, _ONE, place[settled.choice])
+            fall = -4.0 * lack * longest.values  # absorbs the lack wherever it is met again
+            lowered = exact_sum(settled.values, settled.low - fall)
+            if (_precisely_ahead(dynamics, pair_cost, *lowered) >= 0.0).all():
+                return DualBound(*lowered)
+            tied = ahead <= max(float(fall.max(initial=0.0)), _SPARE * lack)
+            if np.count_nonzero(tied) <= kept.size:
+                lack *= _SPARE
     except SolverError:
         return None
-    high, low = settled.values, settled.low
-    lack = _precise_lack(dynamics, pair_cost, high, low)
-    for factor in (2.5, 16.0, 256.0, 4096.0):
-        lowered = exact_sum(high, low - factor * lack * settled.runs)
-        if _precise_lack(dynamics, pair_cost, *lowered) == 0.0:
-            return DualBound(*lowered)
     return None
 
 
-def _precise_lack(
+def _precisely_ahead(
     dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
-) -> float:
-    """The greatest lack, in twice the working precision, rounding counted against us."""
+) -> FloatArray:
+    """Advantages in twice the working precision, rounding counted against us, [pairs]."""
     ahead, rounding = precise_advantages(
         dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, high, low
     )
-    return max(-float((ahead - rounding).min(initial=0.0)), 0.0)
+    return ahead - rounding
 
 
 def _leaving(dynamics: Dynamics, choice: IntArray) -> IntArray:

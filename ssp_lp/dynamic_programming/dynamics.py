@@ -50,6 +50,7 @@ class Dynamics:
     pair_offsets: IntArray  # [states + 1]
     transitions: sp.csr_array  # [pairs, states]
     exits: FloatArray  # [pairs]
+    is_reused: bool = False  # solved again and again, as in every layer of accumulated cost
 
     @property
     def n_states(self) -> int:
@@ -68,11 +69,6 @@ class Dynamics:
         return strong_components(rows.indptr[self.pair_offsets], rows.indices, rows.data)
 
     @cached_property
-    def is_acyclic(self) -> bool:
-        """Whether no run comes back to a state that it has left."""
-        return self.components.n_components == self.n_states
-
-    @cached_property
     def predecessors(self) -> Predecessors:
         """The pairs that may lead to each state."""
         rows = self.transitions
@@ -84,7 +80,7 @@ class Dynamics:
         return list(_levels(self))
 
     def chain(self, choice: IntArray) -> System:
-        """The equations of one pair per state, [states]; the last few are kept with their factors."""
+        """The equations of one pair per state, [states]; the last few are kept, factors and all."""
         if self.n_states > _KEPT_STATES:
             return self._chain(choice)
         key, kept = choice.astype(np.int32, copy=False).tobytes(), self._chains
@@ -93,6 +89,15 @@ class Dynamics:
                 kept.pop(next(iter(kept)))
             kept[key] = self._chain(choice)
         return kept[key]
+
+    def restricted(self, kept: IntArray) -> Dynamics:
+        """The process with some of its pairs only, ascending, at least one for each state."""
+        counts = np.bincount(self.pair_state[kept], minlength=self.n_states)
+        return Dynamics(
+            pair_offsets=np.append(0, np.cumsum(counts)).astype(self.pair_offsets.dtype),
+            transitions=sp.csr_array(self.transitions[kept]),
+            exits=self.exits[kept],
+        )
 
     def _chain(self, choice: IntArray) -> System:
         rows = ChosenRows(self.transitions, choice).gathered()

@@ -11,17 +11,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.sparse as sp
 
 from ssp_lp.arrays import MAXIMISER, BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.approach import approach
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.policy_iteration import Settled, improve
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.dynamic_programming.precise import precise_advantages
+from ssp_lp.dynamic_programming.settled import Settled
 
 _ONE = np.ones(1)
+_SMALL = 1e-2
+
 _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
 
 
@@ -71,14 +73,16 @@ def extreme_reach(exits: Exits, *, greatest: bool) -> ExtremeReach:
     won, lost = totals.values.T
     tied = _tied(exits, settled, wanted, other, (won, totals.low[:, 0]), lost)
     reach, missed = np.clip(won, 0.0, 1.0), np.clip(lost, 0.0, 1.0)
-    most = -dual_bound(dynamics, -wanted, -reach, floor=-1.0).values
     least = dual_bound(dynamics, other, missed).values
-    highest = np.clip(np.minimum(most, 1.0 - least), reach, 1.0)
+    most = 1.0 - least
+    if reach.min() < _SMALL:  # so small that 1 - least loses digits of it
+        most = np.minimum(most, -dual_bound(dynamics, -wanted, -reach, floor=-1.0).values)
+    highest = np.clip(most, reach, 1.0)
     reach = np.where(missed < reach, 1.0 - missed, reach)
     if greatest:
         return ExtremeReach(reach, np.maximum(highest, reach), settled.choice, tied)
     hit = np.where(reach > missed, missed, 1.0 - reach)
-    bound = np.clip(np.maximum(least, 1.0 - most), 0.0, hit)
+    bound = np.clip(least, 0.0, hit)
     return ExtremeReach(hit, bound, settled.choice, tied)
 
 
@@ -104,7 +108,7 @@ def _tied(
         kept = np.flatnonzero(tied)
         place = np.full(len(tied), -1, dtype=np.int32)
         place[kept] = np.arange(kept.size)
-        among = _restricted(dynamics, kept)
+        among = dynamics.restricted(kept)
         worst = improve(among, other[kept][:, None], -_ONE, place[settled.choice])
         taken = kept[worst.choice]
         loss = -worst.values - lost
@@ -116,13 +120,3 @@ def _tied(
             break
         tied[taken[share > min(MAXIMISER, float(share.max()) * 0.5)]] = False
     return tied
-
-
-def _restricted(dynamics: Dynamics, kept: IntArray) -> Dynamics:
-    """The process with some of its pairs only, at least one for each state."""
-    counts = np.bincount(dynamics.pair_state[kept], minlength=dynamics.n_states)
-    return Dynamics(
-        pair_offsets=np.append(0, np.cumsum(counts)).astype(dynamics.pair_offsets.dtype),
-        transitions=sp.csr_array(dynamics.transitions[kept]),
-        exits=dynamics.exits[kept],
-    )

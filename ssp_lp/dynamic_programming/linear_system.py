@@ -9,7 +9,6 @@ keeps the relative accuracy of every entry whatever the condition (Grassmann, Ta
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +19,14 @@ from ssp_lp.accelerator import accelerated
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.bellman import unsigned
 from ssp_lp.dynamic_programming.components import Components, strong_components
+from ssp_lp.dynamic_programming.equations import (
+    HOLDS_MASS,
+    Solver,
+    dense_solver,
+    equations,
+    factorised,
+    transposed_solve,
+)
 from ssp_lp.dynamic_programming.large_component import LargeComponent
 from ssp_lp.dynamic_programming.state_reduction import reduce_states
 from ssp_lp.errors import SolverError
@@ -42,10 +49,6 @@ _LEAST_RESIDUAL = 1e-11  # relative; worse ones are refused
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
 
 _NOBODY = np.zeros(0, dtype=np.int64)
-
-HOLDS_MASS = "a policy's chain holds mass for ever: from some states it is never left"
-
-Solver = Callable[[FloatArray], FloatArray]
 
 
 class System:
@@ -163,18 +166,18 @@ class System:
             return self._transposed_by_krylov(inflow)
         if self._transposed is None:
             order = self.components.order if self.components.largest <= _SMALL else None
-            factors = _factorised(
-                _equations(self.matrix, self.exits, order), in_order=order is not None
+            factors = factorised(
+                equations(self.matrix, self.exits, order), in_order=order is not None
             )
             self._transposed = np.arange(self.size) if order is None else order, factors
         order, factors = self._transposed
         visits = np.empty_like(inflow)
-        visits[order] = factors.solve(inflow[order], trans="T")
+        visits[order] = transposed_solve(factors, inflow[order])
         return visits
 
     def _transposed_by_krylov(self, inflow: FloatArray) -> FloatArray:
         """The same by BiCGStab, for components whose factors would fill in."""
-        system = _equations(self.matrix, self.exits)
+        system = equations(self.matrix, self.exits)
         departs = system.diagonal()
         onward = linalg.LinearOperator(
             system.shape, matvec=lambda y: (system.T @ y) / departs, dtype=np.float64
@@ -185,7 +188,7 @@ class System:
         missed = float(np.abs(inflow - system.T @ visits).max())
         if state == 0 or missed <= _LEAST_RESIDUAL * float(np.abs(visits).max()):
             return np.asarray(visits)
-        return np.asarray(_factorised(system).solve(inflow, trans="T"))
+        return transposed_solve(factorised(system), inflow)
 
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
@@ -209,11 +212,16 @@ class System:
     @cached_property
     def _factors(self) -> Solver:
         """Solve all equations at once, by factors that are kept."""
-        system = _equations(self.matrix, self.exits)
         if self.size <= _DENSE_STATES:
-            return _dense(system.toarray())
-        factors = _factorised(system)
-        return lambda rewards: _refined(factors.solve, system, rewards)
+            return dense_solver(self.matrix, self.exits)
+        system = equations(self.matrix, self.exits)
+        factors = factorised(system)
+
+        def solve(rewards: FloatArray) -> FloatArray:
+            x = factors.solve(rewards)
+            return np.asarray(x + factors.solve(rewards - system @ x))
+
+        return solve
 
     def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
         """Solve a run of small components, in place."""
@@ -230,7 +238,7 @@ class System:
             inside[states] = 0.0
             leaving = self.exits[states] + rows @ inside
             own = sp.csr_array(rows[:, states])
-            self._kept[first, last] = _factorised(_equations(own, leaving), in_order=True).solve
+            self._kept[first, last] = factorised(equations(own, leaving), in_order=True).solve
         x[states] = self._kept[first, last](beyond)
 
     @cached_property
@@ -256,54 +264,3 @@ class System:
         block = self._large[c]
         block.solve(rewards, x, accuracy)
         self.products += block.take_products()
-
-
-def _equations(
-    matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
-) -> sp.csc_array:
-    """``I - chain`` with a diagonal that is the sum of where a state departs to."""
-    n = len(exits)
-    entry = matrix.tocoo()
-    away = (entry.row != entry.col) & (entry.data != 0.0)
-    row, column, data = entry.row[away], entry.col[away], entry.data[away]
-    departs = exits + np.bincount(row, weights=data, minlength=n)
-    if (departs <= 0.0).any():
-        raise SolverError(HOLDS_MASS)
-    place = np.arange(n)
-    if order is not None:
-        place = np.empty(n, dtype=np.int64)
-        place[order] = np.arange(n)
-    row, column = place[row], place[column]
-    return sp.csc_array(
-        (
-            np.concatenate([departs, -data]),
-            (np.concatenate([place, row]), np.concatenate([place, column])),
-        ),
-        shape=(n, n),
-    )
-
-
-def _factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
-    """Sparse factors; in the given order where that is topological, so that nothing fills in."""
-    order = "NATURAL" if in_order else "COLAMD"
-    threshold = 0.0 if in_order else 1.0  # diagonally dominant by rows: the order is kept
-    try:
-        return linalg.splu(system, permc_spec=order, diag_pivot_thresh=threshold)
-    except RuntimeError as error:
-        raise SolverError(HOLDS_MASS) from error
-
-
-def _refined(solve: Solver, system: sp.csc_array, rewards: FloatArray) -> FloatArray:
-    x = solve(rewards)
-    return x + solve(rewards - system @ x)
-
-
-def _dense(system: FloatArray) -> Solver:
-    def solve(rewards: FloatArray) -> FloatArray:
-        try:
-            x = np.linalg.solve(system, rewards)
-            return x + np.linalg.solve(system, rewards - system @ x)
-        except np.linalg.LinAlgError as error:
-            raise SolverError(HOLDS_MASS) from error
-
-    return solve

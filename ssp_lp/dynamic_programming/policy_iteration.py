@@ -1,15 +1,13 @@
 """Policy improvement along the structure of a process, from a policy that leaves it.
 
-A process without cycles is solved in one pass, ends first. On others Howard's rounds alternate with
-sweeps of Bellman backups in the order of the policy's own chain, since rounds alone are as many as
-a run is long. The last policy is evaluated with a verified bound of its error; where the process is
-left so seldom that double precision cannot tell which pair is better, improvement goes on in twice
-that precision.
+A process of small components is solved in one pass, ends first. On others Howard's rounds
+alternate with sweeps of Bellman backups in the order of the values, since rounds alone are as many
+as a run is long. The last policy is evaluated with a verified bound of its error; where the process
+is left so seldom that double precision cannot tell which pair is better, improvement goes on in
+twice that precision.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -26,9 +24,13 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.bellman import Backup, best_pairs, unsigned_parts
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.deadline import NEVER, Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.linear_system import DIRECT_STATES, EXACT, HOLDS_MASS, System
-from ssp_lp.dynamic_programming.precise import precise_advantages
+from ssp_lp.dynamic_programming.equations import HOLDS_MASS
+from ssp_lp.dynamic_programming.leaving import leaving_chain
+from ssp_lp.dynamic_programming.linear_system import DIRECT_STATES, EXACT, System
+from ssp_lp.dynamic_programming.precise_improvement import improve_precisely
+from ssp_lp.dynamic_programming.settled import MOST_ROUNDS, Settled
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import SolverError
 
@@ -40,31 +42,19 @@ _NOISE = 0.01  # of a rough residual: changes for less may go back and forth
 _STEADY = 0.3
 """Share of the last round's changes from which the next round would hardly be shorter."""
 
+_LAYERS = 500  # passes that a process is good for where it is one layer of many
+
+_SMALL = 48
+"""States of a component up to which it is solved by itself, by dense state reduction."""
+
 _SWEEPS = 20  # of Bellman backups between two evaluations
 _SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
-
-_MOST_ROUNDS = 10_000
-"""Rounds that only a defect could need: every round improves what the last one left."""
 
 _WORSE = 1e-9
 """Relative rise of a value that is no rounding: improvement never raises one."""
 
 _UNCERTAIN = 1e-11
 """Relative loss that rounding may hide over a run, from which on precision is doubled."""
-
-_PRECISE = 1e-24  # accuracy of evaluations in twice the working precision, relative
-
-
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """A policy that no single change of a pair improves, with its expected totals."""
-
-    choice: IntArray  # [states]
-    totals: FloatArray  # [states, rewards]
-    values: FloatArray  # [states] the totals, weighted
-    low: FloatArray  # [states] what the rounding of the values lost, where that was worked out
-    runs: FloatArray  # [states] checked: twice this is at least the expected number of steps
-    work: Work
 
 
 def improve(
@@ -73,6 +63,9 @@ def improve(
     weights: FloatArray,
     choice: IntArray,
     guess: FloatArray | None = None,
+    *,
+    precise: bool = False,
+    deadline: Deadline = NEVER,
 ) -> Settled:
     """Minimise the expected total of ``rewards @ weights`` from every state.
 
@@ -87,51 +80,80 @@ def improve(
         weights: [rewards].
         choice: pair of the first policy in each state, [states].
         guess: totals to start the first evaluation from, [states, rewards].
+        precise: compare pairs in twice the working precision in any case.
+        deadline: looked at before each evaluation and each sweep.
 
     Raises:
+        OutOfTimeError: the deadline passed.
         SolverError: a policy that never leaves the process, or totals that cannot be verified.
     """
     choice = np.array(choice, dtype=np.int32)
     pair_cost = weighted(rewards, weights)
-    if dynamics.n_states > DIRECT_STATES and dynamics.is_acyclic:
-        choice, work = _backward(dynamics, pair_cost), Work(1, 0)
+    if _is_solved_backwards(dynamics):
+        choice, values, work = *_backward(dynamics, pair_cost, choice), Work(1, 0)
+        if dynamics.is_reused and not precise:  # a layer: what is made of all of them is checked
+            nothing = np.zeros_like(values)
+            return Settled(choice, values[:, None], values, nothing, nothing, work)
         system, solved, left = dynamics.chain(choice), None, 0.0
     else:
         try:
-            found = _settle(dynamics, rewards, weights, choice, guess)
+            found = _settle(dynamics, rewards, weights, choice, guess, deadline)
+        except OutOfTimeError:
+            raise
         except SolverError:
-            return _precisely(dynamics, rewards, weights, choice, Work())
+            return improve_precisely(dynamics, rewards, weights, choice, Work(), deadline)
         choice, system, solved, left, work = found
     taken = rewards[choice]
     try:
         totals = evaluate_chain(system, taken, solved)
     except SolverError:
-        return _precisely(dynamics, rewards, weights, choice, work)
+        return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     values = weighted(totals.values, weights)
     scale = float(np.abs(values).max(initial=0.0))
     hidden = (left + 4.0 * MACHINE_EPSILON * scale) * float(totals.runs.max(initial=0.0))
     work = work + Work(0, system.products)
-    if hidden > _UNCERTAIN * scale:
-        return _precisely(dynamics, rewards, weights, choice, work)
+    if precise or hidden > _UNCERTAIN * scale:
+        return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
 
 
-def _backward(dynamics: Dynamics, pair_cost: FloatArray) -> IntArray:
-    """The best pairs of a process without cycles, in one pass."""
-    values, choice = np.empty(dynamics.n_states), np.empty(dynamics.n_states, dtype=np.int32)
-    if accelerated(dynamics.transitions.nnz):
-        from ssp_lp.compiled.sweeps import backward
+def _is_solved_backwards(dynamics: Dynamics) -> bool:
+    """Whether the process falls into components so small that each is solved once and for all."""
+    if dynamics.n_states <= DIRECT_STATES and not dynamics.is_reused:
+        return False  # looking at the structure would take longer than it saves
+    most = _SMALL if _is_compiled(dynamics) else 1
+    return dynamics.components.largest <= most
 
-        parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
-        order = dynamics.components.order.view(np.uint32)
-        backward(*parts, dynamics.exits, order, pair_cost, choice.view(np.uint32), values)
-        return choice
+
+def _is_compiled(dynamics: Dynamics) -> bool:
+    """Whether a pass over the process is run compiled: what is passed often is worth it sooner."""
+    passes = _LAYERS if dynamics.is_reused else 1
+    return accelerated(passes * dynamics.transitions.nnz)
+
+
+def _backward(
+    dynamics: Dynamics, pair_cost: FloatArray, choice: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """The best pairs of a process with small components, ends first, from a policy that leaves."""
+    values, choice = np.zeros(dynamics.n_states), choice.copy()
+    if _is_compiled(dynamics):
+        from ssp_lp.compiled.elimination import improve_components
+
+        found = dynamics.components
+        stuck = improve_components(
+            *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
+            found.order.view(np.uint32), found.offsets, max(found.largest, 1),
+            pair_cost, IMPROVEMENT, choice.view(np.uint32), values,
+        )  # fmt: skip
+        if stuck >= 0:
+            raise SolverError(HOLDS_MASS)
+        return choice, values
     for level in dynamics.levels:
         ahead = (pair_cost[level.pairs] + level.rows @ values) / level.departs
         values[level.states] = segment_minima(ahead, level.offsets)
         first = first_minimisers(ahead, values[level.states], level.offsets)
         choice[level.states] = level.pairs[first]
-    return choice
+    return choice, values
 
 
 _Found = tuple[IntArray, System, FloatArray, float, Work]
@@ -143,6 +165,7 @@ def _settle(
     weights: FloatArray,
     choice: IntArray,
     totals: FloatArray | None,
+    deadline: Deadline,
 ) -> _Found:
     """Policy iteration whose evaluations become exact as the gains shrink.
 
@@ -161,7 +184,11 @@ def _settle(
     before: IntArray | None = None
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
-        system, choice = _leaving_chain(dynamics, choice, before)
+        deadline.check()
+        if dynamics.n_states <= DIRECT_STATES:  # what is wrong with small ones shows in the totals
+            system = dynamics.chain(choice)
+        else:
+            system, choice = leaving_chain(dynamics, choice, before)
         totals = system.solve(rewards[choice], totals, accuracy)
         work, rounds = work + Work(1, system.products), rounds + 1
         system.products = 0
@@ -177,12 +204,12 @@ def _settle(
                 return choice, system, totals, left, work
             accuracy = _FINE
             continue
-        if rounds > _MOST_ROUNDS:
+        if rounds > MOST_ROUNDS:
             raise SolverError("policy iteration goes round in circles")
         before, changed = choice, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
-            swept = _sweep(dynamics, pair_cost, system, choice, values)
+            swept = _sweep(dynamics, pair_cost, choice, values, deadline)
             work = work + Work(swept, 0)
         changed_before = changed
         accuracy = min(_FORCING * gain / scale if gain > _LAST_GAINS * scale else _FINE, accuracy)
@@ -205,74 +232,27 @@ def _rises(values: FloatArray, above: FloatArray) -> bool:
 
 
 def _sweep(
-    dynamics: Dynamics, pair_cost: FloatArray, system: System, choice: IntArray, values: FloatArray
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    choice: IntArray,
+    values: FloatArray,
+    deadline: Deadline,
 ) -> int:
-    """Improve by sweeps in the order of the chain, in place, while many states change."""
+    """Improve by sweeps, in place, while many states change; return how many there were.
+
+    States of small value come first, then last: so news travels both ways, from the ends on and
+    towards them.
+    """
     from ssp_lp.compiled.sweeps import improve as run
 
     parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
     order = np.argsort(values, kind="stable").astype(np.uint32)
     backward, most = np.ascontiguousarray(order[::-1]), 0
     for sweep in range(1, _SWEEPS + 1):
+        deadline.check()
         direction = order if sweep % 2 else backward
         changed, _ = run(*parts, direction, pair_cost, IMPROVEMENT, choice.view(np.uint32), values)
         most = max(most, changed)
         if changed <= _SETTLED * most:
             return sweep
     return _SWEEPS
-
-
-def _leaving_chain(
-    dynamics: Dynamics, choice: IntArray, before: IntArray | None
-) -> tuple[System, IntArray]:
-    """The chain of a policy that leaves: states that no longer do keep the pair they had.
-
-    Raises:
-        SolverError: they did not leave before either.
-    """
-    system = dynamics.chain(choice)
-    if dynamics.n_states <= DIRECT_STATES:
-        return system, choice
-    while (closed := system.closed).size:
-        if before is None or np.array_equal(choice[closed], before[closed]):
-            raise SolverError(HOLDS_MASS)
-        choice = choice.copy()
-        choice[closed] = before[closed]
-        system = dynamics.chain(choice)
-    return system, choice
-
-
-def _precisely(
-    dynamics: Dynamics, rewards: FloatArray, weights: FloatArray, choice: IntArray, work: Work
-) -> Settled:
-    """Policy iteration in twice the working precision.
-
-    Raises:
-        SolverError: a policy that never leaves, or totals that cannot be verified.
-    """
-    pair_cost, before = weighted(rewards, weights), None
-    offsets = dynamics.pair_offsets
-    for _ in range(_MOST_ROUNDS):
-        system = dynamics.chain(choice)
-        while (closed := system.closed).size:
-            if before is None or np.array_equal(choice[closed], before[closed]):
-                raise SolverError(HOLDS_MASS)
-            choice[closed] = before[closed]
-            system = dynamics.chain(choice)
-        priced = evaluate_chain(system, pair_cost[choice][:, None], accuracy=_PRECISE)
-        values, low = priced.values[:, 0], priced.low[:, 0]
-        ahead, rounding = precise_advantages(
-            dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, values, low
-        )
-        gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.missed[0])
-        better = np.flatnonzero(gain > 0.0)
-        work = work + Work(1, system.products)
-        if not better.size:
-            totals = evaluate_chain(system, rewards[choice])
-            return Settled(choice, totals.values, values, low, totals.runs, work)
-        before = choice.copy()
-        least = segment_minima(ahead, offsets)
-        picks = np.array(offsets[:-1], dtype=np.int32)
-        picks[np.diff(offsets) > 0] = first_minimisers(ahead, least, offsets)
-        choice[better] = picks[better]
-    raise SolverError("policy iteration goes round in circles")

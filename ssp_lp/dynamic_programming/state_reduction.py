@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
+from ssp_lp.dynamic_programming.equations import HOLDS_MASS
 from ssp_lp.errors import SolverError
 
 
@@ -28,7 +29,7 @@ def reduce_states(inner: FloatArray, leaving: FloatArray, rewards: FloatArray) -
     for i in range(len(leaving) - 1, -1, -1):
         departs = leaving[i] + inner[i, :i].sum()
         if departs <= 0.0:
-            raise SolverError("a policy's chain holds mass for ever: it is never left")
+            raise SolverError(HOLDS_MASS)
         inner[i, :i] /= departs
         leaving[i] /= departs
         rewards[i] /= departs

@@ -17,9 +17,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
+from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof, excess_failure
-from ssp_lp.engines.row import Row
+from ssp_lp.engines.row import Row, least_of
 
 _ROUNDS = 200
 _SAME_FAILURE = 1e-15
@@ -128,7 +129,11 @@ def search(
     finished = False
     while calls < _ROUNDS and not (calls > 0 and time.perf_counter() > deadline):
         price = edge.slope
-        found, calls = oracle.minimise(price, found), calls + 1
+        try:
+            found = oracle.minimise(price, found, Deadline(deadline))
+        except OutOfTimeError:
+            break
+        calls += 1
         work = work + found.work
         if report is not None:
             report(calls, price, edge.objective)
@@ -178,7 +183,7 @@ def _conclude(
         weights=weights,
         price=price,
         objective=best,
-        lower_bound=min(row.lower_bound(proof), best),
+        lower_bound=least_of(row.lower_bound(proof), best),
         proof=proof,
         rounds=calls,
         work=work + proof.work,

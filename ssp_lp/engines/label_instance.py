@@ -12,12 +12,16 @@ from ssp_lp.engines.instance import LeastFailure
 from ssp_lp.engines.oracles.explicit import ExplicitOracle
 from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
 from ssp_lp.engines.oracles.oracle import Column, required
+from ssp_lp.engines.row import relative_gap
 from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import surely_reaching
 from ssp_lp.process.explicit import ExplicitProcess
 from ssp_lp.process.failure_label import label_failure
 from ssp_lp.process.semantics import Semantics, survival_of
+
+_UNPROVED = 1e-10
+"""Relative gap at least failure from which pairs are compared in twice the working precision."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +35,7 @@ class LabelInstance:
     ratio: bool = False
     is_trial: bool = False
     lowest: float = 0.0
+    precise: bool = False  # compare pairs in twice the working precision
 
     @cached_property
     def _oracle(self) -> ExplicitOracle:
@@ -41,7 +46,8 @@ class LabelInstance:
         if self.semantics.forbids_failing:
             self._check_sure()
         return ExplicitOracle(
-            label_failure(self.model, self.start, self.semantics, self.discount, usable)
+            label_failure(self.model, self.start, self.semantics, self.discount, usable),
+            self.precise,
         )
 
     def _check_sure(self) -> None:
@@ -76,6 +82,10 @@ class LabelInstance:
         second = self._restricted_to(usable)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
+        if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:
+            second = replace(second, precise=True)
+            column = second.minimise(0.0, column)
+            bound = second.prove(0.0, column).bound
         policy = second.policy(column)
         return LeastFailure(policy, replace(column, choice=None, policy=policy), bound)
 
@@ -87,9 +97,13 @@ class LabelInstance:
         """The column's own choice."""
         return required(column.choice)
 
-    def refined(self, price: float) -> None:
-        """Nothing is truncated: there is nothing to refine."""
-        return
+    def refined(self, price: float) -> LabelInstance | None:
+        """Nothing is truncated: what can be refined is the precision that pairs are compared in."""
+        if self.precise:
+            return None
+        finer = replace(self, precise=True)
+        finer.__dict__["_oracle"] = replace(self._oracle, precise=True)
+        return finer
 
     def matching(self, values: FloatArray) -> LabelInstance:
         """The instance itself."""

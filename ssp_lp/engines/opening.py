@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.column_generation import Edge
 from ssp_lp.engines.instance import Instance, LeastFailure
@@ -68,6 +69,9 @@ def open_by_pricing(
         deadline: on the clock of ``time.perf_counter``.
         report: called after each oracle call with (calls, price, objective).
 
+    Raises:
+        OutOfTimeError: the deadline passed before a column that keeps to the budget was found.
+
     Returns:
         None where no column that keeps to the budget was found.
     """
@@ -81,7 +85,13 @@ def open_by_pricing(
     outside: Column | None = None
     work = Work()
     for calls, step in enumerate((*steps, None), start=1):
-        last = oracle.minimise(price, last)
+        try:
+            last = oracle.minimise(price, last, Deadline(deadline))
+        except OutOfTimeError:
+            if inside is None and last.failure > row.budget:
+                raise
+            inside = last if inside is None else inside
+            break
         work, value = work + last.work, row.objective(last.cost, last.goal)
         if last.failure > row.budget:
             outside = last

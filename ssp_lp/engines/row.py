@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.engines.oracles.oracle import Proof
+from ssp_lp.errors import SolverError
+
+_TINY = 1e-12  # costs below this are compared with 0
 
 
 @dataclass(frozen=True)
@@ -47,3 +50,21 @@ def relative_gap(objective: float, lower_bound: float) -> float:
     """(objective - lower_bound) / |objective|; 0 where both are 0."""
     difference = max(objective - lower_bound, 0.0)
     return 0.0 if difference == 0.0 else difference / max(abs(objective), 1e-300)
+
+
+CONTRADICTION = 1e-9
+"""Relative excess of a lower bound over a value that no rounding explains."""
+
+
+def least_of(lower_bound: float, objective: float) -> float:
+    """The lower bound, or the objective where rounding puts the bound above it.
+
+    Raises:
+        SolverError: the bound lies above by more than rounding; then one of them is wrong.
+    """
+    if lower_bound > objective + CONTRADICTION * max(abs(objective), abs(lower_bound)) + _TINY:
+        raise SolverError(
+            f"a policy's value, {objective!r}, lies below a bound of all policies, "
+            f"{lower_bound!r}: the model is too ill-conditioned for double precision"
+        )
+    return min(lower_bound, objective)

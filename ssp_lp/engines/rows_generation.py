@@ -17,8 +17,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.deadline import NEVER, Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.work import Work
-from ssp_lp.engines.lp.master import MasterOptimum, solve_master
+from ssp_lp.engines.lp.master_optimum import MasterOptimum
 from ssp_lp.engines.oracles.priced import Point, PricedOracle
 
 _ROUNDS = 2_000
@@ -81,10 +82,10 @@ class Pool:
         taken = self.figures[rows.index].max(axis=1, initial=0.0)
         return np.asarray(np.maximum(rows.bounds, taken))
 
-    def priced(self, weights: FloatArray) -> Point:
+    def priced(self, weights: FloatArray, deadline: Deadline = NEVER) -> Point:
         """A policy of least weighted totals, from the known one that is best."""
         warm = self.points[int(np.argmin(weights @ self.figures))]
-        found = self.oracle.minimise(weights, warm)
+        found = self.oracle.minimise(weights, warm, deadline)
         self.calls, self.work = self.calls + 1, self.work + found.work
         return found
 
@@ -134,7 +135,10 @@ def generate(
         tried = _between(prices, master, rows, pool.sizes(rows), share)
         if elastic and master.value <= _FEASIBLE:
             return Generated(master, master.prices, bound, finished=True)
-        found, value = search.price(tried)
+        try:
+            found, value = search.price(tried)
+        except OutOfTimeError:
+            break
         search.tell(tried, master.value)
         if value > bound:
             prices, bound = tried, value
@@ -170,6 +174,8 @@ class _Search:
     def master(self, elastic: bool) -> MasterOptimum:
         """The best lottery over the policies of the pool."""
         figures, rows = self.pool.figures, self.rows
+        from ssp_lp.engines.lp.master import solve_master
+
         return solve_master(
             figures[0], figures[rows.index], rows.bounds, rows.scales, elastic=elastic
         )
@@ -187,7 +193,8 @@ class _Search:
     def price(self, prices: FloatArray) -> tuple[Point, float]:
         """A best policy at these prices, and its Lagrangian value: a bound."""
         n_rewards = self.pool.oracle.rewards.shape[1]
-        found = self.pool.priced(self.rows.weights(prices, self.cost, n_rewards))
+        weights = self.rows.weights(prices, self.cost, n_rewards)
+        found = self.pool.priced(weights, Deadline(self.pace.deadline))
         return found, self.value(found, prices)
 
     def tell(self, prices: FloatArray, value: float) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph
 
 from ssp_lp.accelerator import accelerated
-from ssp_lp.arrays import BoolArray, IntArray, concatenated_ranges
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model.predecessors import Predecessors
 
 
@@ -39,12 +41,40 @@ def nearer_pairs(
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice)
         return choice
-    while useful.size:  # pairs, ascending, of states that have taken none
-        owner = pair_state[useful]
-        first = np.flatnonzero(np.diff(owner, prepend=-1))
-        states = owner[first]
-        choice[states] = useful[first]
-        begin = pair_offsets[states]
-        free[concatenated_ranges(begin, pair_offsets[states + 1] - begin)] = False
-        useful = before.entering(states, free)
+    return _by_distance(before, pair_offsets, pair_state, useful, free)
+
+
+def _by_distance(
+    before: Predecessors,
+    pair_offsets: IntArray,
+    pair_state: IntArray,
+    useful: IntArray,
+    usable: BoolArray,
+) -> IntArray:
+    """The same from the distance of each state, found by scipy from a node added behind all ends.
+
+    Args:
+        before: the graph turned round.
+        pair_offsets: [states + 1].
+        pair_state: [pairs].
+        useful: usable pairs that leave.
+        usable: [pairs].
+    """
+    n = len(pair_offsets) - 1
+    reached = np.repeat(np.arange(n), np.diff(before.offsets))
+    kept = usable[before.pairs]
+    pairs, reached = before.pairs[kept], reached[kept]
+    source = np.concatenate([reached, np.full(useful.size, n)])
+    target = np.concatenate([pair_state[pairs], pair_state[useful]])
+    graph = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
+    distance: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
+        graph, indices=n, unweighted=True
+    )[:n]
+    near = np.full(len(pair_state), np.inf)
+    np.minimum.at(near, pairs, distance[reached] + 1.0)
+    near[useful] = 1.0
+    choice = np.full(n, -1, dtype=np.int64)
+    best = np.flatnonzero((near == distance[pair_state]) & np.isfinite(near))
+    first = np.flatnonzero(np.diff(pair_state[best], prepend=-1))
+    choice[pair_state[best[first]]] = best[first]
     return choice

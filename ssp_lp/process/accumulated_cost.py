@@ -60,7 +60,7 @@ class AccumulatedCost:
         """Steps that cost nothing; whatever goes on to a later layer leaves."""
         onward = np.asarray(self.later.sum(axis=1)).ravel()
         exits = onward + self.survival * self.gain + self.failure
-        return Dynamics(self.pair_offsets, self.instant, exits)
+        return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
 
     @property
     def steps(self) -> sp.csr_array:

@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from ssp_lp.arrays import RESIDUAL, FloatArray
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.lp.answer import LPAnswer, residuals
-from ssp_lp.engines.lp.clarabel import solve_with_clarabel
-from ssp_lp.engines.lp.highs import solve_with_highs
 from ssp_lp.engines.lp.warm_start import PolicyBasis, policy_basis
 from ssp_lp.engines.row import Row
 from ssp_lp.errors import ModelError, SolverError
@@ -127,12 +125,16 @@ def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
 def _run(
     program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None
 ) -> LPAnswer:
-    if backend == "clarabel":
+    if backend == "clarabel":  # each backend is imported only when it is asked for
+        from ssp_lp.engines.lp.clarabel import solve_with_clarabel
+
         return solve_with_clarabel(program, time_limit)
     if backend == "cvxpy":
-        from ssp_lp.engines.lp.cvxpy import solve_with_cvxpy  # half a second: only when asked
+        from ssp_lp.engines.lp.cvxpy import solve_with_cvxpy
 
         return solve_with_cvxpy(program, time_limit)
+    from ssp_lp.engines.lp.highs import solve_with_highs
+
     return solve_with_highs(program, backend, time_limit, basis)
 
 

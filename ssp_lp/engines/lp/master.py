@@ -17,6 +17,7 @@ import highspy
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.engines.lp.master_optimum import MasterOptimum
 from ssp_lp.errors import SolverError
 
 _OPTIONS: dict[str, bool | int | float | str] = {
@@ -33,16 +34,6 @@ _NEGATIVE = 1e-14
 _TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
 _PIVOT = 1e-11
 _PIVOTS = 50
-
-
-@dataclass(frozen=True, eq=False)
-class MasterOptimum:
-    """Weights of the policies and prices of the rows; at most (tight rows + 1) weights are > 0."""
-
-    value: float
-    weights: FloatArray  # [columns]
-    prices: FloatArray  # [rows] >= 0
-    excess: FloatArray  # [rows] violation in units of the scales; 0 unless elastic
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
 from ssp_lp.dynamic_programming.approach import approach
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.dynamic_programming.work import Work
@@ -25,6 +26,7 @@ class ExplicitOracle:
     """Column generation's oracle for case M."""
 
     labelled: FailureLabelled
+    precise: bool = False  # compare pairs in twice the working precision
 
     @property
     def process(self) -> ExplicitProcess:
@@ -51,7 +53,9 @@ class ExplicitOracle:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
         return self.measure(self._leaving.astype(np.int32))
 
-    def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
+    def minimise(
+        self, failure_price: float, warm: Column | None = None, deadline: Deadline = NEVER
+    ) -> Column:
         """A policy of least ``cost + failure_price * failure``, measured exactly."""
         found = warm is not None and warm.choice is not None
         settled = improve(
@@ -60,6 +64,8 @@ class ExplicitOracle:
             np.array([1.0, failure_price]),
             warm.choice if warm is not None and warm.choice is not None else self._leaving,
             warm.totals if warm is not None and found else None,
+            precise=self.precise,
+            deadline=deadline,
         )
         return self._column(settled.choice, settled.totals, settled.work)
 

@@ -20,6 +20,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph import (
     approach_pairs,
     attention_states,
+    dead_ends,
     pairs_into,
     reaching_states,
     surely_reaching,
@@ -69,11 +70,16 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     """
     exact = survival == 1.0
     sure, keeping = surely_reaching(model) if exact else (model.goal_mask, _no_pairs(model))
+    into_goal = pairs_into(model, model.goal_mask)
+    if exact and not (~sure & ~dead_ends(model)).any():  # the graph decides it all
+        nearer = approach_pairs(model, into_goal & keeping, keeping)
+        reached = sure.astype(np.float64)
+        usable = keeping & (sure & ~model.goal_mask)[model.pair_state]
+        return GoalReach(reached, reached, usable, np.where(nearer < 0, UNDECIDED, nearer))
     everything = np.ones(model.n_pairs, dtype=np.bool_) if exact else None
     # moving about in a component risks nothing
     skeleton = build_skeleton(model, free=everything, ended=sure)
     found = _extreme(skeleton, sure, survival, greatest=True)
-    into_goal = pairs_into(model, model.goal_mask)
     nearer = approach_pairs(model, into_goal & keeping, keeping) if exact else found.decision
     inside = sure & ~model.goal_mask
     return replace(

@@ -23,6 +23,7 @@ from ssp_lp.bellman import (
     unsigned_parts,
 )
 from ssp_lp.dynamic_programming.approach import approach
+from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.dynamic_programming.work import Work
@@ -66,7 +67,9 @@ class LayeredOracle:
         policy = DeterministicPolicy(base.skeleton.model, tails.decisions[0])
         return Column(cost, failure, goal + base.start_goal, None, policy=policy)
 
-    def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
+    def minimise(
+        self, failure_price: float, warm: Column | None = None, deadline: Deadline = NEVER
+    ) -> Column:
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         choice = self._blank_choice()
@@ -77,6 +80,7 @@ class LayeredOracle:
         measured = self._measures_beyond(failure_price)
         totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
         for layer in reversed(range(self.process.cap)):
+            deadline.check()
             cost, charge = priced(layer), self.process.charged(layer)
             if self._acyclic and accelerated(base.later.nnz):
                 values, totals = self._fused(cost, charge, ahead, measured, choice[layer])

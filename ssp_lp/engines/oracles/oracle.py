@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
 import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
@@ -29,7 +30,7 @@ class Column:
     tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
     policy: Policy | None = None  # the policy on the model, where it did not come from the oracle
     totals: FloatArray | None = None  # expected cost and failure from each state, a warm start
-    work: Work = Work()  # what finding it took
+    work: Work = field(default_factory=Work)  # what finding it took
 
 
 def excess_failure(risky: Column, safe: Column) -> float:
@@ -52,7 +53,7 @@ class Proof:
     failing: float
     bound: float  # at the start
     values: FloatArray  # the checked sub-solution behind it, in the oracle's own shape
-    work: Work = Work()
+    work: Work = field(default_factory=Work)
 
 
 def required(part: _Array | None) -> _Array:
@@ -77,8 +78,19 @@ class Oracle(Protocol):
         """A policy from which the goal is reached if it can be; cheap to find."""
         ...
 
-    def minimise(self, failure_price: float, warm: Column | None = None) -> Column:
-        """A policy of least priced cost, measured exactly; ``warm`` is a policy to start from."""
+    def minimise(
+        self, failure_price: float, warm: Column | None = None, deadline: Deadline = NEVER
+    ) -> Column:
+        """A policy of least priced cost, measured exactly.
+
+        Args:
+            failure_price: price of failure.
+            warm: a policy to start from.
+            deadline: looked at inside every loop.
+
+        Raises:
+            OutOfTimeError: the deadline passed.
+        """
         ...
 
     def aligned(self, column: Column, price: float) -> Column:

@@ -23,8 +23,10 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
-from ssp_lp.dynamic_programming.policy_iteration import Settled, improve
+from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.settled import Settled
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.oracles.explicit import ExplicitOracle
 from ssp_lp.errors import ModelError
@@ -86,7 +88,9 @@ class PricedOracle:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
         return self._measured(self._first, None, Work())
 
-    def minimise(self, weights: FloatArray, warm: Point | None = None) -> Point:
+    def minimise(
+        self, weights: FloatArray, warm: Point | None = None, deadline: Deadline = NEVER
+    ) -> Point:
         """A policy of least weighted totals, measured exactly.
 
         What is free at the weights is contracted first: rounding would find policies that stay.
@@ -94,16 +98,20 @@ class PricedOracle:
         Args:
             weights: of the rewards, >= 0, [rewards].
             warm: a policy to start from.
+            deadline: looked at inside every loop.
+
+        Raises:
+            OutOfTimeError: the deadline passed.
         """
         smaller, choice = self._contracted(weights), self._first if warm is None else warm.choice
         guess = None if warm is None else weighted(warm.totals, weights)
         if smaller is None:
-            settled = self._improved(self.process, weights, choice, guess)
+            settled = self._improved(self.process, weights, choice, guess, deadline)
             found = settled.choice
         else:
             begun = smaller.begun(self.process, choice).astype(np.int32)
             guess = None if guess is None else smaller.least(guess)
-            settled = self._improved(smaller, weights, begun, guess)
+            settled = self._improved(smaller, weights, begun, guess, deadline)
             found = smaller.expanded(self.process, settled.choice)
         if warm is not None and np.array_equal(found, warm.choice):
             return replace(warm, work=settled.work)
@@ -115,6 +123,7 @@ class PricedOracle:
         weights: FloatArray,
         choice: IntArray,
         guess: FloatArray | None,
+        deadline: Deadline,
     ) -> Settled:
         """Policy iteration on the process, or on what is left of it."""
         priced = weighted(self.rewards, weights)
@@ -125,6 +134,7 @@ class PricedOracle:
             _UNIT,
             choice,
             None if guess is None else guess[:, None],
+            deadline=deadline,
         )
 
     def _contracted(self, weights: FloatArray) -> Contracted | None:
