@@ -32,7 +32,7 @@ def limited(exact: Exact, give_up: str, charged: bool) -> Iterator[Question]:
     elif turn == 2 and points:
         cheapest = min(points, key=lambda p: (p.cost, p.failure))
         allowed = float((least + cheapest.failure) / 2)
-        allowed = allowed if allowed >= least else float(least) * (1 + 1e-9) + 1e-13
+        allowed = allowed if allowed >= least else min(float(least) * (1 + 1e-9) + 1e-13, 1.0)
     yield from _limit(
         exact, points, near, allowed, {"give_up": give_up, "charge_failing_step": charged}
     )
@@ -54,7 +54,9 @@ def _limit(
     share = Fraction(1, 2) if exact.model.index % 9 else Fraction(-3, 5)
     spent = min(inside, key=lambda p: (p.cost, p.second)).second
     bound = float(needed + share * (spent - needed if share > 0 else needed))
-    if needed == spent and share > 0:  # not an equation, which rounding would decide
+    if share > 0 and spent - needed <= needed * Fraction(
+        1, 10**8
+    ):  # not an equation, which rounding would decide
         bound *= 1.0 + 1e-6
     costs = {s: {a: float(c) for a, c in row.items()} for s, row in exact.model.second.items()}
 

@@ -98,7 +98,7 @@ def certify(solution: Solution) -> Certificate:
     instance = problem.instance().matching(np.asarray(values))
     bound, tail = _lower_bound(instance, problem, kappa, price == 0.0, solution)
     least = instance.least_failure()
-    if problem.failure_budget <= least.column.failure:
+    if problem.failure_budget <= least.column.failure < 1.0:
         bound = max(bound, least.objective_bound)
     allowed = max(problem.failure_budget, least.column.failure)
     return _certificate(found, failure, bound, tail, allowed, "")

@@ -6,6 +6,7 @@ first, whose duals are then the prices to begin with.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,8 +66,17 @@ def solve_constrained(problem: LimitedProblem, effort: Effort) -> Solution:
             answer fails its check.
     """
     _check(problem, effort)
-    pace = Pace(effort.tolerance, effort.deadline, report=effort.progress)
     stated = rows_instance(problem)
+    solution = _solved(problem, stated, effort)
+    late = time.perf_counter() > effort.deadline
+    if late or solution.gap <= effort.tolerance or effort.engine == "lp":
+        return solution
+    return _solved(problem, replace(stated, precise=True), effort)
+
+
+def _solved(problem: LimitedProblem, stated: RowsInstance, effort: Effort) -> Solution:
+    """One search, in the precision that the instance says."""
+    pace = Pace(effort.tolerance, effort.deadline, report=effort.progress)
     instance = stated.settled()
     opened = _opened(instance, stated, pace)
     program, centre = None, (np.zeros(len(opened.asked)), opened.unlimited)

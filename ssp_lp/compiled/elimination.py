@@ -15,6 +15,9 @@ from numba import njit
 
 Array = np.ndarray[Any, Any]
 
+_ROUNDS = 1_000
+"""Rounds in one component that only rounding could need; what it costs shows in the bound."""
+
 
 @njit(cache=True)
 def solve_components(
@@ -253,7 +256,7 @@ def improve_components(
         begin, size = components[c], components[c + 1] - components[c]
         if size == 1:
             s = order[begin]
-            pick, least, _ = _best_pair(
+            pick, least, _, _ = _best_pair(
                 offsets, indptr, indices, data, exits, cost, values, s, choice[s]
             )
             if least == np.inf:
@@ -262,8 +265,9 @@ def improve_components(
             continue
         for i in range(size):
             place[order[begin + i]] = i
-        changed = True
-        while changed:
+        changed, rounds = True, 0
+        while changed and rounds < _ROUNDS:
+            rounds += 1
             _gather(
                 indptr, indices, data, exits, choice, order, begin, size, place, rewards, column,
                 inner, low, leaving, right,
@@ -275,10 +279,10 @@ def improve_components(
                 values[order[begin + i]] = right[i, 0]
             for i in range(size):
                 s = order[begin + i]
-                pick, least, kept = _best_pair(
+                pick, least, kept, size_of_it = _best_pair(
                     offsets, indptr, indices, data, exits, cost, values, s, choice[s]
                 )
-                if least < kept - noise * abs(kept):
+                if least < kept - noise * size_of_it:
                     choice[s] = pick
                     changed = True
         for i in range(size):
@@ -290,19 +294,20 @@ def improve_components(
 def _best_pair(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
     cost: Array, values: Array, s: int, held: int,
-) -> tuple[int, float, float]:  # fmt: skip
-    """The best pair of a state on departing from it, its value, and that of the held pair."""
-    pick, least, kept = held, np.inf, np.inf
+) -> tuple[int, float, float, float]:  # fmt: skip
+    """The best pair of a state on departing, its value, that of the held one, and what it sums."""
+    pick, least, kept, size = held, np.inf, np.inf, 0.0
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
-        total, departs = cost[pair], exits[pair]
+        total, departs, whole = cost[pair], exits[pair], abs(cost[pair])
         for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
             if indices[k] != s:
                 departs += data[k]
                 total += data[k] * values[indices[k]]
+                whole += data[k] * abs(values[indices[k]])
         if departs > 0.0:
             total /= departs
             if pair == held:
-                kept = total
+                kept, size = total, whole / departs
             if total < least:
                 pick, least = pair, total
-    return pick, least, kept
+    return pick, least, kept, size

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
-from ssp_lp.dynamic_programming.linear_system import EXACT, System
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
+from ssp_lp.dynamic_programming.linear_system import DIRECT_STATES, EXACT, System
 from ssp_lp.dynamic_programming.precise import (
     exact_sum,
     precise_advantages,
@@ -25,6 +25,7 @@ from ssp_lp.errors import SolverError
 EVALUATED = 1e-12
 """Largest error of totals, relative to the greatest of them, that is let pass uncorrected."""
 
+_ROUNDED = 4e-16  # of small chains, where a correction costs next to nothing
 _RUN_ACCURACIES = (1e-3, 1e-8)  # of run lengths, which are checked and used times two
 _CORRECTIONS = 6
 
@@ -51,7 +52,7 @@ def evaluate_chain(
     rewards: FloatArray,
     solved: FloatArray | None = None,
     *,
-    accuracy: float = EVALUATED,
+    accuracy: float | None = None,
 ) -> Totals:
     """Expected totals of several rewards, corrected until their error is small.
 
@@ -59,12 +60,15 @@ def evaluate_chain(
         system: the chain's equations.
         rewards: [states, rewards].
         solved: totals that were worked out before, like ``rewards``.
-        accuracy: error, relative to each reward's greatest total, down to which to correct.
+        accuracy: error, relative to each reward's greatest total, down to which to correct; None:
+            rounding for small chains, ``EVALUATED`` for large ones.
 
     Raises:
         SolverError: the chain holds mass for ever, or its totals cannot be had to
             ``EVALUATED``.
     """
+    if accuracy is None:
+        accuracy = _ROUNDED if system.size <= DIRECT_STATES else EVALUATED
     for solve in (system.solve, lambda right, *_: system.solve_by_reduction(right)):
         try:
             first = solve(rewards, None, EXACT) if solved is None else solved
@@ -77,9 +81,27 @@ def evaluate_chain(
             solved = None
         if totals is not None:
             return totals
-    raise SolverError(
-        "a policy's totals could not be verified: its chain is left too seldom for double precision"
-    )
+    return _reduced(system, rewards)
+
+
+def _reduced(system: System, rewards: FloatArray) -> Totals:
+    """Totals of a chain left so seldom that no residual verifies them, by state reduction alone.
+
+    It subtracts nothing, so that every total of non-negative rewards is accurate whatever the
+    condition (Alfa, Xue and Ye 2002).
+
+    Raises:
+        SolverError: a component is too large for state reduction, or some rewards are negative.
+    """
+    if system.components.largest > DIRECT_STATES or rewards.min(initial=0.0) < 0.0:
+        raise SolverError(
+            "a policy's totals could not be verified: its chain is left too seldom for double "
+            "precision"
+        )
+    found = system.solve_by_reduction(np.column_stack([rewards, np.ones(system.size)]))
+    values = found[:, :-1]
+    rounding = 4.0 * MACHINE_EPSILON * np.abs(values).max(axis=0, initial=0.0)
+    return Totals(values, np.zeros_like(values), found[:, -1], rounding)
 
 
 def _evaluated(

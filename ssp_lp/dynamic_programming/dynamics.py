@@ -35,7 +35,7 @@ class Level:
     pairs: IntArray
     offsets: IntArray  # of each state's pairs among these, [states of the level + 1]
     rows: sp.csr_array  # [pairs of the level, all states], without self-loops
-    departs: FloatArray  # [pairs of the level]
+    departs: FloatArray  # [pairs of the level] 0 where a pair only waits
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,8 @@ def _levels(dynamics: Dynamics) -> Iterator[Level]:
     shape = dynamics.transitions.shape
     moving = sp.csr_array((entry.data[away], (entry.row[away], entry.col[away])), shape=shape)
     before = moving.tocsc()
-    waiting = np.bincount(home[entry.row[away]], minlength=dynamics.n_states)
+    owner = np.repeat(home, np.diff(moving.indptr))  # of each entry, duplicates summed
+    waiting = np.bincount(owner, minlength=dynamics.n_states)
     states: IntArray = np.flatnonzero(waiting == 0)
     while states.size:
         begin = dynamics.pair_offsets[states]
@@ -123,7 +124,6 @@ def _levels(dynamics: Dynamics) -> Iterator[Level]:
         pairs = concatenated_ranges(begin, counts)
         rows = sp.csr_array(moving[pairs])
         departs = dynamics.exits[pairs] + np.asarray(rows.sum(axis=1)).ravel()
-        departs = np.where(departs > 0.0, departs, np.nan)
         yield Level(states, pairs, np.append(0, np.cumsum(counts)), rows, departs)
         first = before.indptr[states]
         entering = before.indices[concatenated_ranges(first, before.indptr[states + 1] - first)]

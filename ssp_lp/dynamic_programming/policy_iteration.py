@@ -149,7 +149,9 @@ def _backward(
             raise SolverError(HOLDS_MASS)
         return choice, values
     for level in dynamics.levels:
-        ahead = (pair_cost[level.pairs] + level.rows @ values) / level.departs
+        total = pair_cost[level.pairs] + level.rows @ values
+        ahead = np.full_like(total, np.inf)
+        np.divide(total, level.departs, out=ahead, where=level.departs > 0.0)
         values[level.states] = segment_minima(ahead, level.offsets)
         first = first_minimisers(ahead, values[level.states], level.offsets)
         choice[level.states] = level.pairs[first]

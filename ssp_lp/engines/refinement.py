@@ -147,7 +147,7 @@ def _attempt(
     )
     if optimum is not None and found.finished:
         check_agreement(optimum, found.objective)
-    if least is not None and row.budget <= least.column.failure:
+    if least is not None and row.budget <= least.column.failure < 1.0:
         found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
     calls, work = opening.calls + found.rounds, opening.work + found.work
     report = "" if optimum is None else optimum.report

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ssp_lp.arrays import MACHINE_EPSILON
 from ssp_lp.engines.oracles.oracle import Proof
 from ssp_lp.errors import SolverError
 
+_ROUNDED = 4.0 * MACHINE_EPSILON  # of a bound and of what the budget is worth at its price
 _TINY = 1e-12  # costs below this are compared with 0
 
 
@@ -34,7 +36,8 @@ class Row:
         c = (bound - price * budget) / (1 - budget). With failing counted 0 the value is shifted
         by the price, which is exact where the budget is slack.
         """
-        bound, price, share = proof.bound, proof.price, 1.0 - self.budget
+        price, share = proof.price, 1.0 - self.budget
+        bound = proof.bound - _ROUNDED * (abs(proof.bound) + price * self.budget)
         if not self.ratio:
             return max(bound - price * self.budget, self.lowest)
         if proof.failing == 0.0:

@@ -31,6 +31,7 @@ class RowsInstance:
     discount: float | None
     side: tuple[SideRow, ...]
     budget: float | None
+    precise: bool = False  # compare pairs in twice the working precision
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,7 +86,7 @@ class RowsInstance:
         process = labelled.process
         costs = [secondary_cost(labelled, row.model, *setting) for row in self.side]
         rewards = np.stack([process.cost, process.failure, *costs], axis=1)
-        return PricedOracle(labelled, rewards)
+        return PricedOracle(labelled, rewards, self.precise)
 
 
 def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> float:

@@ -64,7 +64,7 @@ def solve_master(
     top = 0.0 if elastic else float(np.abs(cost).max(initial=0.0))
     unit = top if top > 0.0 else 1.0
     program = _scaled(cost / unit, activity, bounds, scales, elastic=elastic)
-    x, dual = _from_basis(program, _basis(program))
+    x, dual = _from_basis(program, _first_basis(program, activity, bounds, scales))
     x, weights = np.maximum(x, 0.0), np.maximum(x[:n_columns], 0.0)
     weights = np.where(weights > _NEGATIVE, weights, 0.0)
     weights = weights / weights.sum()
@@ -96,10 +96,32 @@ def _scaled(
     )
 
 
-def _basis(program: _Standard) -> IntArray:
+def _first_basis(
+    program: _Standard, activity: FloatArray, bounds: FloatArray, scales: FloatArray
+) -> IntArray:
+    """A basis to begin with: HiGHS's, or, where it finds the rows contradictory, of phase 1.
+
+    Policies whose totals differ by no more than HiGHS's tolerances may keep to rows that it takes
+    to be violated; the basis of least violation is feasible up to rounding if any is.
+    """
+    basis = _basis(program)
+    if basis is not None:
+        return basis
+    n_rows, n_columns = activity.shape
+    elastic = _scaled(np.zeros(n_columns), activity, bounds, scales, elastic=True)
+    found = _basis(elastic)
+    if found is None:
+        raise SolverError("the master program: HiGHS finds no basis, nor one of least violation")
+    kept = [int(v) for v in found if v < n_columns]
+    kept += [int(v) - n_rows for v in found if v >= n_columns + n_rows]
+    return np.array(_completed(program, kept), dtype=np.int64)
+
+
+def _basis(program: _Standard) -> IntArray | None:
     """Variables of an optimal basis, found by HiGHS, [rows + 1].
 
-    No master is unbounded: where numbers far apart make HiGHS say so, its last basis is feasible.
+    None where HiGHS finds none. No master is unbounded: where numbers far apart make HiGHS say so,
+    its last basis is feasible.
     """
     n_rows, n_variables = program.matrix.shape
     lp = highspy.HighsLp()
@@ -121,7 +143,7 @@ def _basis(program: _Standard) -> IntArray:
     solver.run()
     status = solver.getModelStatus()
     if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kUnbounded):
-        raise SolverError(f"the master program: {solver.modelStatusToString(status)}")
+        return None
     basic = highspy.HighsBasisStatus.kBasic
     basis = solver.getBasis()
     found = [i for i, state in enumerate(basis.col_status) if state == basic]

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.dynamic_programming.approach import approach
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
@@ -81,6 +81,7 @@ class ExplicitOracle:
 
     def _column(self, choice: IntArray, totals: FloatArray, work: Work) -> Column:
         cost, failure = expected(self.process.start, totals).tolist()
+        failure = min(max(failure, 0.0), 1.0)  # verified: beyond it lies rounding
         return Column(cost, failure, 1.0 - failure, choice, totals=totals, work=work)
 
     def aligned(self, column: Column, price: float) -> Column:
@@ -102,6 +103,8 @@ class ExplicitOracle:
         if values.shape != (process.n_states,) or slack:
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
         priced = process.cost + price * process.failure
+        summed = (process.failure > 0.0) & ((process.cost > 0.0) | (process.failure < 1.0))
+        priced -= np.where(summed, MACHINE_EPSILON * np.abs(priced), 0.0)  # a bound rounds down
         checked = dual_bound(process.dynamics, priced, values)
         return Proof(price, price, checked.at(process.start), checked.values)
 

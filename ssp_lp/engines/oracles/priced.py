@@ -71,6 +71,7 @@ class PricedOracle:
 
     labelled: FailureLabelled
     rewards: FloatArray  # [pairs, rewards] cost, failure, secondary costs
+    precise: bool = False  # compare pairs in twice the working precision
     _known: dict[bytes, Contracted | None] = field(default_factory=dict)  # by what is counted
 
     @property
@@ -134,6 +135,7 @@ class PricedOracle:
             _UNIT,
             choice,
             None if guess is None else guess[:, None],
+            precise=self.precise,
             deadline=deadline,
         )
 

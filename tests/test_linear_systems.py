@@ -1,0 +1,158 @@
+"""Equations of policies: exact rational solutions, verified errors, chains that never leave."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from ssp_lp import SolverError, accelerator
+from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.components import strong_components
+from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.linear_system import System
+from ssp_lp.dynamic_programming.policy_iteration import improve
+
+Switch = Callable[[bool], None]
+
+
+@pytest.fixture(params=[False, True], ids=["numpy", "numba"])
+def compiled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
+    """Run every loop compiled, or none."""
+    if request.param:
+        pytest.importorskip("numba")
+    monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if request.param else 1 << 62)
+    return bool(request.param)
+
+
+def slow_chain(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Transitions and exits of up to 6 states, left with probabilities down to 1e-14."""
+    n = int(rng.integers(1, 7))
+    steps = rng.random((n, n)) * (rng.random((n, n)) < 0.6) * (1.0 - np.eye(n))
+    exits = 10.0 ** -rng.uniform(1, 14, n) * (rng.random(n) < 0.5)
+    total = steps.sum(axis=1) + exits
+    total[total == 0.0] = 1.0
+    return steps / total[:, None], exits / total
+
+
+def exact_totals(steps: np.ndarray, exits: np.ndarray, reward: np.ndarray) -> list[Fraction]:
+    """Gauss and Jordan in fractions; what departs is the sum of the steps and of the exit."""
+    n = len(exits)
+    rows = [
+        [-Fraction(float(p)) for p in steps[i]] + [Fraction(float(reward[i]))] for i in range(n)
+    ]
+    for i in range(n):
+        others = sum(Fraction(float(steps[i, j])) for j in range(n) if j != i)
+        rows[i][i] = Fraction(float(exits[i])) + others
+    for i in range(n):
+        pivot = next(k for k in range(i, n) if rows[k][i] != 0)
+        rows[i], rows[pivot] = rows[pivot], rows[i]
+        rows[i] = [value / rows[i][i] for value in rows[i]]
+        for k in range(n):
+            if k != i and rows[k][i] != 0:
+                factor = rows[k][i]
+                rows[k] = [a - factor * b for a, b in zip(rows[k], rows[i], strict=True)]
+    return [row[n] for row in rows]
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_totals_are_as_wrong_as_they_say(compiled: bool, seed: int) -> None:
+    """Against fractions: the verified bound holds and is small, whatever the exits."""
+    steps, exits = slow_chain(np.random.default_rng(seed))
+    rewards = np.stack([np.ones(len(exits)), exits], axis=1)
+    system = System(sp.csr_array(steps), exits)
+    if system.closed.size:
+        with pytest.raises(SolverError, match="for ever"):
+            evaluate_chain(system, rewards)
+        return
+    totals = evaluate_chain(system, rewards)
+    for j in range(2):
+        exact = exact_totals(steps, exits, rewards[:, j])
+        largest = max(abs(value) for value in exact)
+        for i, value in enumerate(exact):
+            found = Fraction(float(totals.values[i, j])) + Fraction(float(totals.low[i, j]))
+            assert abs(found - value) <= Fraction(float(totals.error[i, j])) + largest / 2**52
+            assert abs(found - value) <= Fraction(1, 10**12) * largest
+
+
+def test_a_loop_left_after_a_trillion_trillion_steps_is_exact(compiled: bool) -> None:
+    """No residual verifies 1e24 steps; state reduction without subtractions still has them."""
+    nested = np.zeros((3, 3))
+    nested[0, 1], nested[0, 2] = 1.0 - 1e-12, 1e-12
+    nested[1, 0] = 1.0
+    nested[2, 0] = 1.0 - 1e-12
+    system = System(sp.csr_array(nested), np.array([0.0, 0.0, 1e-12]))
+    runs = evaluate_chain(system, np.ones((3, 1))).values[:, 0]
+    assert runs == pytest.approx(2e24, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_components_come_after_all_that_they_lead_to(compiled: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 60))
+    rows = sp.csr_array((rng.random((n, n)) < 1.2 / n).astype(np.float64))
+    found = strong_components(rows.indptr, rows.indices, rows.data)
+    entry = rows.tocoo()
+    assert (found.label[entry.row] >= found.label[entry.col]).all()
+    assert np.array_equal(np.sort(found.order), np.arange(n))
+    assert (np.diff(found.label[found.order]) >= 0).all()
+    reach = (sp.csgraph.shortest_path(rows, unweighted=True) < np.inf) | np.eye(n, dtype=bool)
+    assert np.array_equal(found.label[:, None] == found.label[None, :], reach & reach.T)
+
+
+def random_dynamics(rng: np.random.Generator, backwards: int) -> tuple[Dynamics, np.ndarray]:
+    """A process of 30 states that lead at most so many states back; some entries come twice."""
+    n, actions, outcomes = 30, 3, 3
+    home = np.repeat(np.arange(n), actions * outcomes)
+    columns = np.maximum(home + rng.integers(-8, backwards + 1, home.size), -1)
+    chance = rng.dirichlet(np.ones(outcomes), n * actions).ravel()
+    pair = np.repeat(np.arange(n * actions), outcomes)
+    inside = (columns >= 0) & (columns < n)
+    exits = np.bincount(pair[~inside], weights=chance[~inside], minlength=n * actions) + 1e-3
+    indptr = np.append(0, np.cumsum(np.bincount(pair[inside], minlength=n * actions)))
+    kept = sp.csr_array((chance[inside] * 0.999, columns[inside], indptr), shape=(n * actions, n))
+    offsets = np.arange(0, n * actions + 1, actions, dtype=np.int32)
+    return Dynamics(offsets, kept, exits, is_reused=True), rng.random(n * actions)
+
+
+@pytest.mark.parametrize("backwards", [0, 1, 4])
+@pytest.mark.parametrize("seed", range(3))
+def test_one_pass_over_components_is_the_optimum(compiled: bool, seed: int, backwards: int) -> None:
+    """Against value iteration; entries of one column that come twice count twice."""
+    dynamics, cost = random_dynamics(np.random.default_rng(seed), backwards)
+    first = np.asarray(dynamics.pair_offsets[:-1])
+    found = improve(dynamics, cost[:, None], np.ones(1), first)
+    values = np.zeros(30)
+    departs = dynamics.exits + np.asarray(dynamics.transitions.sum(axis=1)).ravel()
+    for _ in range(20_000):
+        ahead = (
+            cost + dynamics.transitions @ values + (1.0 - departs) * values[first.repeat(3) // 3]
+        )
+        values = ahead.reshape(30, 3).min(axis=1)
+    assert found.values == pytest.approx(values, rel=1e-9)
+
+
+def test_a_policy_that_never_leaves_is_no_policy(compiled: bool) -> None:
+    ring = sp.csr_array(np.roll(np.eye(50), 1, axis=1))
+    system = System(ring, np.zeros(50))
+    assert np.array_equal(system.closed, np.arange(50))
+    with pytest.raises(SolverError, match="for ever"):
+        evaluate_chain(system, np.ones((50, 1)))
+
+
+def test_a_passed_deadline_ends_policy_iteration() -> None:
+    rng = np.random.default_rng(0)
+    dynamics, cost = random_dynamics(rng, 8)
+    plain = Dynamics(dynamics.pair_offsets, dynamics.transitions, dynamics.exits)
+    with pytest.raises(OutOfTimeError, match="time limit"):
+        improve(
+            plain,
+            cost[:, None],
+            np.ones(1),
+            np.asarray(plain.pair_offsets[:-1]),
+            deadline=Deadline(-10.0),
+        )
