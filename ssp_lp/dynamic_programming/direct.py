@@ -29,7 +29,7 @@ class Band:
         Raises:
             SolverError: the component is never left.
         """
-        from ssp_lp.compiled.elimination import eliminate_band
+        from ssp_lp.compiled.band import eliminate_band
 
         entry, size = own.tocoo(), len(leaving)
         self._place = place
@@ -43,7 +43,7 @@ class Band:
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Totals of the members, [members, rewards]."""
-        from ssp_lp.compiled.elimination import solve_band
+        from ssp_lp.compiled.band import solve_band
 
         ordered = np.empty_like(right)
         ordered[self._place] = right

@@ -36,17 +36,19 @@ class Row:
         c = (bound - price * budget) / (1 - budget). With failing counted 0 the value is shifted
         by the price, which is exact where the budget is slack.
         """
-        price, share = proof.price, 1.0 - self.budget
-        bound = proof.bound - _ROUNDED * (abs(proof.bound) + price * self.budget)
+        bound, price, share = proof.bound, proof.price, 1.0 - self.budget
+        worth = price * self.budget
+        rounding = _ROUNDED * (abs(bound) + worth) if worth > 0.0 else 0.0
         if not self.ratio:
-            return max(bound - price * self.budget, self.lowest)
+            return max(bound - worth - rounding, self.lowest)
         if proof.failing == 0.0:
             if bound >= 0.0:
                 return price + bound
             return max(price + bound / share, 0.0) if share > 0.0 else 0.0
         if bound >= price:
             return bound
-        return max((bound - price * self.budget) / share, 0.0) if share > 0.0 else 0.0
+        rest = bound - worth - rounding
+        return max(rest / share, 0.0) if share > 0.0 else 0.0
 
 
 def relative_gap(objective: float, lower_bound: float) -> float:
