@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple, cast
@@ -37,9 +38,12 @@ def flatten_transitions(
     """
     goals = list(dict.fromkeys(no_lone_string(goal, "goal")))
     states = list(transitions) + [g for g in goals if g not in transitions]
-    goal_set = set(goals)
-    table = {s: {} if s in goal_set else transitions[s] for s in states}
-    return _flatten(states, table, goal_set)
+    found, goal_set = _Found(list(states)), set(goals)
+    for state in states:
+        found.add(state, {} if state in goal_set else transitions[state], goal=state in goal_set)
+    if len(found.states) > len(states):
+        found.refuse_stranger(len(states))
+    return found.flat()
 
 
 def flatten_successors(
@@ -57,26 +61,97 @@ def flatten_successors(
     is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
     several = isinstance(start, (list, set, frozenset))
     starts: list[Any] = list(cast(Iterable[Any], start)) if several else [start]
-    found: dict[Hashable, None] = dict.fromkeys(starts)
-    queue = list(found)
-    table: dict[Hashable, Mapping[Hashable, Outcomes]] = {}
-    for state in queue:  # the list grows while it is walked: breadth-first order
-        table[state] = {} if is_goal(state) else _listed(_actions(successors(state), state), state)
-        for outcomes in table[state].values():
-            for _, successor, _ in outcomes:
-                if successor not in found:
-                    found[successor] = None
-                    queue.append(successor)
-        if len(found) > state_limit:
+    found = _Found(list(dict.fromkeys(starts)))
+    for done, state in enumerate(found.states, start=1):  # it grows while it is walked
+        reached = is_goal(state)
+        found.add(state, {} if reached else successors(state), goal=reached)
+        if len(found.states) > state_limit:
             raise ModelError(
                 f"more than state_limit={state_limit:,} states are reachable; raise the limit or "
                 f"bound the model (the last state expanded was {state!r})"
             )
-        if progress is not None and len(table) % _PROGRESS_EVERY == 0:
-            progress(len(found))
+        if progress is not None and done % _PROGRESS_EVERY == 0:
+            progress(len(found.states))
     if progress is not None:
-        progress(len(found))
-    return _flatten(queue, table, {s for s in queue if is_goal(s)})
+        progress(len(found.states))
+    return found.flat()
+
+
+class _Found:
+    """States in the order in which they were found, and the flat lists of those expanded. Grows."""
+
+    def __init__(self, states: list[Any]) -> None:
+        """Begin with some distinct states."""
+        self.states = states
+        self._index = {state: i for i, state in enumerate(states)}
+        self._goals: list[int] = []
+        self._actions: list[Hashable] = []
+        self._pair_offsets, self._outcome_offsets = [0], [0]
+        self._successors: list[int] = []
+        self._probabilities: list[float] = []
+        self._costs: list[float] = []
+        self._exact: dict[float, Fraction] = {}
+
+    def add(self, state: Hashable, actions: Any, *, goal: bool) -> None:
+        """Append the next state's actions and note what is new among their successors.
+
+        Raises:
+            ModelError: no actions, an outcome that is no triple, or what is no number.
+        """
+        index, states = self._index, self.states
+        successors, probabilities, costs = self._successors, self._probabilities, self._costs
+        for action, outcomes in _actions(actions, state).items():
+            for outcome in outcomes:
+                if type(outcome) is not tuple or len(outcome) != 3:
+                    outcome = _triple(outcome, state, action)
+                probability, successor, cost = outcome
+                place = index.get(successor)
+                if place is None:
+                    place = index[successor] = len(states)
+                    states.append(successor)
+                successors.append(place)
+                if type(probability) is not float:
+                    probability = _number(probability, "probability", state, action)
+                probabilities.append(probability)
+                if type(cost) is not float:
+                    cost = self._exactly(cost, state, action)
+                costs.append(cost)
+            self._actions.append(action)
+            self._outcome_offsets.append(len(successors))
+        self._pair_offsets.append(len(self._actions))
+        if goal:
+            self._goals.append(len(self._pair_offsets) - 2)
+
+    def _exactly(self, cost: Any, state: Hashable, action: Hashable) -> float:
+        """A cost as a float; a fraction is remembered as it is."""
+        value = _number(cost, "cost", state, action)
+        if isinstance(cost, Fraction):
+            self._exact[value] = cost
+        return value
+
+    def refuse_stranger(self, known: int) -> None:
+        """Raise :class:`ModelError` for the first outcome that leads to no known state."""
+        outcome = next(k for k, place in enumerate(self._successors) if place >= known)
+        pair = bisect_right(self._outcome_offsets, outcome) - 1
+        state = self.states[bisect_right(self._pair_offsets, pair) - 1]
+        raise ModelError(
+            f"action {self._actions[pair]!r} of state {state!r} leads to {self.states[known]!r}, "
+            "which is neither a state of the model nor a goal"
+        )
+
+    def flat(self) -> FlatModel:
+        """The model as flat lists."""
+        return FlatModel(
+            states=self.states,
+            actions=self._actions,
+            goal_states=self._goals,
+            pair_offsets=self._pair_offsets,
+            outcome_offsets=self._outcome_offsets,
+            successors=self._successors,
+            probabilities=self._probabilities,
+            costs=self._costs,
+            exact_costs=self._exact,
+        )
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
@@ -84,16 +159,6 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     if isinstance(states, str):
         raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
     return states
-
-
-def _listed(
-    actions: Mapping[Hashable, Outcomes], state: Hashable
-) -> Mapping[Hashable, list[tuple[float, Hashable, float]]]:
-    """The actions of a state with their outcomes as lists of checked triples."""
-    return {
-        action: [_triple(o, state, action) for o in outcomes]
-        for action, outcomes in actions.items()
-    }
 
 
 def _actions(actions: Any, state: Hashable) -> Mapping[Hashable, Outcomes]:
@@ -121,41 +186,3 @@ def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
         raise ModelError(
             f"action {action!r} of state {state!r} has a {what} that is no number: {value!r}"
         ) from error
-
-
-def _flatten(
-    states: Sequence[Hashable],
-    table: Mapping[Hashable, Mapping[Hashable, Outcomes]],
-    goals: set[Hashable],
-) -> FlatModel:
-    index = {s: i for i, s in enumerate(states)}
-    flat = FlatModel(states, [], [index[g] for g in states if g in goals], [0], [0], [], [], [], {})
-    actions, pair_offsets, outcome_offsets = [], [0], [0]
-    successors, probabilities, costs = [], [], []
-    exact: dict[float, Fraction] = {}
-    for state in states:
-        for action, outcomes in _actions(table[state], state).items():
-            for outcome in outcomes:
-                probability, successor, cost = _triple(outcome, state, action)
-                if successor not in index:
-                    raise ModelError(
-                        f"action {action!r} of state {state!r} leads to {successor!r}, which is "
-                        "neither a state of the model nor a goal"
-                    )
-                successors.append(index[successor])
-                probabilities.append(_number(probability, "probability", state, action))
-                costs.append(_number(cost, "cost", state, action))
-                if isinstance(cost, Fraction):
-                    exact[costs[-1]] = cost
-            actions.append(action)
-            outcome_offsets.append(len(successors))
-        pair_offsets.append(len(actions))
-    return flat._replace(
-        actions=actions,
-        pair_offsets=pair_offsets,
-        outcome_offsets=outcome_offsets,
-        successors=successors,
-        probabilities=probabilities,
-        costs=costs,
-        exact_costs=exact,
-    )
