@@ -18,14 +18,17 @@ from ssp_lp.errors import ModelError
 SWITCH: Final = "SSP_LP_ACCELERATOR"
 """Environment variable: "numba", "none", or unset: numba where it is installed."""
 
-_LOADED: Final = 10_000
-"""Entries of a loop that is worth running compiled where compiled loops have been loaded."""
-
 _CACHED: Final = 60_000
-"""Entries that are worth loading compiled loops from numba's cache, which takes about a second."""
+"""Entries of a loop that are worth loading compiled loops from numba's cache: about a second."""
 
 _COLD: Final = 1_500_000
-"""Entries that are worth compiling loops for the first time, which takes some ten seconds."""
+"""Entries of a loop that are worth compiling loops for the first time: some ten seconds."""
+
+_CALL: Final = 3_000
+"""Entries that take as long as the calls around a short loop of numpy expressions."""
+
+_LOOPS: Final = 300
+"""Loops as long as is worth loading, or compiling, for one: many short ones are worth it too."""
 
 _INDEX: Final = "**/bellman.back_up*.nbi"  # numba's index of the loop that every solve needs
 
@@ -44,15 +47,32 @@ def has_accelerator() -> bool:
 
 
 def accelerated(entries: int) -> bool:
-    """Whether a loop over so many entries is to run compiled."""
-    return entries >= least_entries() and has_accelerator()
+    """Whether a loop over so many entries is to run compiled.
+
+    Once compiled loops are loaded every loop is: they cost less than a numpy expression. Before
+    that, what short loops have taken adds up, as it does for a just-in-time compiler: a process
+    that goes on solving small models loads them in the end, one that solves a few never does.
+    """
+    if entries >= least_entries():
+        return has_accelerator()
+    _interpreted.entries += entries + _CALL
+    return False
 
 
 def least_entries() -> int:
     """Entries from which a loop is run compiled, the start of compiled code counted."""
-    if not _is_compiled_before():
-        return _COLD
-    return _LOADED if "ssp_lp.compiled.loops" in sys.modules else _CACHED
+    worth = _CACHED if _is_compiled_before() else _COLD
+    is_loaded = worth == _CACHED and "ssp_lp.compiled.loops" in sys.modules
+    return 0 if is_loaded or _interpreted.entries > _LOOPS * worth else worth
+
+
+class _Interpreted:
+    """What this process has passed over in numpy expressions; it decides on speed only."""
+
+    entries = 0
+
+
+_interpreted: Final = _Interpreted()
 
 
 @cache

@@ -7,6 +7,7 @@ from numba import njit, prange
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.graph import unsigned
+from ssp_lp.compiled.loops import one_or_all_cores
 
 
 def label_components(
@@ -148,10 +149,12 @@ def crossing(
         label: [states].
     """
     graph = outcome_offsets, unsigned(successors), probabilities, unsigned(pair_state)
-    return _crossing(*graph, candidates, label)
+    found = np.zeros(len(candidates), dtype=np.bool_)
+    _crossing(len(successors))(*graph, candidates, label, found)
+    return found
 
 
-@njit(cache=True, parallel=True)
+@one_or_all_cores
 def _crossing(
     outcome_offsets: IntArray,
     successors: IntArray,
@@ -159,8 +162,8 @@ def _crossing(
     pair_state: IntArray,
     candidates: BoolArray,
     label: IntArray,
-) -> BoolArray:
-    found = np.zeros(len(candidates), dtype=np.bool_)
+    found: BoolArray,
+) -> None:
     for pair in prange(len(candidates)):
         if candidates[pair]:
             here = label[pair_state[pair]]
@@ -168,4 +171,3 @@ def _crossing(
                 if label[successors[outcome]] != here and probabilities[outcome] > 0:
                     found[pair] = True
                     break
-    return found

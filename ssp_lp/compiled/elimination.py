@@ -21,25 +21,17 @@ _ROUNDS = 1_000
 
 @njit(cache=True)
 def solve_components(
-    indptr: Array,
-    indices: Array,
-    data: Array,
-    exits: Array,
-    order: Array,
-    offsets: Array,
-    first: int,
-    last: int,
-    most: int,
-    rewards: Array,
-    x: Array,
-) -> int:
+    indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
+    order: Array, offsets: Array, first: int, last: int, most: int, rewards: Array, x: Array,
+) -> int:  # fmt: skip
     """Solve ``x = rewards + chain @ x`` on components ``first .. last - 1``, ends first.
 
     Args:
-        indptr: [states + 1].
+        indptr: [rows + 1].
         indices: [entries].
         data: [entries].
-        exits: probability of leaving the chain, [states].
+        exits: probability of leaving the chain, [rows].
+        rows: the row of each state, [states].
         order: states, component by component, [states].
         offsets: of the components in the order, [components + 1].
         first: component to begin with; all before it are solved.
@@ -51,55 +43,63 @@ def solve_components(
     Returns:
         The first component that is never left; -1 if there is none.
     """
-    n_rewards = rewards.shape[1]
-    inner, right = np.empty((most, most)), np.empty((most, n_rewards))
+    inner, right = np.empty((most, most)), np.empty((most, rewards.shape[1]))
     low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
-    place = np.full(exits.size if most > 1 else 0, -1, dtype=np.int32)
-    rows = np.arange(exits.size if most > 1 else 0).astype(np.uint32)
+    place = np.full(rows.size if most > 1 else 0, -1, dtype=np.int32)
     for c in range(first, last):
         begin, size = offsets[c], offsets[c + 1] - offsets[c]
         if size == 1:
             s = order[begin]
-            departs = exits[s]
-            for j in range(n_rewards):
-                x[s, j] = rewards[s, j]
-            for k in range(indptr[s], indptr[s + np.uint32(1)]):
-                successor, p = indices[k], data[k]
-                if successor != s and p > 0.0:
-                    departs += p
-                    for j in range(n_rewards):
-                        x[s, j] += p * x[successor, j]
-            if departs <= 0.0:
+            if not _substitute(indptr, indices, data, exits, rows[s], s, rewards, x):
                 return c
-            for j in range(n_rewards):
-                x[s, j] /= departs
             continue
         for i in range(size):
             place[order[begin + i]] = i
         _gather(
-            indptr, indices, data, exits, rows, order, begin, size, place, rewards, x,
+            indptr, indices, data, exits, rows, order, begin, size, place, rewards, False, x,
             inner, low, leaving, right,
         )  # fmt: skip
         if not _eliminate(inner, low, leaving, right, size):
             return c
         for i in range(size):
-            for j in range(n_rewards):
-                x[order[begin + i], j] = right[i, j]
+            x[order[begin + i], :] = right[i, :]
             place[order[begin + i]] = -1
     return -1
+
+
+@njit(cache=True, inline="always")
+def _substitute(
+    indptr: Array, indices: Array, data: Array, exits: Array, row: int, s: int,
+    rewards: Array, x: Array,
+) -> bool:  # fmt: skip
+    """Solve a component of one state; false if it is never left."""
+    departs = exits[row]
+    for j in range(x.shape[1]):
+        x[s, j] = rewards[s, j]
+    for k in range(indptr[row], indptr[row + np.uint32(1)]):
+        successor, p = indices[k], data[k]
+        if successor != s and p > 0.0:
+            departs += p
+            for j in range(x.shape[1]):
+                x[s, j] += p * x[successor, j]
+    if departs <= 0.0:
+        return False
+    for j in range(x.shape[1]):
+        x[s, j] /= departs
+    return True
 
 
 @njit(cache=True)
 def _gather(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
-    order: Array, begin: int, size: int, place: Array, rewards: Array, x: Array,
+    order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
     inner: Array, low: Array, leaving: Array, right: Array,
 ) -> None:  # fmt: skip
     """One component as a matrix, what leaves it, and its rewards with what lies beyond.
 
     ``low[i]`` is the first column of the lower triangle, and the first row of the upper one, that
     is not zero beside the diagonal's entry i, when all later states have been taken out. ``rows``
-    says which row belongs to each state.
+    says which row belongs to each state; rewards are those of rows or of states.
     """
     for i in range(size):
         low[i] = i
@@ -120,8 +120,9 @@ def _gather(
     for i in range(size):
         s = rows[order[begin + i]]
         leaving[i] = exits[s]
+        owner = s if by_row else order[begin + i]
         for j in range(right.shape[1]):
-            right[i, j] = rewards[s, j]
+            right[i, j] = rewards[owner, j]
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
             successor, p = indices[k], data[k]
             if place[successor] >= 0:
@@ -213,8 +214,8 @@ def improve_components(
         while changed and rounds < _ROUNDS:
             rounds += 1
             _gather(
-                indptr, indices, data, exits, choice, order, begin, size, place, rewards, column,
-                inner, low, leaving, right,
+                indptr, indices, data, exits, choice, order, begin, size, place, rewards, True,
+                column, inner, low, leaving, right,
             )  # fmt: skip
             if not _eliminate(inner, low, leaving, right, size):
                 return c

@@ -25,7 +25,7 @@ from ssp_lp.crosscheck.models import LabelModels
 from ssp_lp.crosscheck.reply import Reply
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.errors import ModelError
-from ssp_lp.model.graph import pairs_into
+from ssp_lp.model.graph import goal_pairs
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.timed import TimedPolicy
 
@@ -110,7 +110,7 @@ class BayesLabelPlayer:
         """
         models, offsets = self.models, self.models.pair_offsets
         model, cost = models.skeleton.model, models.objective
-        choice = models.skeleton.nearer(pairs_into(model, model.goal_mask))
+        choice = models.skeleton.nearer(goal_pairs(model))
         choice = offsets[:-1].copy() if choice is None else choice.astype(np.int32)
         while True:
             values = models.dynamics.chain(choice).solve(cost[choice])

@@ -25,9 +25,9 @@ from ssp_lp.errors import SolverError
 EVALUATED = 1e-12
 """Largest error of totals, relative to the greatest of them, that is let pass uncorrected."""
 
-_ROUNDED = 4e-16  # of small chains, where a correction costs next to nothing
+ROUNDED = 4e-16  # of small chains, where a correction costs next to nothing
 _RUN_ACCURACIES = (1e-3, 1e-8)  # of run lengths, which are checked and used times two
-_CORRECTIONS = 6
+CORRECTIONS = 6
 
 _Solve = Callable[[FloatArray, FloatArray | None, float], FloatArray]
 
@@ -45,6 +45,12 @@ class Totals:
     def error(self) -> FloatArray:
         """Bound of the error of each total, [states, rewards]."""
         return 2.0 * np.outer(self.runs, self.missed)
+
+    def are_within(self, accuracy: float) -> bool:
+        """Whether no total is wrong by more, relative to the greatest of its reward."""
+        longest = float(self.runs.max(initial=0.0))
+        scale = np.abs(self.values).max(axis=0, initial=0.0)
+        return bool((2.0 * longest * self.missed <= accuracy * scale).all())
 
 
 def evaluate_chain(
@@ -68,7 +74,7 @@ def evaluate_chain(
             ``EVALUATED``.
     """
     if accuracy is None:
-        accuracy = _ROUNDED if system.size <= DIRECT_STATES else EVALUATED
+        accuracy = ROUNDED if system.size <= DIRECT_STATES else EVALUATED
     for solve in (system.solve, lambda right, *_: system.solve_by_reduction(right)):
         try:
             first = solve(rewards, None, EXACT) if solved is None else solved
@@ -115,7 +121,7 @@ def _evaluated(
         return None
     longest, low = float(runs.max(initial=0.0)), np.zeros_like(x)
     before = np.full(rewards.shape[1], np.inf)
-    for _ in range(_CORRECTIONS):
+    for _ in range(CORRECTIONS):
         off, missed = _missed(system, rewards, x, low)
         scale = np.abs(x).max(axis=0, initial=0.0)
         wrong = 2.0 * longest * missed
@@ -123,8 +129,8 @@ def _evaluated(
             break
         before = missed
         x, low = exact_sum(x, low + solve(off, None, EXACT))
-    good = bool((wrong <= max(accuracy, EVALUATED) * scale).all())
-    return Totals(x, low, runs, missed) if good else None
+    totals = Totals(x, low, runs, missed)
+    return totals if totals.are_within(max(accuracy, EVALUATED)) else None
 
 
 def _missed(

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, segment_minima
-from ssp_lp.bellman import best_pairs
+from ssp_lp.accelerator import accelerated
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, segment_minima
+from ssp_lp.bellman import best_pairs, unsigned_parts
 from ssp_lp.dynamic_programming.approach import approach
+from ssp_lp.dynamic_programming.backward import is_solved_backwards, least_backwards
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.dynamic_programming.precise import exact_sum, precise_advantages, safe_advantages
@@ -25,6 +27,8 @@ _LOWERINGS = 4  # by what is lacking, before looking at where it is met again
 _ROUNDED = 2e-15  # of a value: its own rounding and that of a backup
 _TIED = 1024.0  # lacks within which a pair may turn out to be the best after lowering
 _RUN_ACCURACY = 1e-3  # runs are used times 1.5 and checked
+_STEPWISE = 4.0  # lacks by which values are lowered in every step
+_LOST_AT_ONCE = 1e-13  # share of the values that this may cost
 _LARGE = 50_000  # states from which looking for the least that will do takes too long
 _SLIGHT = 1e-13  # share by which a large model's values are lowered throughout
 _SHRINKAGES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -73,14 +77,24 @@ class DualBound:
 
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
     """How far each state's value exceeds its backup, rounding counted against us, [states]."""
-    ahead = safe_advantages(
-        dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, values
-    )
+    rows, exits = dynamics.transitions, dynamics.exits
+    if accelerated(rows.nnz):
+        from ssp_lp.compiled.precise import shortfalls
+
+        lack = np.empty(dynamics.n_states)
+        parts = unsigned_parts(dynamics.pair_offsets, rows)
+        shortfalls(rows.nnz)(*parts, exits, pair_cost, values, MACHINE_EPSILON, lack)
+        return lack
+    ahead = safe_advantages(dynamics.pair_state, rows, exits, pair_cost, values)
     return np.maximum(-segment_minima(ahead, dynamics.pair_offsets), 0.0)
 
 
 def dual_bound(
-    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    values: FloatArray,
+    floor: float = 0.0,
+    choice: IntArray | None = None,
 ) -> DualBound:
     """Lower the given values, as little as is needed, to ones that pass the check.
 
@@ -92,11 +106,16 @@ def dual_bound(
         pair_cost: [pairs].
         values: near-optimal values, or any others (the bound is then worse), [states].
         floor: a constant that is known to be a sub-solution: 0 where no pair cost is negative.
+        choice: a policy of about these values, which leaves, [states].
 
     Returns:
         Values that are checked lower bounds of the optimum.
     """
     values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
+    if choice is not None:
+        lowered = _lowered_at_once(dynamics, pair_cost, values, floor, choice)
+        if lowered is not None:
+            return DualBound(lowered, np.zeros_like(lowered))
     lack = shortfall(dynamics, pair_cost, values)
     lowered = _lowered(dynamics, pair_cost, values, lack, floor)
     bound = DualBound(lowered, np.zeros_like(lowered))
@@ -110,7 +129,11 @@ def dual_bound(
 
 
 def sub_solution(
-    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    values: FloatArray,
+    floor: float = 0.0,
+    choice: IntArray | None = None,
 ) -> FloatArray:
     """Lower the given values to ones that pass the check in working precision, [states].
 
@@ -119,10 +142,45 @@ def sub_solution(
         pair_cost: [pairs].
         values: near-optimal values, or any others, [states].
         floor: a constant that is known to be a sub-solution.
+        choice: a policy of about these values, which leaves, [states].
     """
     values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
+    if choice is not None:
+        lowered = _lowered_at_once(dynamics, pair_cost, values, floor, choice)
+        if lowered is not None:
+            return lowered
     lack = shortfall(dynamics, pair_cost, values)
     return _lowered(dynamics, pair_cost, values, lack, floor)
+
+
+def _lowered_at_once(
+    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
+) -> FloatArray | None:
+    """Values lowered by what the worst near-optimal policy gathers; None where that costs much.
+
+    A step gathers a few times the greatest lack, less what its pair is worse than the best: of
+    least such totals w, ``v + w`` lacks nothing.
+    """
+    if not is_solved_backwards(dynamics):
+        return None
+    ahead = safe_advantages(
+        dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, values
+    )
+    lack = -float(ahead.min(initial=0.0))
+    if lack <= 0.0:
+        return values
+    policy = choice.astype(np.int32, copy=False)
+    for step in (_STEPWISE * lack, _STEPWISE**2 * lack):
+        try:
+            _, fall = least_backwards(dynamics, np.maximum(ahead - step, 0.0) - step, policy)
+        except SolverError:
+            return None
+        if float(fall.min()) < -_LOST_AT_ONCE * float(np.abs(values).max()):
+            return None
+        lowered = np.maximum(values + fall, floor)
+        if not shortfall(dynamics, pair_cost, lowered).any():
+            return lowered
+    return None
 
 
 def _lowered(

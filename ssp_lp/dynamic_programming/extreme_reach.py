@@ -14,14 +14,14 @@ import numpy as np
 
 from ssp_lp.arrays import MAXIMISER, BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.approach import approach
-from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.backward import evaluate_policy
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.dynamic_programming.precise import precise_advantages
 from ssp_lp.dynamic_programming.settled import Settled
 
-_ONE = np.ones(1)
+_ONE, _OTHER = np.ones(1), np.array([0.0, 1.0])
 _SMALL = 1e-2
 
 _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
@@ -66,17 +66,20 @@ def extreme_reach(exits: Exits, *, greatest: bool) -> ExtremeReach:
     stuck = choice < 0
     if stuck.any():
         choice = np.where(stuck, approach(dynamics, dynamics.exits > 0.0), choice)
-    choice = improve(dynamics, wanted[:, None], -_ONE, choice.astype(np.int32)).choice
-    settled = improve(dynamics, other[:, None], _ONE, choice)
-    rewards = np.stack([wanted, other], axis=1)[settled.choice]
-    totals = evaluate_chain(dynamics.chain(settled.choice), rewards, accuracy=_PRECISE)
+    both = np.stack([wanted, other], axis=1)
+    settled = improve(dynamics, both, _OTHER, choice.astype(np.int32))
+    if settled.totals[:, 0].min() < _SMALL:  # so small that the other cannot tell
+        choice = improve(dynamics, wanted[:, None], -_ONE, settled.choice).choice
+        settled = improve(dynamics, both, _OTHER, choice)
+    totals = evaluate_policy(dynamics, settled.choice, both, _PRECISE)
     won, lost = totals.values.T
     tied = _tied(exits, settled, wanted, other, (won, totals.low[:, 0]), lost)
     reach, missed = np.clip(won, 0.0, 1.0), np.clip(lost, 0.0, 1.0)
-    least = dual_bound(dynamics, other, missed).values
+    least = dual_bound(dynamics, other, missed, choice=settled.choice).values
     most = 1.0 - least
     if reach.min() < _SMALL:  # so small that 1 - least loses digits of it
-        most = np.minimum(most, -dual_bound(dynamics, -wanted, -reach, floor=-1.0).values)
+        above = -dual_bound(dynamics, -wanted, -reach, floor=-1.0, choice=settled.choice).values
+        most = np.minimum(most, above)
     highest = np.clip(most, reach, 1.0)
     reach = np.where(missed < reach, 1.0 - missed, reach)
     if greatest:

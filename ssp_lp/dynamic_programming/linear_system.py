@@ -78,6 +78,11 @@ class System:
         return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
 
     @cached_property
+    def _home(self) -> IntArray:
+        """Each state's own row."""
+        return np.arange(self.size, dtype=np.uint32)
+
+    @cached_property
     def closed(self) -> IntArray:
         """States from which the chain never leaves, [some states]."""
         found, rows = self.components, self.matrix
@@ -250,7 +255,7 @@ class System:
 
         found, rows = self.components, self.matrix
         stuck = solve_components(
-            unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
+            unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits, self._home,
             unsigned(found.order), found.offsets, first, last,
             int(found.sizes[first:last].max(initial=1)), rewards, x,
         )  # fmt: skip

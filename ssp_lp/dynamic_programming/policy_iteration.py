@@ -18,15 +18,17 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    first_minimisers,
-    segment_minima,
     weighted,
 )
 from ssp_lp.bellman import Backup, best_pairs, unsigned_parts
+from ssp_lp.dynamic_programming.backward import (
+    evaluate_policy,
+    is_solved_backwards,
+    least_backwards,
+)
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.equations import HOLDS_MASS
 from ssp_lp.dynamic_programming.leaving import leaving_chain
 from ssp_lp.dynamic_programming.linear_system import DIRECT_STATES, EXACT, System
 from ssp_lp.dynamic_programming.precise_improvement import improve_precisely
@@ -41,11 +43,6 @@ _NOISE = 0.01  # of a rough residual: changes for less may go back and forth
 
 _STEADY = 0.3
 """Share of the last round's changes from which the next round would hardly be shorter."""
-
-_LAYERS = 500  # passes that a process is good for where it is one layer of many
-
-_SMALL = 48
-"""States of a component up to which it is solved by itself, by dense state reduction."""
 
 _SWEEPS = 20  # of Bellman backups between two evaluations
 _SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
@@ -87,75 +84,32 @@ def improve(
         OutOfTimeError: the deadline passed.
         SolverError: a policy that never leaves the process, or totals that cannot be verified.
     """
+    deadline.check()
     choice = np.array(choice, dtype=np.int32)
     pair_cost = weighted(rewards, weights)
-    if _is_solved_backwards(dynamics):
-        choice, values, work = *_backward(dynamics, pair_cost, choice), Work(1, 0)
-        if dynamics.is_reused and not precise:  # a layer: what is made of all of them is checked
-            nothing = np.zeros_like(values)
-            return Settled(choice, values[:, None], values, nothing, nothing, work)
-        system, solved, left = dynamics.chain(choice), None, 0.0
-    else:
-        try:
-            found = _settle(dynamics, rewards, weights, choice, guess, deadline)
-        except OutOfTimeError:
-            raise
-        except SolverError:
-            return improve_precisely(dynamics, rewards, weights, choice, Work(), deadline)
-        choice, system, solved, left, work = found
-    taken = rewards[choice]
+    work, left = Work(1, 0), 0.0
     try:
-        totals = evaluate_chain(system, taken, solved)
+        if is_solved_backwards(dynamics):
+            choice, values = least_backwards(dynamics, pair_cost, choice)
+            if dynamics.is_reused and not precise:  # what is made of all layers is checked
+                nothing = np.zeros_like(values)
+                return Settled(choice, values[:, None], values, nothing, nothing, work)
+            totals = evaluate_policy(dynamics, choice, rewards)
+        else:
+            found = _settle(dynamics, rewards, weights, choice, guess, deadline)
+            choice, system, solved, left, work = found
+            totals = evaluate_chain(system, rewards[choice], solved)
+            work = work + Work(0, system.products)
+    except OutOfTimeError:
+        raise
     except SolverError:
         return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     values = weighted(totals.values, weights)
     scale = float(np.abs(values).max(initial=0.0))
     hidden = (left + 4.0 * MACHINE_EPSILON * scale) * float(totals.runs.max(initial=0.0))
-    work = work + Work(0, system.products)
     if precise or hidden > _UNCERTAIN * scale:
         return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
-
-
-def _is_solved_backwards(dynamics: Dynamics) -> bool:
-    """Whether the process falls into components so small that each is solved once and for all."""
-    if dynamics.n_states <= DIRECT_STATES and not dynamics.is_reused:
-        return False  # looking at the structure would take longer than it saves
-    most = _SMALL if _is_compiled(dynamics) else 1
-    return dynamics.components.largest <= most
-
-
-def _is_compiled(dynamics: Dynamics) -> bool:
-    """Whether a pass over the process is run compiled: what is passed often is worth it sooner."""
-    passes = _LAYERS if dynamics.is_reused else 1
-    return accelerated(passes * dynamics.transitions.nnz)
-
-
-def _backward(
-    dynamics: Dynamics, pair_cost: FloatArray, choice: IntArray
-) -> tuple[IntArray, FloatArray]:
-    """The best pairs of a process with small components, ends first, from a policy that leaves."""
-    values, choice = np.zeros(dynamics.n_states), choice.copy()
-    if _is_compiled(dynamics):
-        from ssp_lp.compiled.elimination import improve_components
-
-        found = dynamics.components
-        stuck = improve_components(
-            *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
-            found.order.view(np.uint32), found.offsets, max(found.largest, 1),
-            pair_cost, IMPROVEMENT, choice.view(np.uint32), values,
-        )  # fmt: skip
-        if stuck >= 0:
-            raise SolverError(HOLDS_MASS)
-        return choice, values
-    for level in dynamics.levels:
-        total = pair_cost[level.pairs] + level.rows @ values
-        ahead = np.full_like(total, np.inf)
-        np.divide(total, level.departs, out=ahead, where=level.departs > 0.0)
-        values[level.states] = segment_minima(ahead, level.offsets)
-        first = first_minimisers(ahead, values[level.states], level.offsets)
-        choice[level.states] = level.pairs[first]
-    return choice, values
 
 
 _Found = tuple[IntArray, System, FloatArray, float, Work]

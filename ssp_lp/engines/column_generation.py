@@ -130,11 +130,11 @@ def search(
     while calls < _ROUNDS and not (calls > 0 and time.perf_counter() > deadline):
         price = edge.slope
         try:
-            found = oracle.minimise(price, found, Deadline(deadline))
+            if found.found_at != price:
+                found = oracle.minimise(price, found, Deadline(deadline))
+                calls, work = calls + 1, work + found.work
         except OutOfTimeError:
             break
-        calls += 1
-        work = work + found.work
         if report is not None:
             report(calls, price, edge.objective)
         if edge.improved_by(found, price, tolerance):

@@ -87,7 +87,8 @@ class LabelInstance:
             column = second.minimise(0.0, column)
             bound = second.prove(0.0, column).bound
         policy = second.policy(column)
-        return LeastFailure(policy, replace(column, choice=None, policy=policy), bound)
+        foreign = replace(column, choice=None, found_at=None, policy=policy)
+        return LeastFailure(policy, foreign, bound)
 
     def explicit(self) -> ExplicitProcess:
         """The labelled process."""

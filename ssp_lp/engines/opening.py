@@ -88,7 +88,7 @@ def open_by_pricing(
         try:
             last = oracle.minimise(price, last, Deadline(deadline))
         except OutOfTimeError:
-            if inside is None and last.failure > row.budget:
+            if last is None or (inside is None and last.failure > row.budget):
                 raise
             inside = last if inside is None else inside
             break
@@ -103,7 +103,9 @@ def open_by_pricing(
         if step is None or (inside is not None and enough):
             break
         price = _moved(price, step, last.failure, row.budget, is_hinted=hint is not None)
-    return None if inside is None else Opening(Edge(row, inside, outside), last, calls, work)
+    if inside is None or last is None:
+        return None
+    return Opening(Edge(row, inside, outside), last, calls, work)
 
 
 def _moved(price: float, step: float, failure: float, budget: float, *, is_hinted: bool) -> float:
@@ -122,11 +124,11 @@ def _moved(price: float, step: float, failure: float, budget: float, *, is_hinte
     return price * float(np.clip(factor, least, most))
 
 
-def _beginning(oracle: Oracle, row: Row, hint: Hint | None) -> tuple[Column, float | None]:
+def _beginning(oracle: Oracle, row: Row, hint: Hint | None) -> tuple[Column | None, float | None]:
     """A policy to start from and the first price; None where the goal seems out of reach."""
-    first = oracle.first()
     if hint is not None:
-        return first, hint.price
+        return None, hint.price
+    first = oracle.first()
     if first.goal <= 0.0:
         return first, None
     typical = row.objective(first.cost, first.goal)

@@ -15,6 +15,7 @@ from ssp_lp.accelerator import accelerated
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model.approach import nearer_pairs
 from ssp_lp.model.chunks import pieces
+from ssp_lp.model.kept import kept
 from ssp_lp.model.predecessors import narrow, possible_steps
 from ssp_lp.model.ssp import SSP
 
@@ -30,6 +31,7 @@ def reachable_states(model: SSP, start: IntArray) -> BoolArray:
     return reached_along(columns, ends[model.pair_offsets], start)
 
 
+@kept
 def dead_ends(model: SSP) -> BoolArray:
     """States from which no policy reaches the goal, X_{d,all} of section 2.3, [states]."""
     return ~reaching_states(model, model.goal_mask)
@@ -49,6 +51,7 @@ def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
     return reached_along(model.pair_state[before.pairs], before.offsets, first)
 
 
+@kept
 def attention_states(model: SSP) -> BoolArray:
     """States from which some policy surely avoids the goal, X_{d,or} of section 2.3, [states].
 
@@ -63,6 +66,7 @@ def attention_states(model: SSP) -> BoolArray:
     return np.asarray(~model.goal_mask & (idle | (open_counts > 0)))
 
 
+@kept
 def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
     """States from which some policy reaches the goal with probability one, and how.
 
@@ -74,7 +78,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
     """
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
-    into_goal = pairs_into(model, model.goal_mask)
+    into_goal = goal_pairs(model)
     kept = np.ones(model.n_states, dtype=np.bool_)
     while True:
         nearer = approach_pairs(model, into_goal & open_pairs, open_pairs)
@@ -85,6 +89,12 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
         open_counts[lost] = 0
         _drain(model, open_pairs, open_counts, np.flatnonzero(lost))
         kept = model.goal_mask | (open_counts > 0)
+
+
+@kept
+def goal_pairs(model: SSP) -> BoolArray:
+    """Pairs that may lead to a goal, [pairs]."""
+    return pairs_into(model, model.goal_mask)
 
 
 def pairs_into(model: SSP, states: BoolArray) -> BoolArray:

@@ -259,6 +259,11 @@ class SSP:
         )
 
     @cached_property
+    def kept_facts(self) -> dict[str, Any]:
+        """What was found out about the model's graph, by name (``ssp_lp.model.kept``)."""
+        return {}
+
+    @cached_property
     def _index(self) -> Mapping[Hashable, int]:
         return {label: i for i, label in enumerate(self.states)}
 

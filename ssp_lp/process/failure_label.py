@@ -13,7 +13,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, pairs_into, surely_reaching
+from ssp_lp.model.graph import attention_states, goal_pairs, surely_reaching
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.process.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.process.explicit import ExplicitProcess
@@ -51,7 +51,7 @@ class FailureLabelled:
         None where it has to be found on the process itself (see ``Skeleton.nearer``).
         """
         model = self.skeleton.model
-        found = self.skeleton.nearer(pairs_into(model, model.goal_mask))
+        found = self.skeleton.nearer(goal_pairs(model))
         if found is None or self.process.n_states == len(found):
             return found
         return np.append(found, self.process.n_pairs - 1)  # the source state's only pair
@@ -129,7 +129,7 @@ def _free_pairs(model: SSP, aim: Aim) -> BoolArray:
     if aim is Aim.GREATEST_GOAL:
         return np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
     if aim is Aim.LEAST_GOAL:
-        return ~pairs_into(model, model.goal_mask)
+        return ~goal_pairs(model)
     return costless_pairs(model)
 
 

@@ -61,6 +61,10 @@ class Tails:
         return np.where(saved > 0, layer, np.where(owed < 0, -np.inf, np.inf))
 
 
+_TABLE = 1_000_000
+"""Charges, layers x pairs, that are worked out together."""
+
+
 @dataclass(frozen=True, eq=False)
 class LayeredProcess:
     """States (node, layer) for layers below ``cap``; beyond it a policy follows a tail for good."""
@@ -85,8 +89,20 @@ class LayeredProcess:
         base = self.base
         if self.grows_evenly or base.arrivals is None:
             return PairCost(base.gain_cost, self._growth, float(layer))
-        ahead = layer + np.arange(base.arrivals.shape[1])
-        return PairCost(np.asarray(base.arrivals @ self.charge.at(ahead, base.exact_unit)))
+        size = max(_TABLE // max(base.arrivals.shape[0], 1), 1)
+        block, place = divmod(layer, size)
+        if block not in self._charges:
+            layers = block * size + np.arange(min(size, self.cap))
+            ahead = layers[:, None] + np.arange(base.arrivals.shape[1])
+            paid = base.arrivals @ self.charge.at(ahead, base.exact_unit).T
+            self._charges.clear()
+            self._charges[block] = np.ascontiguousarray(paid.T)
+        return PairCost(self._charges[block][place])
+
+    @cached_property
+    def _charges(self) -> dict[int, FloatArray]:
+        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
+        return {}
 
     @property
     def start_charge(self) -> float:

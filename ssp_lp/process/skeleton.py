@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids, segment_sums
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import approach_pairs, dead_ends, end_components
+from ssp_lp.model.graph import approach_pairs, dead_ends, end_components, pairs_into
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.process.rows import LiveRows, RowChoice, live_rows
 
@@ -121,15 +121,9 @@ class Skeleton:
         lost = self.merged & (decision == UNDECIDED)
         if not lost.any():
             return decision
-        pairs = np.flatnonzero(self.inside)
-        possible = self.model.probabilities > 0
-        while lost.any():
-            settled = possible & ~lost[self.model.successors]
-            hits = segment_sums(settled.astype(np.float64), self.model.outcome_offsets)[pairs] > 0
-            useful = pairs[hits & lost[self.model.pair_state[pairs]]]
-            decision[self.model.pair_state[useful]] = useful
-            lost[self.model.pair_state[useful]] = False
-        return decision
+        leading = self.inside & pairs_into(self.model, ~lost)
+        nearer = approach_pairs(self.model, leading & lost[self.model.pair_state], self.inside)
+        return np.where(lost, nearer, decision).astype(np.int32)
 
 
 def build_skeleton(

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.dynamic_programming.approach import approach
-from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
+from ssp_lp.dynamic_programming.backward import evaluate_policy
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.policy_iteration import improve
@@ -67,7 +67,8 @@ class ExplicitOracle:
             precise=self.precise,
             deadline=deadline,
         )
-        return self._column(settled.choice, settled.totals, settled.work)
+        best = self._column(settled.choice, settled.totals, settled.work)
+        return replace(best, found_at=failure_price)
 
     def measure(self, choice: IntArray) -> Column:
         """Exact cost and failure of one pair per state, by a sparse linear solve.
@@ -75,9 +76,8 @@ class ExplicitOracle:
         Args:
             choice: [states].
         """
-        system = self.process.dynamics.chain(choice)
-        totals = evaluate_chain(system, self._rewards[choice])
-        return self._column(choice, totals.values, Work(0, system.products))
+        totals = evaluate_policy(self.process.dynamics, choice, self._rewards)
+        return self._column(choice, totals.values, Work(1, 0))
 
     def _column(self, choice: IntArray, totals: FloatArray, work: Work) -> Column:
         cost, failure = expected(self.process.start, totals).tolist()
@@ -91,7 +91,8 @@ class ExplicitOracle:
     def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
-        return self.check(price, weighted(required(column.totals), np.array([1.0, price])))
+        values = weighted(required(column.totals), np.array([1.0, price]))
+        return self._checked(price, values, column.choice)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [states], to a checked sub-solution.
@@ -102,10 +103,14 @@ class ExplicitOracle:
         process = self.process
         if values.shape != (process.n_states,) or slack:
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
+        return self._checked(price, values, None)
+
+    def _checked(self, price: float, values: FloatArray, choice: IntArray | None) -> Proof:
+        process = self.process
         priced = process.cost + price * process.failure
         summed = (process.failure > 0.0) & ((process.cost > 0.0) | (process.failure < 1.0))
         priced -= np.where(summed, MACHINE_EPSILON * np.abs(priced), 0.0)  # a bound rounds down
-        checked = dual_bound(process.dynamics, priced, values)
+        checked = dual_bound(process.dynamics, priced, values, choice=choice)
         return Proof(price, price, checked.at(process.start), checked.values)
 
     def policy(self, column: Column) -> Policy:

@@ -21,7 +21,7 @@ from ssp_lp.model.graph import (
     approach_pairs,
     attention_states,
     dead_ends,
-    pairs_into,
+    goal_pairs,
     reaching_states,
     surely_reaching,
 )
@@ -70,7 +70,7 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     """
     exact = survival == 1.0
     sure, keeping = surely_reaching(model) if exact else (model.goal_mask, _no_pairs(model))
-    into_goal = pairs_into(model, model.goal_mask)
+    into_goal = goal_pairs(model)
     if exact and not (~sure & ~dead_ends(model)).any():  # the graph decides it all
         nearer = approach_pairs(model, into_goal & keeping, keeping)
         reached = sure.astype(np.float64)
@@ -167,7 +167,7 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     first = approach(dynamics, (skeleton.pair_at == GIVE_UP_CODE) | (gain > 0))
     rewards, only_cost = np.stack([pair_cost, gain], axis=1), np.array([1.0, 0.0])
     settled = improve(dynamics, rewards, only_cost, first)
-    bound = sub_solution(dynamics, pair_cost, settled.totals[:, 0])
+    bound = sub_solution(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice)
     early_goal = np.clip(skeleton.lift(settled.totals[:, 1]), 0.0, 1.0)
     surely = reach.goal == 1.0  # decided on the graph
     return ReachPolicy(
@@ -185,7 +185,7 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     It reaches the goal with positive probability from wherever that can be done, and is found and
     evaluated without optimising anything; its cost bound is the trivial one.
     """
-    decision = approach_pairs(model, pairs_into(model, model.goal_mask))
+    decision = approach_pairs(model, goal_pairs(model))
     live = np.flatnonzero(decision >= 0)
     node_of = np.full(model.n_states, -1, dtype=np.int32)
     node_of[live] = np.arange(live.size)

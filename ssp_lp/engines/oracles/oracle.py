@@ -30,6 +30,7 @@ class Column:
     tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
     policy: Policy | None = None  # the policy on the model, where it did not come from the oracle
     totals: FloatArray | None = None  # expected cost and failure from each state, a warm start
+    found_at: float | None = None  # a price at which no policy of its oracle is worth less
     work: Work = field(default_factory=Work)  # what finding it took
 
 
