@@ -158,7 +158,7 @@ def _bounds(
         elif found.lower_bound > low * (1 + question.tolerance) + 1e-12:
             yield "lower bound", f"{name}: {found.lower_bound!r}, reference {exact!r}"
         if found.gap > LARGEST_GAP and not solution.note:
-            yield "gap", f"{name}: {found.gap:.2g}"
+            yield "gap" if name == "solution" else "wide gaps", f"{name}: {found.gap:.2g}"
 
 
 def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:

@@ -93,21 +93,22 @@ def evaluate_chain(
 def _reduced(system: System, rewards: FloatArray) -> Totals:
     """Totals of a chain left so seldom that no residual verifies them, by state reduction alone.
 
-    It subtracts nothing, so that every total of non-negative rewards is accurate whatever the
-    condition (Alfa, Xue and Ye 2002).
+    It subtracts nothing, so that every total of rewards of one sign is accurate whatever the
+    condition (Alfa, Xue and Ye 2002); gains and losses are totalled apart.
 
     Raises:
-        SolverError: a component is too large for state reduction, or some rewards are negative.
+        SolverError: a component is too large for state reduction.
     """
-    if system.components.largest > DIRECT_STATES or rewards.min(initial=0.0) < 0.0:
+    if system.components.largest > DIRECT_STATES:
         raise SolverError(
             "a policy's totals could not be verified: its chain is left too seldom for double "
             "precision"
         )
-    found = system.solve_by_reduction(np.column_stack([rewards, np.ones(system.size)]))
-    values = found[:, :-1]
-    rounding = 4.0 * MACHINE_EPSILON * np.abs(values).max(axis=0, initial=0.0)
-    return Totals(values, np.zeros_like(values), found[:, -1], rounding)
+    k, gains, losses = rewards.shape[1], np.maximum(rewards, 0.0), np.maximum(-rewards, 0.0)
+    found = system.solve_by_reduction(np.column_stack([gains, losses, np.ones(system.size)]))
+    gained, lost = found[:, :k], found[:, k:-1]
+    rounding = 4.0 * MACHINE_EPSILON * (gained + lost).max(axis=0, initial=0.0)
+    return Totals(gained - lost, np.zeros_like(gained), found[:, -1], rounding)
 
 
 def _evaluated(
