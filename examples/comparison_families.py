@@ -19,9 +19,9 @@ _SLIP = 1e-3  # probability of the trap over a corridor or a ring, walked carele
 _LEAK = 1e-5  # probability of leaving the slow ring, per step
 
 
-def layered(depth: int, width: int) -> SSP:
+def layered(depth: int, width: int, *, seed: int = _SEED) -> SSP:
     """Return layers of states, each with 4 actions of 5 successors in the next one: no cycles."""
-    rng, n, (actions, outcomes) = np.random.default_rng(_SEED), depth * width, (4, 5)
+    rng, n, (actions, outcomes) = np.random.default_rng(seed), depth * width, (4, 5)
     shape, layer = (n, actions, outcomes), np.repeat(np.arange(depth), width)[:, None, None]
     successors = (layer + 1) * width + rng.integers(0, width, shape)
     successors = np.where(layer == depth - 1, n, successors)
@@ -31,18 +31,18 @@ def layered(depth: int, width: int) -> SSP:
     return _model(np.where(trapped, n + 1, successors), _normalised(weights), costs)
 
 
-def scattered(states: int) -> SSP:
+def scattered(states: int, *, seed: int = _SEED) -> SSP:
     """Return a model of 4 actions with 5 successors each, drawn from all states: it mixes fast."""
-    rng, shape = np.random.default_rng(_SEED), (states, 4, 5)
+    rng, shape = np.random.default_rng(seed), (states, 4, 5)
     successors, drawn = rng.integers(0, states, shape), rng.random(shape)
     successors = np.where(drawn < 0.01, states, np.where(drawn > 0.999, states + 1, successors))
     costs = rng.integers(1, 10, shape[:2]).astype(float)
     return _model(successors, _normalised(rng.random(shape) + 0.1), costs)
 
 
-def grid(side: int) -> SSP:
+def grid(side: int, *, wind: float = _WIND, seed: int = _SEED) -> SSP:
     """Return a square with four moves, wind that takes a step further, and lava."""
-    rng, n = np.random.default_rng(_SEED), side * side
+    rng, n = np.random.default_rng(seed), side * side
     lava = rng.random(n) < _LAVA
     lava[:3] = lava[-3:] = False
     name = np.where(lava, n + 1, np.arange(n))
@@ -57,12 +57,12 @@ def grid(side: int) -> SSP:
         ],
         axis=1,
     )
-    shares = np.array([1.0 - _WAIT - _WIND, _WIND, _WAIT])
+    shares = np.array([1.0 - _WAIT - wind, wind, _WAIT])
     costs = np.repeat(rng.integers(1, 4, n)[:, None], 4, axis=1).astype(float)
     return _model(successors, np.broadcast_to(shares, successors.shape), costs)
 
 
-def river(width: int, height: int) -> SSP:
+def river(width: int, height: int, *, current: float = _CURRENT) -> SSP:
     """Return the river of `domains.river`, without its waterfall's cells; costs are 1."""
     column, row = np.divmod(np.arange(width * (height - 1)), height - 1)
     n = column.size
@@ -76,24 +76,24 @@ def river(width: int, height: int) -> SSP:
     water = (column > 0) & (column < width - 1) & (row < height - 2)
     moves = [down, at(column - 1, row), at(column + 1, row), at(column, row + 1)]
     successors = np.stack([np.stack([move, down], 1) for move in moves], axis=1)
-    drifting = np.where(water[:, None] & (np.arange(4) > 0), _CURRENT, 0.0)
+    drifting = np.where(water[:, None] & (np.arange(4) > 0), current, 0.0)
     probabilities = np.stack([1.0 - drifting, drifting], axis=-1)
     return _model(successors, probabilities, np.ones((n, 4)))
 
 
-def corridor(cells: int) -> SSP:
+def corridor(cells: int, *, drift: float = _DRIFT) -> SSP:
     """Return a random walk with a small drift: careless steps drift more and may be the last."""
     here, slip = np.arange(cells), _SLIP / cells
     steps = np.stack([np.maximum(here - 1, 0), here + 1, np.full(cells, cells + 1)], axis=1)
-    careless = [0.5 - _DRIFT / 2 - slip, 0.5 + _DRIFT / 2, slip]
-    careful = [0.5 - _DRIFT / 4 - slip / 10, 0.5 + _DRIFT / 4, slip / 10]
+    careless = [0.5 - drift / 2 - slip, 0.5 + drift / 2, slip]
+    careful = [0.5 - drift / 4 - slip / 10, 0.5 + drift / 4, slip / 10]
     probabilities = np.broadcast_to([careless, careful], (cells, 2, 3))
     return _model(np.stack([steps, steps], axis=1), probabilities, np.ones((cells, 2)))
 
 
-def rooms(count: int, side: int) -> SSP:
+def rooms(count: int, side: int, *, seed: int = _SEED) -> SSP:
     """Return windy rooms one after the other, strongly connected each, with doors one way."""
-    rng, size = np.random.default_rng(_SEED), side * side
+    rng, size = np.random.default_rng(seed), side * side
     n, x, y = count * size, np.arange(size) % side, np.arange(size) // side
     name = np.arange(size)
     inner = np.stack(
@@ -114,13 +114,13 @@ def rooms(count: int, side: int) -> SSP:
     return _model(successors, probabilities, rng.integers(1, 4, (n, 4)).astype(float))
 
 
-def ring(states: int) -> SSP:
+def ring(states: int, *, leak: float = _LEAK) -> SSP:
     """Return a ring that is left seldom, by a dear and sure way or a cheap and risky one."""
     here = np.arange(states)
     on, back = (here + 1) % states, (here - 1) % states
     goal, trap = np.full(states, states), np.full(states, states + 1)
     successors = np.stack([np.stack([on, back, goal, trap], 1)] * 2, axis=1)
-    sure, risky = [0.6 - _LEAK, 0.4, _LEAK, 0.0], [0.6 - 2 * _LEAK, 0.4, 1.8 * _LEAK, 0.2 * _LEAK]
+    sure, risky = [0.6 - leak, 0.4, leak, 0.0], [0.6 - 2 * leak, 0.4, 1.8 * leak, 0.2 * leak]
     probabilities = np.broadcast_to([sure, risky], (states, 2, 4))
     costs = np.stack([1.0 + 0.1 * (here % 7), 1.0 + 0.1 * (here % 5)], axis=1)
     return _model(successors, probabilities, costs)

@@ -20,6 +20,9 @@ from ssp_lp.errors import SolverError
 
 _PRECISE = 1e-24  # accuracy of evaluations in twice the working precision, relative
 
+_WORTHLESS = 1e-16
+"""Worth of all gains, relative to the values, for which policies could go round in circles."""
+
 
 def improve_precisely(
     dynamics: Dynamics,
@@ -45,6 +48,7 @@ def improve_precisely(
     """
     pair_cost, offsets = weighted(rewards, weights), dynamics.pair_offsets
     before: IntArray | None = None
+    last = np.inf
     for _ in range(MOST_ROUNDS):
         deadline.check()
         system, choice = leaving_chain(dynamics, choice, before)
@@ -56,7 +60,11 @@ def improve_precisely(
         gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.missed[0])
         better = np.flatnonzero(gain > 0.0)
         work = work + Work(1, system.products)
-        if not better.size:
+        most = float(gain.max(initial=0.0))
+        worth = 2.0 * float(priced.runs.max(initial=0.0)) * most
+        ended = worth <= _WORTHLESS * float(np.abs(values).max(initial=0.0)) and most > 0.5 * last
+        last = most
+        if ended or not better.size:
             totals = evaluate_chain(system, rewards[choice])
             return Settled(choice, totals.values, values, low, totals.runs, work)
         before, choice = choice, choice.copy()
