@@ -23,6 +23,7 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.bellman import Backup, best_pairs, unsigned_parts
+from ssp_lp.dynamic_programming.block_sweeps import improve_along_chain
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.dynamics import Dynamics
@@ -245,6 +246,9 @@ def _sweep(
     States of small value come first, then last: so news travels both ways, from the ends on and
     towards them.
     """
+    passes = improve_along_chain(dynamics, pair_cost, choice, values, deadline)
+    if passes is not None:
+        return passes
     from ssp_lp.compiled.sweeps import improve as run
 
     parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
