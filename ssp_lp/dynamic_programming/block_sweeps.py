@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.arrays import IMPROVEMENT, FloatArray, IntArray
+from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray
 from ssp_lp.bellman import unsigned, unsigned_parts
 from ssp_lp.dynamic_programming.components import Components, chosen_components
 from ssp_lp.dynamic_programming.deadline import Deadline
@@ -44,15 +44,14 @@ def improve_along_chain(
     found = chosen_components(dynamics.transitions, choice)
     if found.largest > _SOLVED:
         return None
-    run = 0
+    run, stale = 0, np.ones(dynamics.n_states, dtype=np.bool_)
     for _ in range(_PASSES):
         deadline.check()
-        changed = [
-            _pass(dynamics, found, pair_cost, choice, values, is_forward=is_forward)
-            for is_forward in (True, False)
-        ]
+        changed = 0
+        for is_forward in (True, False):
+            changed += _pass(dynamics, found, pair_cost, choice, values, stale, is_forward)
         run += 2
-        if not any(changed):
+        if not changed:
             break
         found = chosen_components(dynamics.transitions, choice)
         if found.largest > _SOLVED:
@@ -66,16 +65,18 @@ def _pass(
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
-    *,
+    stale: BoolArray,
     is_forward: bool,
 ) -> int:
     """One pass, in place; how often a pair was changed."""
     from ssp_lp.compiled.blocks import improve_blocks
 
+    before = dynamics.predecessors
     return int(
         improve_blocks(
             *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
             unsigned(found.order), found.offsets, is_forward, found.largest,
-            pair_cost, IMPROVEMENT, choice.view(np.uint32), values,
+            pair_cost, IMPROVEMENT, unsigned(before.pairs), before.offsets,
+            unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
         )  # fmt: skip
     )
