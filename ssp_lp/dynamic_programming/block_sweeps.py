@@ -17,6 +17,7 @@ from ssp_lp.dynamic_programming.dynamics import Dynamics
 
 _SOLVED = 256
 """States of a component up to which a dense reduction costs no more than other ways."""
+
 _PASSES = 20  # there and back
 
 
@@ -72,11 +73,10 @@ def _pass(
     from ssp_lp.compiled.blocks import improve_blocks
 
     before = dynamics.predecessors
-    return int(
-        improve_blocks(
-            *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
-            unsigned(found.order), found.offsets, is_forward, found.largest,
-            pair_cost, IMPROVEMENT, unsigned(before.pairs), before.offsets,
-            unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
-        )  # fmt: skip
-    )
+    changed = improve_blocks(
+        *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
+        unsigned(found.order), found.offsets, is_forward, found.largest,
+        pair_cost, IMPROVEMENT, unsigned(before.pairs), before.offsets,
+        unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
+    )  # fmt: skip
+    return int(changed)

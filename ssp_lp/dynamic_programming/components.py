@@ -78,7 +78,7 @@ def _compiled_components(
 
     n = len(begin)
     label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
-    edges = unsigned(begin), unsigned(end), unsigned(indices), data
+    edges = begin, end, unsigned(indices), data
     count = order_components(*edges, label, order)
     sizes = np.bincount(label, minlength=count)
     return Components(label, order.view(np.int32), np.append(0, np.cumsum(sizes)))

@@ -200,6 +200,9 @@ def _settle(
             raise SolverError("a policy that was to improve the last one is worse")
         backup = best_pairs(offsets, transitions, pair_cost, values, choice)
         better, gain, scale = _gains(backup, values, accuracy)
+        if accuracy > _FINE and system.is_solved_exactly and not better.any():
+            accuracy = _FINE  # the totals are exact already: only noise was thought to be greater
+            better, gain, scale = _gains(backup, values, accuracy)
         above = values if accuracy <= _FINE else None
         if not better.any():
             if accuracy <= _FINE:
