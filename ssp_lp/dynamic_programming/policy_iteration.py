@@ -215,7 +215,11 @@ def _settle(
         before, changed = choice, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
-            swept = _sweep(dynamics, pair_cost, choice, values, deadline)
+            swept = None
+            if system.is_solved_exactly:  # where components were large they hardly become small
+                swept = improve_along_chain(dynamics, pair_cost, choice, values, deadline)
+            if swept is None:
+                swept = _sweep(dynamics, pair_cost, choice, values, deadline)
             work = work + Work(swept, 0)
         changed_before = changed
         accuracy = min(_FORCING * gain / scale if gain > _LAST_GAINS * scale else _FINE, accuracy)
@@ -249,9 +253,6 @@ def _sweep(
     States of small value come first, then last: so news travels both ways, from the ends on and
     towards them.
     """
-    passes = improve_along_chain(dynamics, pair_cost, choice, values, deadline)
-    if passes is not None:
-        return passes
     from ssp_lp.compiled.sweeps import improve as run
 
     parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
