@@ -10,6 +10,7 @@ import pytest
 import scipy.sparse as sp
 
 from ssp_lp import SolverError, accelerator
+from ssp_lp.dynamic_programming.block_sweeps import improve_along_chain
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.components import strong_components
 from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
@@ -156,3 +157,26 @@ def test_a_passed_deadline_ends_policy_iteration() -> None:
             np.asarray(plain.pair_offsets[:-1]),
             deadline=Deadline(-10.0),
         )
+
+
+@pytest.mark.usefixtures("compiled")
+@pytest.mark.parametrize("compiled", [True], indirect=True)
+def test_passes_along_the_chain_only_improve_and_end_at_the_optimum() -> None:
+    rng = np.random.default_rng(12)
+    for _ in range(30):
+        n, actions = int(rng.integers(2, 40)), 3
+        steps = rng.random((n * actions, n)) * (rng.random((n * actions, n)) < 2.5 / n)
+        exits = 0.01 + 0.2 * rng.random(n * actions)
+        total = steps.sum(axis=1) + exits
+        rows = sp.csr_array(steps / total[:, None])
+        process = Dynamics(np.arange(0, n * actions + 1, actions), rows, exits / total)
+        cost = rng.random(n * actions)
+        choice = np.arange(0, n * actions, actions, dtype=np.int32)
+        first = process.chain(choice).solve(cost[choice])
+        values = first.copy()
+        assert improve_along_chain(process, cost, choice, values, Deadline())
+        assert (values <= first * (1.0 + 1e-12)).all()
+        measured = process.chain(choice).solve(cost[choice])
+        assert np.allclose(values, measured, rtol=1e-11)
+        ahead = (cost + rows @ measured).reshape(n, actions).min(axis=1)
+        assert np.allclose(ahead, measured, rtol=1e-10)

@@ -11,14 +11,17 @@ Array = np.ndarray[Any, Any]
 
 
 @njit(cache=True)
-def order_components(indptr: Array, indices: Array, data: Array, label: Array, order: Array) -> int:
+def order_components(
+    begin: Array, end: Array, indices: Array, data: Array, label: Array, order: Array
+) -> int:
     """Number the components, in place, so that each comes after all that it leads to.
 
     Tarjan's search (1972) without recursion. Within a component the states stand in the order in
     which the search was done with them, so that most come after those that they lead to.
 
     Args:
-        indptr: [states + 1].
+        begin: first entry of each state, [states].
+        end: past its last one, [states].
         indices: [entries].
         data: entries of 0 are no edges, [entries].
         label: component of each state, written, [states].
@@ -29,7 +32,7 @@ def order_components(indptr: Array, indices: Array, data: Array, label: Array, o
     """
     n = label.size
     number, low = np.zeros(n, dtype=np.uint32), np.zeros(n, dtype=np.uint32)
-    place = indptr[:-1].copy()
+    place = begin.copy()
     opened, calls = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
     finished = np.empty(n, dtype=np.uint32)
     n_open, n_finished, visited, found = 0, 0, np.uint32(0), 0
@@ -46,8 +49,8 @@ def order_components(indptr: Array, indices: Array, data: Array, label: Array, o
                 n_open, depth = n_open + 1, depth + 1
             state = calls[depth - 1]
             entered = np.int64(-1)
-            k, end = place[state], indptr[np.uint32(state + np.uint32(1))]
-            while k < end:
+            k, past = place[state], end[state]
+            while k < past:
                 successor = indices[k]
                 possible = data[k] > 0.0
                 k += 1

@@ -52,17 +52,36 @@ def strong_components(indptr: IntArray, indices: IntArray, data: FloatArray) -> 
     """
     n = len(indptr) - 1
     if accelerated(len(indices)):
-        from ssp_lp.compiled.order import order_components
-
-        of_state, finished = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
-        count = order_components(indptr, unsigned(indices), data, of_state, finished)
-        sizes = np.bincount(of_state, minlength=count)
-        return Components(of_state, finished.view(np.int32), np.append(0, np.cumsum(sizes)))
+        return _compiled_components(indptr[:-1], indptr[1:], indices, data)
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
     found = csgraph.connected_components(_possible(graph), connection="strong")[1]
     label = _topological(graph, found)
     order = np.argsort(label, kind="stable").astype(np.int32)
     return Components(label, order, np.append(0, np.cumsum(np.bincount(label))))
+
+
+def chosen_components(rows: sp.csr_array, choice: IntArray) -> Components:
+    """The same for ``rows[choice]``, compiled; the rows are read where they are.
+
+    Args:
+        rows: [pairs, states].
+        choice: [states].
+    """
+    begin, end = rows.indptr[choice], rows.indptr[1:][choice]
+    return _compiled_components(begin, end, rows.indices, rows.data)
+
+
+def _compiled_components(
+    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray
+) -> Components:
+    from ssp_lp.compiled.order import order_components
+
+    n = len(begin)
+    label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
+    edges = begin, end, unsigned(indices), data
+    count = order_components(*edges, label, order)
+    sizes = np.bincount(label, minlength=count)
+    return Components(label, order.view(np.int32), np.append(0, np.cumsum(sizes)))
 
 
 def _possible(graph: sp.csr_array) -> sp.csr_array:

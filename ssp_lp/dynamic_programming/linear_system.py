@@ -77,6 +77,11 @@ class System:
         """Strong components of the chain, ends first."""
         return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
 
+    @property
+    def is_solved_exactly(self) -> bool:
+        """Whether totals are exact whatever accuracy is asked for: no component is large."""
+        return self.components.largest <= _SMALL
+
     @cached_property
     def _home(self) -> IntArray:
         """Each state's own row."""

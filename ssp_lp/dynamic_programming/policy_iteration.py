@@ -26,6 +26,7 @@ from ssp_lp.dynamic_programming.backward import (
     is_solved_backwards,
     least_backwards,
 )
+from ssp_lp.dynamic_programming.block_sweeps import improve_along_chain
 from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.dynamics import Dynamics
@@ -153,6 +154,9 @@ def _settle(
             raise SolverError("a policy that was to improve the last one is worse")
         backup = best_pairs(offsets, transitions, pair_cost, values, choice)
         better, gain, scale = _gains(backup, values, accuracy)
+        if accuracy > _FINE and system.is_solved_exactly and not better.any():
+            accuracy = _FINE  # the totals are exact already: only noise was thought to be greater
+            better, gain, scale = _gains(backup, values, accuracy)
         above = values if accuracy <= _FINE else None
         if not better.any():
             if accuracy <= _FINE:
@@ -165,7 +169,11 @@ def _settle(
         before, changed = choice, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
-            swept = _sweep(dynamics, pair_cost, choice, values, deadline)
+            swept = None
+            if system.is_solved_exactly:  # where components were large they hardly become small
+                swept = improve_along_chain(dynamics, pair_cost, choice, values, deadline)
+            if swept is None:
+                swept = _sweep(dynamics, pair_cost, choice, values, deadline)
             work = work + Work(swept, 0)
         changed_before = changed
         accuracy = min(_FORCING * gain / scale if gain > _LAST_GAINS * scale else _FINE, accuracy)
