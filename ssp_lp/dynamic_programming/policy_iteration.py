@@ -217,6 +217,6 @@ def _sweep(
         direction = order if sweep % 2 else backward
         changed, _ = run(*parts, direction, pair_cost, IMPROVEMENT, choice.view(np.uint32), values)
         most = max(most, changed)
-        if changed <= _SETTLED * most:
+        if changed <= _SETTLED * most and sweep > 1:  # where one way changed nothing, the other may
             return sweep
     return _SWEEPS
