@@ -52,6 +52,16 @@ def test_the_game_keeps_the_digits_of_a_rare_success(success, share):
 
 
 @pytest.mark.parametrize("success", RARE)
+@pytest.mark.parametrize("share", SHARES)
+def test_column_generation_spends_a_budget_near_1_exactly(success, share):
+    problem = problem_at(success, share)
+    found = solve(problem, engine="columns")
+    assert found.objective == pytest.approx(least_cost(success, problem.failure_budget), rel=1e-12)
+    assert found.lower_bound <= found.objective
+    assert found.gap <= 1e-9 or "misses the tolerance" in found.note
+
+
+@pytest.mark.parametrize("success", RARE)
 def test_the_game_s_value_is_eta_at_c_hat(success):
     """At the price of failing the two members pay the same, whatever J_cond is counted from."""
     problem = problem_at(success, 0.7)
