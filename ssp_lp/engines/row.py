@@ -12,7 +12,7 @@ from ssp_lp.errors import SolverError
 
 _ROUNDED = 4.0 * MACHINE_EPSILON  # of a bound and of what the budget is worth at its price
 _TINY = 1e-12  # costs below this are compared with 0
-_SAME = 16.0 * MACHINE_EPSILON
+_SAME = 4.0 * MACHINE_EPSILON
 """Relative distance of two failures, or of two rare successes, that are one summed in two ways."""
 
 
