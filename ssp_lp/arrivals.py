@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from fractions import Fraction
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.chain import Chain, reaching
-from ssp_lp.dynamic_programming.linear_system import System
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
+from ssp_lp.layer_powers import LayerPowers, Places
+from ssp_lp.live_chain import FreeMoves, Live
 from ssp_lp.process.lattice import common_unit, layers_of
 
 _FIRST_LAYERS = 64
@@ -21,96 +20,9 @@ _MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
 _MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
 _WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
 _MOSTLY = 0.5  # share of a chain's nodes from which all of its moves are followed
-
-
-@dataclass(frozen=True, eq=False)
-class Prospect:
-    """A policy's chain, and what is still to come from each of its nodes."""
-
-    chain: Chain
-    alive: BoolArray  # [nodes] before the goal, and able to reach it
-    goal: FloatArray  # [nodes] goal probability; 1 at goals
-    cost: FloatArray  # [nodes] E[cost from here on; goal]
-
-    @classmethod
-    def of(cls, chain: Chain) -> Prospect:
-        """Two linear solves on the chain."""
-        alive = reaching(chain, chain.goal > 0) & (chain.goal == 0)
-        goal = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive) + chain.goal
-        paid = chain.per_node(goal[chain.target] * chain.cost)
-        return cls(chain, alive, read_only(goal), read_only(chain.accumulate(paid, alive)))
-
-
-@dataclass(frozen=True, eq=False)
-class Live:
-    """The parts of one or several chains that can still reach the goal, the goals made one node.
-
-    Moves that lose the goal for good are left out; what they take away is ``lost``.
-    """
-
-    start: FloatArray  # [nodes + 1] the goal is last, in all three
-    goal: FloatArray  # [nodes + 1]
-    cost: FloatArray  # [nodes + 1]
-    lost: FloatArray  # [nodes] probability of losing the goal with the next decision
-    source: IntArray  # [moves]
-    target: IntArray  # [moves]
-    probability: FloatArray  # [moves]
-    paid: FloatArray  # [moves] cost
-
-    @classmethod
-    def of(cls, prospects: Sequence[Prospect], weights: FloatArray) -> Live:
-        """Chains side by side, entered with the weights of a lottery."""
-        size = sum(int(p.alive.sum()) for p in prospects)
-        first, start, ahead, moves = 0, np.zeros(size + 1), np.zeros((3, size + 1)), []
-        for prospect, weight in zip(prospects, weights, strict=True):
-            chain, alive = prospect.chain, prospect.alive
-            reached = chain.goal > 0
-            own = slice(first, first + int(alive.sum()))
-            number = np.full(chain.n_nodes, size, dtype=np.int64)
-            number[alive] = np.arange(own.start, own.stop)
-            start[own] = weight * chain.start[alive]
-            start[size] += weight * float(chain.start[reached].sum())
-            leaves = ~(alive | reached)[chain.target]
-            lost = chain.give_up + chain.per_node(leaves.astype(np.float64))
-            ahead[:, own] = prospect.goal[alive], prospect.cost[alive], lost[alive]
-            kept = alive[chain.source] & ~leaves
-            moves.append((number[chain.source[kept]], number[chain.target[kept]],
-                          chain.probability[kept], chain.cost[kept]))  # fmt: skip
-            first = own.stop
-        ahead[0, size] = 1.0
-        source, target, probability, paid = map(np.concatenate, zip(*moves, strict=True))
-        return cls(start, ahead[0], ahead[1], ahead[2, :-1], source, target, probability, paid)
-
-
-class FreeMoves:
-    """What moves on at no cost before anything is paid: each layer is a chain of its own."""
-
-    def __init__(self, live: Live, free: BoolArray) -> None:
-        """Take the moves marked ``free``, [moves], none of which leads to the goal."""
-        n = len(live.lost)
-        where = (live.source[free], live.target[free])
-        inside = sp.csr_array((live.probability[free], where), shape=(n, n))
-        inside.sum_duplicates()
-        leak = np.bincount(live.source[~free], weights=live.probability[~free], minlength=n)
-        self._inside, self._leaving = inside, leak + live.lost
-        count, self._component = connected_components(inside, directed=False)
-        self._busy = np.zeros(count, dtype=np.bool_)
-        self._busy[self._component[where[0]]] = True
-
-    def spread(self, inflow: FloatArray) -> FloatArray:
-        """Expected visits within one layer, given what enters it, [nodes].
-
-        Only the components that something enters are solved.
-        """
-        entered = np.zeros_like(self._busy)
-        entered[self._component[np.flatnonzero(inflow)]] = True
-        nodes = np.flatnonzero((entered & self._busy)[self._component])
-        visits = inflow.copy()
-        if nodes.size:
-            every = nodes.size == inflow.size
-            own = self._inside if every else sp.csr_array(self._inside[nodes][:, nodes])
-            visits[nodes] = System(own, self._leaving[nodes]).solve_transposed(inflow[nodes])
-        return visits
+_TINY = 5e-324  # the least mass there is
+_MOST_PLACES = 800  # of a dense matrix of one layer, of which some sixty powers are kept, 300 MB
+_WORK_OF_POWERS = 0.125  # moves that could be followed while powers are taken, per places cubed
 
 
 class Arrivals:
@@ -120,6 +32,8 @@ class Arrivals:
     spreading its mass over the moves that cost nothing and sending it on along the others; what
     is then at the goal is that layer's atom. All that is not settled is known exactly from the
     linear solves of each node's prospects, so the tail is never a difference of large numbers.
+    Where the nodes are few, what lies far beyond the settled layers is had from powers of the
+    transition of one layer (:attr:`leaps`).
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
@@ -198,13 +112,70 @@ class Arrivals:
         """The total cost from which on nothing is settled."""
         return float(self.cost_of(np.array(self.settled)))
 
-    def remaining(self) -> tuple[float, float]:
-        """Of the runs that arrive at an unsettled layer: Pr(goal), and E[C - settled; goal]."""
-        waiting = self._waiting.reshape(self._width, self._size)
-        ahead = (np.arange(self._width) - self.settled) % self._width
-        goal = waiting @ self._live.goal
-        cost = self.cost_of(ahead) * goal + waiting @ self._live.cost
+    @property
+    def leaps(self) -> bool:
+        """Whether layers that are not settled can be asked for: the places are few.
+
+        So it is after as much work of settling as the powers will take, and not before.
+        """
+        size = self._places.size
+        few = size <= _MOST_PLACES and not self.exhausted
+        return few and self._work >= _WORK_OF_POWERS * size**3
+
+    def arrived(self, layer: int) -> float:
+        """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
+        layers, masses = self.atoms()
+        known = float(masses[layers < layer].sum())
+        return known + self._ahead(layer)[0] if layer > self.settled and self.leaps else known
+
+    def first_reaching(self, mass: float) -> int:
+        """The layer in which the arrivals reach a mass that the settled ones do not; where leaps.
+
+        Raises:
+            ModelError: there are more layers before it than can be counted.
+        """
+        beyond = max(mass - sum(self._masses), _TINY)
+        layers = self._powers.until(self._here(), beyond)
+        if layers is None:
+            raise ModelError(self._too_large("the answer lies too far out"))
+        return self.settled + layers
+
+    def remaining(self, layer: int | None = None) -> tuple[float, float]:
+        """Of the runs that arrive at a layer or later: Pr(goal), and E[C - that layer; goal].
+
+        Args:
+            layer: the first that is not settled if left out; a later one where :attr:`leaps`.
+        """
+        ahead = self._here() if layer is None else self._ahead(layer)[1]
+        goal = ahead * self._live.goal[self._places.node]
+        cost = self.cost_of(self._places.delay) * goal + ahead * self._live.cost[self._places.node]
         return float(goal.sum()), float(cost.sum())
+
+    @cached_property
+    def _places(self) -> Places:
+        """Where mass can wait: at each node, until the dearest step into it has passed."""
+        dearest = np.zeros(self._size, dtype=np.int64)
+        columns = self._onward.indices.astype(np.int64)
+        np.maximum.at(dearest, columns % self._size, columns // self._size)
+        return Places.upto(dearest)
+
+    @cached_property
+    def _powers(self) -> LayerPowers:
+        """The transition of one layer and its powers."""
+        lost = self._live.lost[:, None]
+        chosen = self._places.columns(self._size)
+        later = self._onward[:, np.append(chosen, self._size - 1)].toarray()
+        leaving = np.hstack([later, lost])
+        return self._places.powers(leaving if self._free is None else self._free.gathered(leaving))
+
+    def _here(self) -> FloatArray:
+        """What waits before the first layer that is not settled, [places]."""
+        rows = (self.settled + self._places.delay) % self._width
+        return np.asarray(self._waiting[rows * self._size + self._places.node])
+
+    def _ahead(self, layer: int) -> tuple[float, FloatArray]:
+        """What arrives from the settled layers to a later one, and what waits then, [places]."""
+        return self._powers.after(self._here(), layer - self.settled)
 
     def _to_next(self) -> int | None:
         """How many layers ahead the next one is at which mass may wait; None: there is none."""

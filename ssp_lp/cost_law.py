@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ssp_lp.arrays import QUANTILE, FloatArray
-from ssp_lp.arrivals import Arrivals, Live, Prospect
+from ssp_lp.arrivals import Arrivals
 from ssp_lp.chain import Chain, policy_chain
 from ssp_lp.errors import ModelError
+from ssp_lp.live_chain import Live, Prospect
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
@@ -120,8 +121,9 @@ class CostLaw:
         for settled in self._arrivals.followed(last + 1):
             if settled > last or self._arrivals.remaining()[0] <= _NOTHING * self.goal:
                 break
-        layers, masses = self._arrivals.atoms()
-        return min(float(masses[layers <= last].sum()), self.goal)
+            if self._arrivals.leaps:
+                break
+        return min(self._arrivals.arrived(last + 1), self.goal)
 
     def excess(self, threshold: float) -> float:
         """E[(C - threshold)^+; goal]; what lies far out is not lost to cancellation."""
@@ -135,6 +137,9 @@ class CostLaw:
                 break
             if self._arrivals.remaining()[1] <= _NOTHING * self.cost:
                 return 0.0
+            if self._arrivals.leaps:
+                goal, cost = self._arrivals.remaining(last + 1)
+                return (self._cost_of(last + 1) - threshold) * goal + cost
         arrivals = self._arrivals
         layers, masses = arrivals.atoms()
         known = float(masses @ np.maximum(arrivals.cost_of(layers) - threshold, 0.0))
@@ -161,6 +166,8 @@ class CostLaw:
                 return float(self._arrivals.cost_of(layers[np.searchsorted(total, needed)]))
             if self._arrivals.remaining()[0] <= 1e-3 * QUANTILE * self.goal:
                 break
+            if self._arrivals.leaps:
+                return self._cost_of(self._arrivals.first_reaching(needed))
         return float(self._arrivals.cost_of(self._arrivals.atoms()[0][-1]))
 
     def tail_mean(self, level: float) -> float:
@@ -238,6 +245,10 @@ class CostLaw:
         """The lottery's mean of a number of each member."""
         numbers = zip(self._prospects, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
+
+    def _cost_of(self, layer: int) -> float:
+        """Total cost of a layer."""
+        return float(self._arrivals.cost_of(np.array(layer)))
 
     @cached_property
     def _arrivals(self) -> Arrivals:

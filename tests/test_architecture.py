@@ -21,6 +21,7 @@ ORDER = [
     ("engines", "goal_probability"),
     ("problem",),
     ("chain", "ends", "failing", "estimate", "players"),
+    ("live_chain", "layer_powers"),
     ("arrivals",),
     ("cost_law",),
     ("evaluation", "occupation", "simulation"),

@@ -212,7 +212,7 @@ class BayesCostPlayer:
         bound = float(start @ lowest[:, 0] + weights[1] * failed) * (1.0 - rounding)
         return Reply(
             objective=float(start @ objective[:, 0]),
-            condition=float(start @ condition[:, 0] + failed),
+            failing=float(start @ condition[:, 0] + failed),
             bound=bound,
             strategy=strategy,
             sweeps=horizon * strategy.choice.shape[1],

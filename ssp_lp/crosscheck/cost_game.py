@@ -36,6 +36,9 @@ _FIRST_LAYERS = 16
 _LAYER_ROUNDING = 16.0 * MACHINE_EPSILON
 """Relative rounding of a bound, per layer of the sweep: more layers cannot undo it."""
 
+_RARE = 1e-3
+"""Greatest success up to which J_cond is counted from 1; above it few digits are lost without."""
+
 _STALLED = 1e-8
 """Relative distance below which one that more layers leave as it was is rounding."""
 
@@ -53,11 +56,19 @@ class CostPlayer:
     """Best replies below M, by the operator T_alpha; M grows until nothing is lost beyond it."""
 
     base: AccumulatedCost
+    origin: float = 0.0  # from where J_cond is counted, see ``Reply``
+
+    @classmethod
+    def of(cls, base: AccumulatedCost) -> CostPlayer:
+        """The player that counts J_cond so that neither success nor failure loses digits."""
+        player = cls(base)
+        greatest = float(base.start @ player.tail.greatest_goal) + base.start_goal
+        return player if greatest > _RARE else cls(base, origin=1.0)
 
     @cached_property
     def tail(self) -> Tail:
         """What follows beyond M."""
-        return outer_tail(self.base)
+        return outer_tail(self.base, self.origin)
 
     def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
         """A policy of (state, accumulated cost) of least weighted cost.
@@ -79,8 +90,9 @@ class CostPlayer:
             pays = reply.payoff(objective_weight, condition_weight)
             stalled = pays - reply.bound > 0.9 * min(lost.values(), default=np.inf)
             lost[cap] = pays - reply.bound
-            wanted = max(accuracy, _LAYER_ROUNDING * cap) * pays
-            if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * pays):
+            size = reply.size(objective_weight, condition_weight)
+            wanted = max(accuracy, _LAYER_ROUNDING * cap) * size
+            if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * size):
                 return replace(reply, sweeps=sweeps)
             cap = _larger_cap(lost, wanted) + self.base.width
 
@@ -139,11 +151,12 @@ class CostPlayer:
             chosen, totals = self._best(self._costs(layer), weights, measured.flat, chosen)
             choice[layer] = chosen - base.pair_offsets[:-1]
             measured.push(totals)
-        failed = np.array([0.0, base.start_failure])
-        objective, condition = (base.start @ totals + failed).tolist()
+        settled = np.array([0.0, -base.start_goal if self.origin else base.start_failure])
+        objective, failing = (base.start @ totals + settled).tolist()
         *_, lowest = self.lowest(weights, cap)
-        bound = float(base.start @ lowest + failed @ weights)
-        return Reply(objective, condition, bound, LayeredStrategy(choice, threshold), 2 * cap)
+        bound = float(base.start @ lowest + settled @ weights)
+        strategy = LayeredStrategy(choice, threshold)
+        return Reply(objective, failing, bound, strategy, 2 * cap, self.origin)
 
     def lowest(self, weights: FloatArray, cap: int) -> Iterator[FloatArray]:
         """Lower bounds of every policy's weighted cost, [nodes], from the last layer to the first.
@@ -155,8 +168,9 @@ class CostPlayer:
         chosen = self.base.pair_offsets[:-1]
         ahead = Window(self.tail.bound(self._beyond(cap), weights, self.base.unit))
         for layer in reversed(range(cap)):
-            priced = self._costs(layer) @ weights
-            values, chosen = self._lowest(priced, priced, ahead.flat, chosen)
+            costs = self._costs(layer)
+            size = np.abs(costs) @ weights
+            values, chosen = self._lowest(costs @ weights, size, ahead.flat, chosen)
             ahead.push(values)
             yield values
 
@@ -165,10 +179,14 @@ class CostPlayer:
         return np.arange(cap, cap + self.base.width - 1)
 
     def _costs(self, layer: int) -> FloatArray:
-        """E[G_o] and E[G_{d,gamma}] of each pair at an accumulated cost, [pairs, 2]."""
+        """E[G_o] and E[G_{d,gamma}] of each pair at an accumulated cost, [pairs, 2].
+
+        Counted from origin 1, J_cond is paid where the goal is reached.
+        """
         base = self.base
         objective = base.gain * (layer * base.unit) + base.gain_cost
-        return np.stack([objective, base.failure], axis=1)
+        failing = -base.survival * base.gain if self.origin else base.failure
+        return np.stack([objective, failing], axis=1)
 
     def _best(
         self, costs: FloatArray, weights: FloatArray, ahead: FloatArray, later: IntArray

@@ -27,6 +27,7 @@ class Game:
 
     stake: float  # eta(epsilon; c): c in case M, c * (1 - epsilon) in case S
     budget: float  # epsilon
+    room: float | None = None  # epsilon - origin, where that has digits that the budget has lost
 
     @property
     def scale(self) -> float:
@@ -34,8 +35,19 @@ class Game:
         return self.stake / self.budget
 
     def payoff(self, alpha: float, reply: Reply) -> float:
-        """J_{c,gamma,epsilon}(x', alpha, pi) of a policy."""
+        """J_{c,gamma,epsilon}(x', alpha, pi) of a policy, J_cond counted from its origin."""
         return reply.payoff(alpha, (1.0 - alpha) * self.scale)
+
+    def size(self, alpha: float, reply: Reply) -> float:
+        """The size of the payoff's parts."""
+        return reply.size(alpha, (1.0 - alpha) * self.scale)
+
+    def owed(self, alpha: float, origin: float) -> float:
+        """(1 - alpha) eta, what J_cond pays where the budget is spent, counted from its origin."""
+        if origin == 0.0:
+            return (1.0 - alpha) * self.stake
+        room = self.budget - origin if self.room is None else self.room
+        return (1.0 - alpha) * self.scale * room
 
     def excess(self, reply: Reply) -> float:
         """Slope of a policy's payoff in alpha: J_obj less what failure is worth."""
@@ -46,7 +58,7 @@ class Game:
         return self.excess(reply) >= -_LEVEL * self.stake
 
     def best_reply(self, player: Player, alpha: float, accuracy: float) -> Reply:
-        """The player's best reply to alpha; its bound is one of J*(x', alpha)."""
+        """The player's best reply to alpha; its bound is one of J*(x', alpha), from its origin."""
         return player.reply(alpha, (1.0 - alpha) * self.scale, accuracy)
 
 
@@ -56,11 +68,30 @@ class Equilibrium:
 
     game: Game
     alpha: float  # alpha*: the adversary's weight of the objective MDP
-    lower: float  # J*(alpha) is at least this: no policy, mixed or not, guarantees less
-    upper: float  # what the mixture of the two policies pays at most
+    least: float  # J*(alpha), J_cond counted from the origin, is at least this
+    most: float  # what the mixture of the two policies pays at most, counted likewise
     minus: Reply  # optimal just below alpha*: it fails less and costs more
     plus: Reply  # optimal just above alpha*
     replies: tuple[Reply, ...]  # every policy met on the way
+
+    @property
+    def origin(self) -> float:
+        """From where the replies count J_cond."""
+        return self.minus.origin
+
+    @property
+    def lower(self) -> float:
+        """J*(alpha) is at least this: no policy, mixed or not, guarantees less."""
+        return self.least + self._shift
+
+    @property
+    def upper(self) -> float:
+        """What the mixture of the two policies pays at most."""
+        return self.most + self._shift
+
+    @property
+    def _shift(self) -> float:
+        return (1.0 - self.alpha) * self.game.scale * self.origin
 
     @property
     def weight(self) -> float:
@@ -93,7 +124,7 @@ def crossing(game: Game, minus: Reply, plus: Reply) -> float:
     Two that differ by rounding alone may cross outside: one of them then dominates the other.
     """
     spared = minus.objective - plus.objective
-    risked = game.scale * (plus.condition - minus.condition)
+    risked = game.scale * (plus.failing - minus.failing)
     return min(max(risked / (spared + risked), 0.0), 1.0)
 
 
@@ -130,10 +161,11 @@ def _narrow(
     while True:
         alpha = crossing(game, minus, plus)
         upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
+        size = min(game.size(alpha, minus), game.size(alpha, plus))
         reply = game.best_reply(player, alpha, accuracy)
         replies.append(reply)
-        done = upper - reply.bound <= accuracy * upper
-        stalled = game.payoff(alpha, reply) >= upper * (1.0 - 1e-15) or len(replies) > _MOST_ROUNDS
+        done = upper - reply.bound <= accuracy * size
+        stalled = game.payoff(alpha, reply) >= upper - 1e-15 * size or len(replies) > _MOST_ROUNDS
         if done or stalled:
             return Equilibrium(game, alpha, min(reply.bound, upper), upper, minus, plus,
                                tuple(replies))  # fmt: skip

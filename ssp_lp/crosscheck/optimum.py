@@ -17,8 +17,8 @@ _MOST_STEPS = 100
 _MARGINS = (0.25, 4.0, 64.0, 1024.0)
 """Multiples of the tolerance by which a bound of the least ratio is put below it."""
 
-_SURE_FAILURE = 1.0 - 1e-12
-"""J_cond from which a policy's success is rounding and no cost given success can be told."""
+_ROUNDED_SUCCESS = 1e-12
+"""Success up to which it is rounding, where it is what J_cond leaves over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,8 +53,9 @@ def find_optimum(
     """
     budget = float(problem.failure_budget or 0.0)
     known = extremes(player, 0.1 * tolerance)
-    if known[0].bound > budget + LEAST_BUDGET:
-        raise infeasible(problem, budget, known[0].bound)
+    least = known[0].bound + known[0].origin
+    if least > budget + LEAST_BUDGET:
+        raise infeasible(problem, budget, least)
     if problem.ratio:
         return _ratio_optimum(cast(RatioPlayer, player), budget, known, tolerance, patience)
     return _at_budget(
@@ -83,16 +84,18 @@ def _ratio_optimum(
     """
     best, replies, is_least = _least_ratio(player, known, tolerance, patience)
     at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
-    spent = 0.5 * budget if at_goal else min(best.condition, budget)
+    origin = best.origin
+    room = 0.5 * budget if at_goal else min(best.failing, budget - origin)
+    share, spent = (1.0 - origin) - room, origin + room
     found = find_threshold(
-        player, spent, 1.0 - spent, replies, tolerance=tolerance, patience=patience
+        player, spent, share, replies, room=room, tolerance=tolerance, patience=patience
     )
-    if best.condition > budget:
+    if best.failing > budget - origin:
         falls = is_least or _ratio(best) < found.low
         lower = found.low if falls else _slack_bound(player, found.high, budget, tolerance)
         return replace(_at_budget(found), lower_bound=lower)
     c = found.high
-    return Optimum(found, spent, c, _slack_bound(player, c, budget, tolerance), 1.0 - spent, c)
+    return Optimum(found, spent, c, _slack_bound(player, c, budget, tolerance), share, c)
 
 
 def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: float) -> float:
@@ -129,11 +132,11 @@ def _least_ratio(
         SolverError: every policy fails but for rounding.
     """
     replies = list(known)
-    hopeful = [r for r in replies if r.condition < _SURE_FAILURE]
+    hopeful = [r for r in replies if _is_hopeful(r)]
     if not hopeful:
         raise SolverError(
             "the game cannot tell costs given success: the goal is reached with a (discounted) "
-            f"probability of at most {1.0 - known[0].condition:.1e}"
+            f"probability of at most {known[0].success:.1e}"
         )
     best = min(hopeful, key=_ratio)
     for _ in range(_MOST_STEPS):
@@ -141,12 +144,17 @@ def _least_ratio(
         if time.perf_counter() > patience.deadline:
             break
         reply = player.reply(1.0, c, 0.1 * tolerance)
-        if reply.condition >= _SURE_FAILURE or _ratio(reply) >= c * (1.0 - 1e-15):
+        if not _is_hopeful(reply) or _ratio(reply) >= c * (1.0 - 1e-15):
             return best, tuple(replies), True
         replies.append(reply)
         best = reply
     return best, tuple(replies), False
 
 
+def _is_hopeful(reply: Reply) -> bool:
+    """Whether a policy's cost given success can be told."""
+    return reply.success > (0.0 if reply.origin else _ROUNDED_SUCCESS)
+
+
 def _ratio(reply: Reply) -> float:
-    return reply.objective / (1.0 - reply.condition)
+    return reply.objective / reply.success

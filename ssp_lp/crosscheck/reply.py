@@ -10,17 +10,36 @@ from ssp_lp.policies.policy import Policy
 
 @dataclass(frozen=True, eq=False)
 class Reply:
-    """A deterministic policy that minimises a weighted sum of the game's two costs."""
+    """A deterministic policy that minimises a weighted sum of the game's two costs.
+
+    Where the goal is hardly ever reached J_cond is 1 but for rounding. Its player then counts it
+    from ``origin`` 1: minus the success, a sum of its own in which no digit is lost.
+    """
 
     objective: float  # J_obj(x'; pi), exact for the policy
-    condition: float  # J_cond(x'; pi), exact for the policy
-    bound: float  # no policy has less of weight * J_obj + weight * J_cond, at the weights asked
+    failing: float  # J_cond(x'; pi) - origin, exact for the policy
+    bound: float  # no policy has less of weight * J_obj + weight * failing, at the weights asked
     strategy: Any = None  # the policy in the player's own form
     sweeps: int = 0  # Bellman backups that it took
+    origin: float = 0.0  # 0, or 1 where the goal is hardly ever reached
+
+    @property
+    def condition(self) -> float:
+        """J_cond(x'; pi)."""
+        return self.origin + self.failing
+
+    @property
+    def success(self) -> float:
+        """1 - J_cond: in case S E[gamma^T; goal]."""
+        return (1.0 - self.origin) - self.failing
 
     def payoff(self, objective_weight: float, condition_weight: float) -> float:
-        """What the policy pays at other weights."""
-        return objective_weight * self.objective + condition_weight * self.condition
+        """What the policy pays at other weights, J_cond counted from its origin."""
+        return objective_weight * self.objective + condition_weight * self.failing
+
+    def size(self, objective_weight: float, condition_weight: float) -> float:
+        """The size of the payoff's parts, to which its rounding is relative."""
+        return objective_weight * self.objective + condition_weight * abs(self.failing)
 
 
 class Player(Protocol):
@@ -29,10 +48,13 @@ class Player(Protocol):
     def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
         """A policy of least ``objective_weight * J_obj + condition_weight * J_cond``.
 
+        All replies of a player count J_cond from the same origin.
+
         Args:
             objective_weight: alpha(M_o) of section 3.2 of the paper, not negative.
             condition_weight: alpha(M_d) * eta / epsilon, not negative.
-            accuracy: largest relative distance between the policy's payoff and its bound.
+            accuracy: largest distance between the policy's payoff and its bound, relative to the
+                payoff's size.
         """
         ...
 

@@ -31,7 +31,7 @@ def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
     built = construct(problem)
-    return LabelPlayer(built) if isinstance(built, LabelModels) else CostPlayer(built)
+    return LabelPlayer(built) if isinstance(built, LabelModels) else CostPlayer.of(built)
 
 
 def stationary_game(
@@ -99,8 +99,9 @@ def thresholds(
         if not 0.0 < budget <= 1.0 or (problem.ratio and budget == 1.0):
             raise ModelError(f"c* of epsilon' = {budget!r} is not defined: it must be above 0, in "
                              "case S below 1")  # fmt: skip
-        if known[0].bound > budget + LEAST_BUDGET:
-            raise infeasible(problem, budget, known[0].bound)
+        least = known[0].bound + known[0].origin
+        if least > budget + LEAST_BUDGET:
+            raise infeasible(problem, budget, least)
         share = 1.0 - budget if problem.ratio else 1.0
         found.append(find_threshold(player, budget, share, known, tolerance=tolerance))
         known = found[-1].replies

@@ -26,35 +26,36 @@ class Tail:
     choice: IntArray  # [2, nodes] pairs of the policy that fails least, and of pi'_or
     early: FloatArray  # [2, nodes] E[gamma^(T-1); goal]
     cost: FloatArray  # [2, nodes] E[gamma^(T-1) * cost; goal]
-    condition: FloatArray  # [2, nodes] J_cond, 1 - E[gamma^T; goal]
+    failing: FloatArray  # [2, nodes] J_cond - origin, with J_cond = 1 - E[gamma^T; goal]
     least_goal: FloatArray  # [nodes] checked lower bound of E[gamma^T; goal]
     greatest_goal: FloatArray  # [nodes] checked upper bound of it
     survival: float  # gamma; 1 where J_obj is not discounted
+    origin: float = 0.0  # 0 or 1, see ``Reply``
 
     def threshold(self, weights: FloatArray, unit: float) -> FloatArray:
         """Layer of accumulated cost from which pi'_or is no worse than the other, [nodes]."""
         saved = weights[0] * (self.early[0] - self.early[1])
-        owed = weights[1] * (self.condition[1] - self.condition[0])
+        owed = weights[1] * (self.failing[1] - self.failing[0])
         owed += weights[0] * (self.cost[1] - self.cost[0])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             layer = np.ceil(owed / (saved * unit) - 1e-9)
         return np.where(saved > 0.0, layer, np.where(owed <= 0.0, -np.inf, np.inf))
 
     def attained(self, layers: IntArray, threshold: FloatArray, unit: float) -> FloatArray:
-        """(J_obj, J_cond) of going on where so much has been paid, [layers, nodes, 2].
+        """(J_obj, J_cond - origin) of going on where so much was paid, [layers, nodes, 2].
 
         Section 3.5.1 leaves the tail's J_obj undiscounted; under discounting it is discounted here
         like what comes before M, so that c-hat does not depend on M once M is large.
         """
         last = layers[:, None] >= threshold
-        early, cost, condition = (
-            np.where(last, v[1], v[0]) for v in (self.early, self.cost, self.condition)
+        early, cost, failing = (
+            np.where(last, v[1], v[0]) for v in (self.early, self.cost, self.failing)
         )
-        return np.stack([(layers[:, None] * unit) * early + cost, condition], axis=-1)
+        return np.stack([(layers[:, None] * unit) * early + cost, failing], axis=-1)
 
     def bound(self, layers: IntArray, weights: FloatArray, unit: float) -> FloatArray:
         """Lower bound of every policy's weighted cost in these layers, [layers, nodes]."""
-        return np.asarray(weights[1] + self.surplus(layers, weights, unit))
+        return np.asarray(weights[1] * (1.0 - self.origin) + self.surplus(layers, weights, unit))
 
     def surplus(self, layers: IntArray, weights: FloatArray, unit: float) -> FloatArray:
         """The same, less the weighted cost of sure failure, [layers, nodes].
@@ -67,10 +68,14 @@ class Tail:
         return np.asarray(per_success * goal)
 
 
-def outer_tail(base: AccumulatedCost) -> Tail:
+def outer_tail(base: AccumulatedCost, origin: float = 0.0) -> Tail:
     """Find the policies that fail least and most, by MAXPROB and MINPROB (paper, section 2.3).
 
     Both are value iterations on the discounted process without accumulated cost.
+
+    Args:
+        base: the process.
+        origin: from which J_cond is counted, 0 or 1.
     """
     skeleton, gamma = base.skeleton, base.survival
     dynamics, _ = skeleton.dynamics(gamma, departing=False)
@@ -88,10 +93,11 @@ def outer_tail(base: AccumulatedCost) -> Tail:
         choice=both,
         early=early,
         cost=cost,
-        condition=1.0 - gamma * early,
+        failing=(1.0 - origin) - gamma * early,
         least_goal=riskiest.values,
         greatest_goal=1.0 - safest.values,
         survival=gamma,
+        origin=origin,
     )
 
 

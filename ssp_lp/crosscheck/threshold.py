@@ -17,6 +17,7 @@ _STEEP = (1e3, 1e6, 1e9)
 multiples of what the goal costs under one of them."""
 
 _LEAST_SUCCESS = 1e-6
+"""Success that a price of failing is related to, where success is what failing leaves over."""
 
 _ROOM = 1.0 + 1e-6
 """A budget below the least failure times this counts as tight."""
@@ -28,7 +29,8 @@ _LEAST_ACCURACY = 1e-9
 """Relative accuracy of the least failure, on which feasibility hangs, however coarse the search."""
 
 _SAME = 1e-13
-"""Failures this near to the least are the least, computed twice: the cheaper policy may be used."""
+"""Failures this near to the least are the least, computed twice: the cheaper policy may be used.
+Relative to the success where that is what is counted."""
 
 _MOST_GAMES = 100
 
@@ -92,6 +94,7 @@ def find_threshold(
     share: float,
     known: Sequence[Reply],
     *,
+    room: float | None = None,
     tolerance: float,
     patience: Patience = ENDLESS,
 ) -> Threshold:
@@ -108,23 +111,24 @@ def find_threshold(
         share: 1 in case M, 1 - epsilon in case S.
         known: replies met before, ``extremes`` at least. A budget that none of them keeps to is the
             least failure but for their accuracy, and counts as equal to it.
+        room: the budget counted from the replies' origin, where that has more digits.
         tolerance: relative width of the bracket to reach.
         patience: when to stop before that, with the bracket as it is.
     """
     accuracy = 0.1 * tolerance
     replies = [*known, *_near_least(player, budget, known, accuracy)]
-    least = min(r.condition for r in replies)
-    budget = max([budget, *(r.condition for r in replies if r.condition <= least + _SAME)])
-    low, high = 0.0, cheapest_mixture(replies, budget)[2] / share
+    room = _attainable(replies, budget - replies[0].origin if room is None else room)
+    budget = replies[0].origin + room
+    low, high = 0.0, cheapest_mixture(replies, room)[2] / share
     trials: list[Trial] = []
     width = np.inf  # of the bracket after the last game at its upper end
     while True:
         at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
-        found = play(player, Game(share * at, budget), replies, accuracy=accuracy)
+        found = play(player, Game(share * at, budget, room), replies, accuracy=accuracy)
         replies = list(found.replies)
         trials.append(Trial(at, found.alpha, found.upper, share * at))
         low = max(low, _implied(found) / share)
-        members, weights, cost = cheapest_mixture(replies, budget)
+        members, weights, cost = cheapest_mixture(replies, room)
         high = cost / share
         late = time.perf_counter() > patience.deadline
         answer = Threshold(
@@ -148,6 +152,13 @@ def extremes(player: Player, accuracy: float) -> tuple[Reply, ...]:
     return safest, player.reply(1.0, 0.0, accuracy)
 
 
+def _attainable(replies: Sequence[Reply], room: float) -> float:
+    """The budget, counted like the replies' failing, or the least of that but for rounding."""
+    least = min(r.failing for r in replies)
+    same = _SAME * (abs(least) if replies[0].origin else 1.0)
+    return max([room, *(r.failing for r in replies if r.failing <= least + same)])
+
+
 def _near_least(
     player: Player, budget: float, known: Sequence[Reply], accuracy: float
 ) -> Iterator[Reply]:
@@ -155,14 +166,14 @@ def _near_least(
 
     The least failure alone does not ask what its policy costs.
     """
-    safest = min(known, key=lambda r: r.condition)
+    safest = min(known, key=lambda r: r.failing)
     if budget > safest.condition * _ROOM + LEAST_BUDGET:
         return
-    worth = safest.objective / max(1.0 - safest.condition, _LEAST_SUCCESS)
+    worth = safest.objective / max(safest.success, 0.0 if safest.origin else _LEAST_SUCCESS)
     for price in _STEEP:
         reply = player.reply(1.0, price * (worth or 1.0), accuracy)
         yield reply
-        if reply.condition <= safest.condition:
+        if reply.failing <= safest.failing:
             return
 
 
@@ -170,31 +181,35 @@ def _implied(found: Equilibrium) -> float:
     """What the value of a game at alpha* says about the cost of policies within the budget."""
     if found.alpha == 0.0:
         return 0.0
-    owed = (1.0 - found.alpha) * found.game.stake
-    rounding = _CANCELLED * (found.lower + owed)
-    return (found.lower - owed - rounding) / found.alpha
+    owed = found.game.owed(found.alpha, found.origin)
+    rounding = _CANCELLED * (abs(found.least) + abs(owed))
+    return (found.least - owed - rounding) / found.alpha
 
 
 def cheapest_mixture(
-    replies: Sequence[Reply], budget: float
+    replies: Sequence[Reply], room: float
 ) -> tuple[tuple[Reply, ...], tuple[float, ...], float]:
     """The cheapest lottery over one or two policies whose failure keeps to the budget.
+
+    Args:
+        replies: some of which keep to it.
+        room: the budget, counted from the replies' origin.
 
     Returns:
         The members, their weights, and the lottery's J_obj.
     """
-    condition = np.array([r.condition for r in replies])
+    failing = np.array([r.failing for r in replies])
     objective = np.array([r.objective for r in replies])
-    safe = np.flatnonzero(condition <= budget)
-    risky = np.flatnonzero(condition > budget)
+    safe = np.flatnonzero(failing <= room)
+    risky = np.flatnonzero(failing > room)
     alone = safe[np.argmin(objective[safe])]
     best: tuple[tuple[Reply, ...], tuple[float, ...], float] = (
         (replies[alone],), (1.0,), float(objective[alone]),
     )  # fmt: skip
     if not risky.size:
         return best
-    room = budget - condition[safe][:, None]
-    weight = room / (condition[risky][None, :] - condition[safe][:, None])
+    left = room - failing[safe][:, None]
+    weight = left / (failing[risky][None, :] - failing[safe][:, None])
     cost = (1.0 - weight) * objective[safe][:, None] + weight * objective[risky][None, :]
     i, j = np.unravel_index(int(np.argmin(cost)), cost.shape)
     if not cost[i, j] < best[2]:

@@ -16,14 +16,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
+from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.oracles.oracle import Column, Oracle, Proof, excess_failure
 from ssp_lp.engines.row import Row, least_of
 
 _ROUNDS = 200
-_SAME_FAILURE = 1e-15
+_SAME_COST = 1e-15  # relative
+_SAME_FAILURE = 1e-15  # of columns, one of which is the other, found again
+_SAME_SMALL = 1e-14  # the same, relative to failures that are small and to goals that are rare
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +70,8 @@ class Edge:
         """Weight of the column beyond the budget at which the lottery meets the budget."""
         if self.outside is None:
             return 0.0
-        room = self.row.budget - self.inside.failure
-        return float(min(max(room / excess_failure(self.outside, self.inside), 0.0), 1.0))
+        room = self.row.spare(self.inside) / excess_failure(self.outside, self.inside)
+        return float(min(max(room, 0.0), 1.0))
 
     @property
     def objective(self) -> float:
@@ -93,7 +95,7 @@ class Edge:
 
         A column that never succeeds has no ratio: the price was too low, nothing is learnt.
         """
-        if found.failure > self.row.budget + MACHINE_EPSILON:
+        if self.row.spare(found) < -self.row.rounding:
             return replace(self, outside=found)
         if self.row.objective(found.cost, found.goal) == np.inf:
             return self
@@ -101,9 +103,12 @@ class Edge:
 
     def has(self, found: Column) -> bool:
         """Whether a column is the one beyond the budget again, up to rounding."""
-        if self.outside is None or abs(found.failure - self.outside.failure) > _SAME_FAILURE:
+        known = self.outside
+        if known is None:
             return False
-        return found.cost >= self.outside.cost - _SAME_FAILURE * abs(self.outside.cost)
+        same = min(_SAME_FAILURE, _SAME_SMALL * min(known.failure, known.goal))
+        is_near = abs(excess_failure(found, known)) <= same
+        return is_near and found.cost >= known.cost - _SAME_COST * abs(known.cost)
 
 
 def search(
@@ -155,7 +160,7 @@ def _aligned(oracle: Oracle, edge: Edge, price: float) -> Edge:
     if edge.outside is None:
         return edge
     inside, outside = oracle.aligned(edge.inside, price), oracle.aligned(edge.outside, price)
-    bracket = inside.failure <= edge.row.budget < outside.failure
+    bracket = edge.row.spare(inside) >= 0.0 > edge.row.spare(outside)
     return Edge(edge.row, inside, outside) if bracket else edge
 
 

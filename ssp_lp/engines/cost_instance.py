@@ -111,7 +111,7 @@ class CostInstance(LayeredInstance):
         reach, safest = self.safest
         cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
         policy = DeterministicPolicy(self.model, safest.decision)
-        column = Column(cost, max(1.0 - goal, 0.0), goal, None, policy=policy)
+        column = Column(cost, float(self.start @ safest.failure), goal, None, policy=policy)
         greatest = float(self.start @ reach.bound)
         ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
         return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, RELATIVE_GAP
+from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.column_generation import HullSearch, search
 from ssp_lp.engines.instance import Instance, LeastFailure, checked_least_failure
@@ -110,7 +110,7 @@ def optimise(instance: Instance, budget: float, effort: Effort) -> Outcome:
 def _at_the_edge(outcome: Outcome, effort: Effort) -> Outcome:
     """Work out the least failure; where the budget is equal to it, its policy is the answer."""
     least = checked_least_failure(outcome.instance, outcome.row.budget)
-    if outcome.row.budget > least.column.failure + MACHINE_EPSILON:
+    if outcome.row.spare(least.column) > outcome.row.rounding:
         return replace(outcome, least=least)
     row = replace(outcome.row, budget=least.column.failure)
     later = effort.after(outcome.calls)

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON
-from ssp_lp.engines.oracles.oracle import Proof
+from ssp_lp.engines.oracles.oracle import Column, Proof
 from ssp_lp.errors import SolverError
 
 _ROUNDED = 4.0 * MACHINE_EPSILON  # of a bound and of what the budget is worth at its price
 _TINY = 1e-12  # costs below this are compared with 0
+_SAME = 4.0 * MACHINE_EPSILON
+"""Relative distance of two failures, or of two rare successes, that are one summed in two ways."""
 
 
 @dataclass(frozen=True)
@@ -21,6 +23,16 @@ class Row:
     budget: float
     ratio: bool
     lowest: float = 0.0  # no objective is less
+
+    def spare(self, column: Column) -> float:
+        """What a policy leaves of the budget, without cancellation; below 0 where it breaks it."""
+        demanded = 1.0 - self.budget
+        return column.goal - demanded if demanded < 0.5 else self.budget - column.failure
+
+    @property
+    def rounding(self) -> float:
+        """By how much a policy may seem to miss a budget that it meets."""
+        return min(MACHINE_EPSILON, _SAME * max(min(self.budget, 1.0 - self.budget), 0.0))
 
     def objective(self, cost: float, goal: float) -> float:
         """Objective of a point of the hull."""

@@ -181,14 +181,14 @@ class _Search:
         )
 
     def value(self, found: Point, prices: FloatArray) -> float:
-        """Lagrangian value of a policy."""
-        weights = self.rows.weights(prices, self.cost, len(found.figures))
-        return found.worth(weights) - float(prices @ self.rows.bounds)
+        """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
+        beyond = found.figures[self.rows.index] - self.rows.bounds
+        return self.cost * float(found.figures[0]) + float(prices @ beyond)
 
     def rounding(self, found: Point, prices: FloatArray) -> float:
         """Rounding of a policy's Lagrangian value."""
-        weights = self.rows.weights(prices, self.cost, len(found.figures))
-        return _ROUNDING * (found.worth(weights) + float(prices @ self.rows.bounds))
+        beyond = np.abs(found.figures[self.rows.index] - self.rows.bounds)
+        return _ROUNDING * (self.cost * float(found.figures[0]) + float(prices @ beyond))
 
     def price(self, prices: FloatArray) -> tuple[Point, float]:
         """A best policy at these prices, and its Lagrangian value: a bound."""

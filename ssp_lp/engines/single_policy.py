@@ -20,6 +20,7 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.process.explicit import ExplicitProcess
 
 _ROUNDING = 1e-13
+_SMALL = 1e-10  # relative
 """A policy's failure, summed in another order, may lie so far above the budget that it meets."""
 
 _DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
@@ -63,7 +64,7 @@ class _Search:
             return False
         kept = False
         for column in self.view.measure(whole):
-            if column.failure > self.row.budget + _ROUNDING:
+            if column.failure > _allowed(self.row):
                 continue
             kept, value = True, self.row.objective(column.cost, column.goal)
             if value <= self.best.objective:
@@ -101,7 +102,7 @@ def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> S
         ModelError: the process is of no known kind, or too large.
     """
     found, row, oracle = outcome.found, outcome.row, outcome.instance.oracle()
-    inside = [c for c in found.columns if c.failure <= row.budget + _ROUNDING]
+    inside = [c for c in found.columns if c.failure <= _allowed(row)]
     first = min(inside, key=lambda c: row.objective(c.cost, c.goal))
     start = Single(
         column=first,
@@ -123,6 +124,11 @@ def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> S
     best = search.best
     bound = min(max(bound, found.lower_bound), best.objective)
     return replace(best, lower_bound=bound, finished=finished)
+
+
+def _allowed(row: Row) -> float:
+    """The budget with its rounding."""
+    return row.budget + min(_ROUNDING, _SMALL * row.budget)
 
 
 def _walk_between(search: _Search, price: float) -> None:
@@ -191,7 +197,7 @@ def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> 
     if visits is None:
         return 0.0, False
     free = search.view.free if is_outer else np.zeros_like(search.view.free)
-    program = IntegerProgram(process, row.budget + _ROUNDING, visits, free)
+    program = IntegerProgram(process, _allowed(row), visits, free)
     if not row.ratio:
         program.stop_at(search.tolerance)
     if program.pairs.size == 0:

@@ -27,6 +27,7 @@ class TailValues:
     """What a stationary policy attains from some nodes on, arrays of one shape."""
 
     goal: FloatArray  # E[gamma^T; goal]
+    failure: FloatArray  # 1 - goal, summed by itself: each is exact where it is small
     early: FloatArray  # E[gamma^(T - 1); goal]
     cost: FloatArray  # E[gamma^(T - 1) * cost; goal]
     moment: FloatArray  # E[exp(rate * cost); goal]; 0 where no charge needs it
@@ -38,6 +39,7 @@ class TailValues:
         """Several policies' values, one row each, seen by some other index."""
         return cls(
             np.stack([seen(p.goal) for p in policies]),
+            np.stack([seen(p.failure) for p in policies]),
             np.stack([seen(p.early) for p in policies]),
             np.stack([seen(p.cost) for p in policies]),
             np.stack([seen(p.moment) for p in policies]),
@@ -46,7 +48,11 @@ class TailValues:
     def row(self, number: int) -> TailValues:
         """The values of one policy out of several, whose number is the first index."""
         return TailValues(
-            self.goal[number], self.early[number], self.cost[number], self.moment[number]
+            self.goal[number],
+            self.failure[number],
+            self.early[number],
+            self.cost[number],
+            self.moment[number],
         )
 
     def chosen(self, last: BoolArray) -> TailValues:
@@ -54,6 +60,7 @@ class TailValues:
         one, other = self.row(-1), self.row(0)
         return TailValues(
             np.where(last, one.goal, other.goal),
+            np.where(last, one.failure, other.failure),
             np.where(last, one.early, other.early),
             np.where(last, one.cost, other.cost),
             np.where(last, one.moment, other.moment),

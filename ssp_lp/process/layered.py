@@ -39,7 +39,7 @@ class Tails:
         """As if one policy had a goal probability and the greatest moment, like ``goal``."""
         nothing = np.zeros_like(goal)
         moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
-        return TailValues(goal, nothing, nothing, moment)
+        return TailValues(goal, 1.0 - goal, nothing, nothing, moment)
 
     @property
     def first(self) -> TailValues:
@@ -119,12 +119,16 @@ class LayeredProcess:
         layer = self.tails.threshold(self.base.unit, price, self.charge)
         return np.where(layer <= self.cap, -np.inf, layer)
 
-    def beyond(self, price: float) -> tuple[FloatArray, FloatArray]:
-        """(charge, goal) of the tails chosen by a price at (node, cap + i), 2 x [i, nodes]."""
+    def beyond(self, price: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(charge, failure, goal) of the tails that a price chooses at (node, cap + i).
+
+        Returns:
+            3 x [i, nodes].
+        """
         layer = self.cap + np.arange(self.base.width - 1)[:, None]
         last = layer >= self.threshold(price)[None, :]
         chosen = self.tails.values.chosen(last)
-        return self.charge.beyond(layer, self.base.unit, chosen), chosen.goal
+        return self.charge.beyond(layer, self.base.unit, chosen), chosen.failure, chosen.goal
 
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
         """Lower bound of every policy's value at (node, cap + i), [width - 1, nodes].

@@ -23,7 +23,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
     base, n, cap = process.base, process.base.n_nodes, process.cap
     n_beyond = (base.width - 1) * n
     n_states = cap * n + n_beyond + 1
-    tails_cost, tails_goal = _tail_pairs(process)
+    tails_cost, tails_failure, tails_goal = _tail_pairs(process)
     steps = _layer_steps(process, n_states)
     entry = sp.csr_array(
         (base.start, (np.zeros(n, dtype=np.int64), np.arange(n))), shape=(1, n_states)
@@ -41,7 +41,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
         start=start,
         cost=np.concatenate([cost.ravel(), tails_cost.ravel(), [process.start_charge]]),
         failure=np.concatenate(
-            [np.tile(base.failure, cap), 1.0 - tails_goal.ravel(), [base.start_failure]]
+            [np.tile(base.failure, cap), tails_failure.ravel(), [base.start_failure]]
         ),
         goal=np.concatenate(
             [np.tile(base.survival * base.gain, cap), tails_goal.ravel(), [base.start_goal]]
@@ -80,12 +80,19 @@ def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
     )
 
 
-def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray]:
-    """Charge and goal mass of following each tail from beyond the cap, [layers * nodes, tails]."""
+def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Charge, failure and goal mass of following each tail from beyond the cap.
+
+    Returns:
+        3 x [layers * nodes, tails].
+    """
     base, tails = process.base, process.tails
     layer = process.cap + np.arange(base.width - 1)
     values = tails.values
-    each = TailValues(values.goal.T, values.early.T, values.cost.T, values.moment.T)
+    each = TailValues(
+        values.goal.T, values.failure.T, values.early.T, values.cost.T, values.moment.T
+    )
     cost = process.charge.beyond(layer[:, None, None], base.unit, each)
-    goal = np.broadcast_to(tails.goal.T[None], cost.shape)
-    return cost.reshape(-1, cost.shape[-1]), goal.reshape(-1, cost.shape[-1])
+    all_three = (cost, *(np.broadcast_to(v[None], cost.shape) for v in (each.failure, each.goal)))
+    failed, reached = (v.reshape(-1, cost.shape[-1]) for v in all_three[1:])
+    return cost.reshape(-1, cost.shape[-1]), failed, reached

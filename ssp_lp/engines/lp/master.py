@@ -1,12 +1,14 @@
 """The master program of column generation with several rows: a tiny program over known policies.
 
     minimise    sum_j w_j cost_j  (+ sum_k e_k)
-    subject to  sum_j w_j activity_kj (- scale_k e_k) <= bound_k
+    subject to  sum_j w_j (activity_kj - bound_k) (- scale_k e_k) <= 0
                 sum_j w_j = 1,   w, e >= 0
 
-With ``elastic`` the e_k measure by how much rows are violated, in units of their scales, and costs
-are left out (phase 1). HiGHS's simplex method finds an optimal basis; weights and prices are then
-recomputed from it by dense solves, and a few simplex steps repair what HiGHS's tolerances let pass.
+As the weights sum to one, bounds are subtracted from the activities: what tells policies near a
+bound apart is not lost in the size of the bound. With ``elastic`` the e_k measure by how much rows
+are violated, in units of their scales, and costs are left out (phase 1). HiGHS's simplex method
+finds an optimal basis; weights and prices are then recomputed from it by dense solves, and a few
+simplex steps repair what HiGHS's tolerances let pass.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from dataclasses import dataclass
 import highspy
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.engines.lp.master_optimum import MasterOptimum
 from ssp_lp.errors import SolverError
 
@@ -31,8 +33,11 @@ _OPTIONS: dict[str, bool | int | float | str] = {
 _NEGATIVE = 1e-14
 """A basic weight this far below 0 is the rounding of a 0."""
 
+_BROKEN = 4.0 * MACHINE_EPSILON
+"""A row that is violated by so much of its scale is met but for rounding."""
+
 _TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
-_PIVOT = 1e-11
+_PIVOT = 1e-13  # of the numbers that an entry is made of: then it is 0
 _PIVOTS = 50
 
 
@@ -43,6 +48,7 @@ class _Standard:
     cost: FloatArray  # [variables]
     matrix: FloatArray  # [rows + 1, variables]; the last row says that weights sum to one
     right: FloatArray  # [rows + 1]
+    rounding: FloatArray  # [variables] a value so far below 0 is a 0
 
 
 def solve_master(
@@ -63,7 +69,8 @@ def solve_master(
     n_rows, n_columns = activity.shape
     top = 0.0 if elastic else float(np.abs(cost).max(initial=0.0))
     unit = top if top > 0.0 else 1.0
-    program = _scaled(cost / unit, activity, bounds, scales, elastic=elastic)
+    units = scales if elastic else _spreads(activity, bounds, scales)
+    program = _scaled(cost / unit, activity, bounds, scales, units, elastic=elastic)
     x, dual = _from_basis(program, _first_basis(program, activity, bounds, scales))
     x, weights = np.maximum(x, 0.0), np.maximum(x[:n_columns], 0.0)
     weights = np.where(weights > _NEGATIVE, weights, 0.0)
@@ -72,27 +79,42 @@ def solve_master(
     return MasterOptimum(
         value=float(excess.sum()) if elastic else float(cost @ weights),
         weights=weights,
-        prices=unit * np.maximum(-dual[:n_rows], 0.0) / scales,
+        prices=unit * np.maximum(-dual[:n_rows], 0.0) / units,
         excess=excess,
     )
 
 
+def _spreads(activity: FloatArray, bounds: FloatArray, scales: FloatArray) -> FloatArray:
+    """How far from its bound the policies take each row at most, [rows]."""
+    spread = np.abs(activity - bounds[:, None]).max(axis=1, initial=0.0)
+    return np.where(spread > MACHINE_EPSILON * scales, spread, scales)
+
+
 def _scaled(
-    cost: FloatArray, activity: FloatArray, bounds: FloatArray, scales: FloatArray, *, elastic: bool
+    cost: FloatArray,
+    activity: FloatArray,
+    bounds: FloatArray,
+    scales: FloatArray,
+    units: FloatArray,
+    *,
+    elastic: bool,
 ) -> _Standard:
-    """The program in standard form, its rows divided by their scales."""
+    """The program in standard form, its rows divided by their units; elastic: their scales."""
     n_rows, n_columns = activity.shape
     n_excess = n_rows if elastic else 0
     priced = np.zeros(n_columns) if elastic else cost
+    beyond = (activity - bounds[:, None]) / units[:, None]
+    broken = _BROKEN * scales / units
     return _Standard(
         cost=np.concatenate([priced, np.ones(n_excess), np.zeros(n_rows)]),
         matrix=np.block(
             [
-                [activity / scales[:, None], -np.eye(n_rows, n_excess), np.eye(n_rows)],
+                [beyond, -np.eye(n_rows, n_excess), np.eye(n_rows)],
                 [np.ones((1, n_columns)), np.zeros((1, n_excess + n_rows))],
             ]
         ),
-        right=np.append(bounds / scales, 1.0),
+        right=np.append(np.zeros(n_rows), 1.0),
+        rounding=np.concatenate([np.full(n_columns, _NEGATIVE), broken[:n_excess], broken]),
     )
 
 
@@ -108,7 +130,7 @@ def _first_basis(
     if basis is not None:
         return basis
     n_rows, n_columns = activity.shape
-    elastic = _scaled(np.zeros(n_columns), activity, bounds, scales, elastic=True)
+    elastic = _scaled(np.zeros(n_columns), activity, bounds, scales, scales, elastic=True)
     found = _basis(elastic)
     if found is None:
         raise SolverError("the master program: HiGHS finds no basis, nor one of least violation")
@@ -180,8 +202,10 @@ def _from_basis(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatA
         reduced = program.cost - dual @ program.matrix
         reduced[basis] = 0.0
         size = np.abs(program.cost) + np.abs(dual) @ np.abs(program.matrix)
-        step = _dual_step if values.min() < -_NEGATIVE else _primal_step
-        moved = step(program, basis, values, np.where(np.abs(reduced) < _TIED * size, 0.0, reduced))
+        reduced = np.where(np.abs(reduced) < _TIED * size, 0.0, reduced)
+        broken = values + program.rounding[basis]
+        step = _dual_step if broken.min() < 0.0 else _primal_step
+        moved = step(program, basis, values, reduced)
         if moved is None:
             break
         basis[moved[0]] = moved[1]
@@ -194,12 +218,13 @@ def _dual_step(
     program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
 ) -> tuple[int, int] | None:
     """The place of the variable that leaves and the variable that enters; None: there is none."""
-    leaving = int(np.argmin(values))
+    leaving = int(np.argmin(values + program.rounding[basis]))
     unit = np.zeros(len(basis))
     unit[leaving] = 1.0
-    row = _solved(program.matrix[:, basis].T, unit) @ program.matrix
+    among = _solved(program.matrix[:, basis].T, unit)
+    row, size = among @ program.matrix, np.abs(among) @ np.abs(program.matrix)
     row[basis] = 0.0
-    able = row < -_PIVOT
+    able = row < -_PIVOT * size
     if not able.any():
         return None
     ratio = np.where(able, np.maximum(reduced, 0.0), np.inf) / np.where(able, -row, 1.0)
@@ -213,8 +238,9 @@ def _primal_step(
     entering = int(np.argmin(reduced))
     if reduced[entering] >= 0.0:
         return None
-    column = _solved(program.matrix[:, basis], program.matrix[:, entering])
-    able = column > _PIVOT
+    square, entry = program.matrix[:, basis], program.matrix[:, entering]
+    column, inverse = _solved(square, entry), _solved(square, np.eye(len(basis)))
+    able = column > _PIVOT * (np.abs(inverse) @ np.abs(entry))
     if not able.any():
         return None
     ratio = np.where(able, np.maximum(values, 0.0), np.inf) / np.where(able, column, 1.0)

@@ -49,6 +49,7 @@ class ReachPolicy:
 
     decision: IntArray  # [states]
     goal: FloatArray  # [states] E[gamma^T; goal]
+    failure: FloatArray  # [states] 1 - goal, summed by itself
     early: FloatArray  # [states] E[gamma^(T - 1); goal], 0 at goals
     cost: FloatArray  # [states] E[gamma^(T - 1) * cost; goal]
     cost_bound: FloatArray  # [states] checked lower bound of it
@@ -56,7 +57,8 @@ class ReachPolicy:
     @property
     def values(self) -> TailValues:
         """What following the policy from each state on attains, [states] each."""
-        return TailValues(self.goal, self.early, self.cost, np.zeros_like(self.goal))
+        nothing = np.zeros_like(self.goal)
+        return TailValues(self.goal, self.failure, self.early, self.cost, nothing)
 
 
 def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
@@ -165,7 +167,9 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     gain = skeleton.at_pairs(successor_means(model, model.goal_mask)) / departs
     pair_cost = skeleton.at_pairs(cost_means(model, weight)) / departs
     first = approach(dynamics, (skeleton.pair_at == GIVE_UP_CODE) | (gain > 0))
-    rewards, only_cost = np.stack([pair_cost, gain], axis=1), np.array([1.0, 0.0])
+    missing = successor_means(model, (skeleton.node_of < 0) & ~model.goal_mask)
+    miss = (1.0 - survival) + survival * skeleton.at_pairs(missing, 1.0) / departs
+    rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
     settled = improve(dynamics, rewards, only_cost, first)
     bound = sub_solution(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice)
     early_goal = np.clip(skeleton.lift(settled.totals[:, 1]), 0.0, 1.0)
@@ -173,10 +177,26 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     return ReachPolicy(
         decision=skeleton.pull_back(settled.choice),
         goal=np.where(surely, 1.0, survival * early_goal),
+        failure=_failing(model, surely, skeleton.node_of, settled.totals[:, 2]),
         early=np.where(surely & ~model.goal_mask, 1.0, early_goal),
         cost=skeleton.lift(settled.totals[:, 0]),
         cost_bound=skeleton.lift(bound),
     )
+
+
+def _failing(model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray) -> FloatArray:
+    """The probability of failing from each state; 1 where no node stands for it.
+
+    Args:
+        model: the model.
+        surely: states from which the goal is reached for sure but for rounding, [states].
+        node_of: the node of each live state, negative elsewhere, [states].
+        missed: of the nodes, [nodes].
+    """
+    failure = np.where(model.goal_mask | surely, 0.0, 1.0)
+    solved = np.flatnonzero((node_of >= 0) & ~model.goal_mask)
+    failure[solved] = np.clip(missed[node_of[solved]], 0.0, 1.0)
+    return failure
 
 
 def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
@@ -197,11 +217,14 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     early = np.zeros(model.n_states)
     early[live] = chain.solve(hit)
     goal = np.where(model.goal_mask, 1.0, survival * early)
+    missing = successor_means(model, (node_of < 0) & ~model.goal_mask)[taken]
+    missed = chain.solve((1.0 - survival) + survival * missing / departs)
     cost = np.zeros(model.n_states)
     cost[live] = chain.solve(cost_means(model, goal)[taken] / departs)
     return ReachPolicy(
         decision=np.where(decision >= 0, decision, UNDECIDED),
         goal=goal,
+        failure=_failing(model, model.goal_mask, node_of, missed),
         early=early,
         cost=cost,
         cost_bound=np.zeros(model.n_states),

@@ -63,7 +63,7 @@ class LayeredOracle:
         )
         cost, goal = float(base.start @ nothing_paid), float(base.start @ tails.goal[0])
         cost += self.process.start_charge
-        failure = float(base.start @ (1.0 - tails.goal[0])) + base.start_failure
+        failure = float(base.start @ tails.first.failure) + base.start_failure
         policy = DeterministicPolicy(base.skeleton.model, tails.decisions[0])
         return Column(cost, failure, goal + base.start_goal, None, policy=policy)
 
@@ -147,8 +147,7 @@ class LayeredOracle:
         return totals
 
     def _measures_beyond(self, tail_price: float) -> Window:
-        cost, goal = self.process.beyond(tail_price)
-        return Window(np.stack([cost, 1.0 - goal, goal], axis=-1))
+        return Window(np.stack(self.process.beyond(tail_price), axis=-1))
 
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
@@ -279,5 +278,5 @@ class LayeredOracle:
 
     def _tail_values(self, price: float, failing: float) -> FloatArray:
         """Values of the tails beyond the cap, [width - 1, nodes]."""
-        cost, goal = self.process.beyond(price)
-        return cost + failing * (1.0 - goal) - (price - failing) * goal
+        cost, failure, goal = self.process.beyond(price)
+        return cost + failing * failure - (price - failing) * goal

@@ -43,7 +43,8 @@ class MomentReach:
     @property
     def values(self) -> TailValues:
         """What following the policy from each state on attains, [states] each; costs are not."""
-        return TailValues(self.goal, self.goal, np.zeros_like(self.goal), self.moment)
+        nothing = np.zeros_like(self.goal)
+        return TailValues(self.goal, 1.0 - self.goal, self.goal, nothing, self.moment)
 
 
 def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> MomentReach:
