@@ -136,7 +136,8 @@ def search(
         price = edge.slope
         try:
             if found.found_at != price:
-                found = oracle.minimise(price, found, Deadline(deadline))
+                known = [c for c in (found, edge.inside, edge.outside) if c is not None]
+                found = oracle.minimise(price, *known, deadline=Deadline(deadline))
                 calls, work = calls + 1, work + found.work
         except OutOfTimeError:
             break

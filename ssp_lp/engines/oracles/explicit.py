@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,7 +13,9 @@ from ssp_lp.dynamic_programming.approach import approach
 from ssp_lp.dynamic_programming.backward import evaluate_policy
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
+from ssp_lp.dynamic_programming.linear_system import DIRECT_STATES
 from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.switching import switched
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.engines.oracles.oracle import Column, Proof, required
 from ssp_lp.errors import ModelError
@@ -53,22 +56,36 @@ class ExplicitOracle:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
         return self.measure(self._leaving.astype(np.int32))
 
-    def minimise(
-        self, failure_price: float, warm: Column | None = None, deadline: Deadline = NEVER
-    ) -> Column:
+    def minimise(self, failure_price: float, *warm: Column, deadline: Deadline = NEVER) -> Column:
         """A policy of least ``cost + failure_price * failure``, measured exactly."""
-        found = warm is not None and warm.choice is not None
+        weights = np.array([1.0, failure_price])
         settled = improve(
             self.process.dynamics,
             self._rewards,
-            np.array([1.0, failure_price]),
-            warm.choice if warm is not None and warm.choice is not None else self._leaving,
-            warm.totals if warm is not None and found else None,
+            weights,
+            *self._begun(weights, warm),
             precise=self.precise,
             deadline=deadline,
         )
         best = self._column(settled.choice, settled.totals, settled.work)
         return replace(best, found_at=failure_price)
+
+    def _begun(
+        self, weights: FloatArray, warm: Sequence[Column]
+    ) -> tuple[IntArray, FloatArray | None]:
+        """A policy to start from, [states], and about its totals, [states, 2]: the best of some."""
+        known = [(c.choice, c.totals) for c in warm if c.choice is not None]
+        if not known:
+            return self._leaving, None
+        if self.process.n_states <= DIRECT_STATES or any(totals is None for _, totals in known):
+            return known[0]
+        choices, totals = zip(*known, strict=True)
+        values = [weighted(required(total), weights) for total in totals]
+        choice, follows = switched(self.process.dynamics, choices, values)
+        guess = (
+            totals[0] if not follows.any() else np.stack(totals)[follows, np.arange(len(choice))]
+        )
+        return choice, guess
 
     def measure(self, choice: IntArray) -> Column:
         """Exact cost and failure of one pair per state, by a sparse linear solve.
