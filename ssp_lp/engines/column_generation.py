@@ -136,8 +136,9 @@ def search(
         price = edge.slope
         try:
             if found.found_at != price:
-                known = [c for c in (found, edge.inside, edge.outside) if c is not None]
-                found = oracle.minimise(price, *known, deadline=Deadline(deadline))
+                known = found, edge.inside, edge.outside, oracle.first()
+                begun = [column for column in known if column is not None]
+                found = oracle.minimise(price, *begun, deadline=Deadline(deadline))
                 calls, work = calls + 1, work + found.work
         except OutOfTimeError:
             break

@@ -54,6 +54,10 @@ class ExplicitOracle:
 
     def first(self) -> Column:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
+        return self._first
+
+    @cached_property
+    def _first(self) -> Column:
         return self.measure(self._leaving.astype(np.int32))
 
     def minimise(self, failure_price: float, *warm: Column, deadline: Deadline = NEVER) -> Column:
