@@ -25,6 +25,7 @@ from ssp_lp import SSP, InfeasibleError, certify, solve
 SMALLEST = 1e-3  # values below are compared absolutely, by this share of the tolerance
 LARGEST_GAP = 1e-8
 SLOW = 20.0  # seconds
+LEAST_BUDGET = 1e-10  # so far below the least failure a budget counts as equal to it
 COLUMNS = ("checked", "wrong", "refused", "slow", "wide gaps", "near ties")
 QUIET = ("wide gaps", "near ties")  # said by the library, or too near to tell apart
 REFUSALS = ("error", "refused", "gap")
@@ -104,7 +105,10 @@ def complaints(question: Question, library: SSP) -> Iterator[tuple[str, str]]:
         yield "error", f"{type(error).__name__}: {error}"
         return
     if answer is None:
-        yield "feasible", f"objective {solution.objective!r} where there is none"
+        budget = question.budget
+        equal = budget is not None and certificate.accepted and failed <= budget + LEAST_BUDGET
+        kind = "near ties" if equal else "feasible"
+        yield kind, f"objective {solution.objective!r} where there is none"
         return
     wide = bool(solution.note) and solution.lower_bound <= answer <= solution.objective
     for kind, text in _objective(question, answer, solution.objective):

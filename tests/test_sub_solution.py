@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ssp_lp.dynamic_programming.dual_bound import shortfall, sub_solution
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.lowering import shortfall
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 
 
