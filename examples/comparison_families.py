@@ -131,6 +131,12 @@ FAMILIES: dict[str, Callable[..., SSP]] = {
 }
 """The families by name; their sizes are one or two whole numbers."""
 
+RANDOM = ("layered", "scattered", "grid", "rooms")
+"""Families that are drawn, and take a seed."""
+
+SQUARES = ("scattered", "grid", "corridor", "ring")
+"""Families of one size."""
+
 WARM_UP_SIZES = {
     "layered": (80, 100), "scattered": (8_000,), "grid": (100,), "river": (100, 100),
     "corridor": (10_000,), "rooms": (20, 20), "ring": (10_000,),

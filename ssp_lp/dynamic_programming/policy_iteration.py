@@ -46,6 +46,8 @@ _STEADY = 0.3
 """Share of the last round's changes from which the next round would hardly be shorter."""
 
 _SWEEPS = 20  # of Bellman backups between two evaluations
+_LEAST_SWEEPS = 6
+_DIRECT = 2  # passes over a chain that an evaluation takes which does not iterate
 _SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
 
 _WORSE = 1e-9
@@ -148,7 +150,7 @@ def _settle(
             system, choice = leaving_chain(dynamics, choice, before)
         totals = system.solve(rewards[choice], totals, accuracy)
         work, rounds = work + Work(1, system.products), rounds + 1
-        system.products = 0
+        spent, system.products = system.products, 0
         values = weighted(totals, weights)
         if accuracy <= _FINE and above is not None and _rises(values, above):
             raise SolverError("a policy that was to improve the last one is worse")
@@ -173,7 +175,8 @@ def _settle(
             if system.is_solved_exactly:  # where components were large they hardly become small
                 swept = improve_along_chain(dynamics, pair_cost, choice, values, deadline)
             if swept is None:
-                swept = _sweep(dynamics, pair_cost, choice, values, deadline)
+                most = _most_sweeps(dynamics, system, spent)
+                swept = _sweep(dynamics, pair_cost, choice, values, most, deadline)
             work = work + Work(swept, 0)
         changed_before = changed
         accuracy = min(_FORCING * gain / scale if gain > _LAST_GAINS * scale else _FINE, accuracy)
@@ -200,6 +203,7 @@ def _sweep(
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
+    most_sweeps: int,
     deadline: Deadline,
 ) -> int:
     """Improve by sweeps, in place, while many states change; return how many there were.
@@ -212,11 +216,19 @@ def _sweep(
     parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
     order = np.argsort(values, kind="stable").astype(np.uint32)
     backward, most = np.ascontiguousarray(order[::-1]), 0
-    for sweep in range(1, _SWEEPS + 1):
+    for sweep in range(1, most_sweeps + 1):
         deadline.check()
         direction = order if sweep % 2 else backward
         changed, _ = run(*parts, direction, pair_cost, IMPROVEMENT, choice.view(np.uint32), values)
         most = max(most, changed)
         if changed <= _SETTLED * most and sweep > 1:  # where one way changed nothing, the other may
             return sweep
-    return _SWEEPS
+    return most_sweeps
+
+
+def _most_sweeps(dynamics: Dynamics, system: System, products: int) -> int:
+    """Sweeps that cost about as much as the last evaluation did, or many where that was direct."""
+    if products <= _DIRECT:
+        return _SWEEPS
+    share = system.matrix.nnz / max(dynamics.transitions.nnz, 1)
+    return min(max(int(products * share), _LEAST_SWEEPS), _SWEEPS)
