@@ -23,7 +23,7 @@ _ROUNDED = 2e-15  # of a value: its own rounding and that of a backup
 _TIED = 1024.0  # lacks within which a pair may turn out to be the best after lowering
 _RUN_ACCURACY = 1e-3  # runs are used times 1.5 and checked
 _STEPWISE = 4.0  # lacks by which values are lowered in every step
-_LOST_AT_ONCE = 1e-13  # share of the values that this may cost
+_LOST_AT_ONCE = 1e-13  # share of a value that this may cost
 _LARGE = 50_000  # states from which looking for the least that will do takes too long
 _SLIGHT = 1e-13  # share by which a large model's values are lowered throughout
 _SHRINKAGES = (1e-12, 1e-11, 1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
@@ -71,9 +71,9 @@ def lowered_at_once(
             _, fall = least_backwards(dynamics, np.maximum(ahead - step, 0.0) - step, policy)
         except SolverError:
             return None
-        if float(fall.min()) < -_LOST_AT_ONCE * float(np.abs(values).max()):
-            return None
         lowered = np.maximum(values + fall, floor)
+        if (lowered < values - _LOST_AT_ONCE * np.abs(values)).any():
+            return None
         if not shortfall(dynamics, pair_cost, lowered).any():
             return lowered
     return None

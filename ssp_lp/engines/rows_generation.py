@@ -173,12 +173,15 @@ class _Search:
 
     def master(self, elastic: bool) -> MasterOptimum:
         """The best lottery over the policies of the pool."""
-        figures, rows = self.pool.figures, self.rows
         from ssp_lp.engines.lp.master import solve_master
 
-        return solve_master(
-            figures[0], figures[rows.index], rows.bounds, rows.scales, elastic=elastic
-        )
+        figures, rows = self.pool.figures, self.rows
+        kept = undominated(figures[np.append(0, rows.index)])
+        some = figures[:, kept]
+        best = solve_master(some[0], some[rows.index], rows.bounds, rows.scales, elastic=elastic)
+        weights = np.zeros(figures.shape[1])
+        weights[kept] = best.weights
+        return replace(best, weights=weights)
 
     def value(self, found: Point, prices: FloatArray) -> float:
         """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
@@ -203,6 +206,18 @@ class _Search:
             failure = float(prices[self.rows.index == 1].sum())
             objective = value if self.cost > 0.0 else np.inf
             self.pace.report(self.pool.calls, failure, objective)
+
+
+def undominated(figures: FloatArray) -> IntArray:
+    """Columns such that no other is at most as large in every row; the first of equal ones.
+
+    Args:
+        figures: [rows, columns].
+    """
+    at_most = (figures[:, :, None] <= figures[:, None, :]).all(axis=0)  # [which, than which]
+    equal = at_most & at_most.T
+    earlier = np.triu(equal, 1)
+    return np.flatnonzero(~((at_most & ~equal) | earlier).any(axis=0))
 
 
 def first_rows(pool: Pool, index: IntArray, bounds: FloatArray) -> Rows:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.bellman import PairCost
@@ -92,11 +93,11 @@ class LayeredProcess:
         size = max(_TABLE // max(base.arrivals.shape[0], 1), 1)
         block, place = divmod(layer, size)
         if block not in self._charges:
-            layers = block * size + np.arange(min(size, self.cap))
-            ahead = layers[:, None] + np.arange(base.arrivals.shape[1])
-            paid = base.arrivals @ self.charge.at(ahead, base.exact_unit).T
+            width, layers = base.arrivals.shape[1], min(size, self.cap)
+            ahead = block * size + np.arange(layers + width - 1)
+            windows = sliding_window_view(self.charge.at(ahead, base.exact_unit), width)
             self._charges.clear()
-            self._charges[block] = np.ascontiguousarray(paid.T)
+            self._charges[block] = np.ascontiguousarray((base.arrivals @ windows.T).T)
         return PairCost(self._charges[block][place])
 
     @cached_property
