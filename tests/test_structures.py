@@ -198,3 +198,61 @@ def test_goal_and_failure_are_each_summed_from_their_own_exits() -> None:
     solution = solve(MCMP(model, 0, 0.05))
     found = evaluate(solution.policy, solution.problem)
     assert found.goal_probability + found.failure_probability == pytest.approx(1.0, abs=1e-14)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(("seldom", "better"), [(2e-4, 1e-10), (1e-3, 1e-11), (1e-4, 1e-10)])
+def test_a_pair_that_is_better_by_a_ten_billionth_is_the_only_one(
+    seldom: float, better: float, compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a loop of two states: the dearer exit succeeds more often, and is all that may be used."""
+    pytest.importorskip("numba")
+    monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if compiled else 1 << 62)
+    q, h = seldom, 0.5 + better
+    model = SSP.from_transitions(
+        {
+            "a": {
+                "cheap": [(1 - q, "b", 1.0), (q * 0.5, "g", 1.0), (q * 0.5, "d", 1.0)],
+                "dear": [(1 - q, "b", 2.0), (q * h, "g", 2.0), (q * (1 - h), "d", 2.0)],
+            },
+            "b": {"on": [(1.0, "a", 0.0)]},
+            "d": {},
+        },
+        goal={"g"},
+        treat_actionless_as_dead_ends=True,
+    )
+    assert solve(MaxProb(model, "a")).objective == pytest.approx(h, rel=1e-13)
+    for criterion in (MCMP, S3P):
+        assert solve(criterion(model, "a")).objective == pytest.approx(2.0 / q, rel=1e-10)
+
+
+def test_a_loop_that_only_pays_in_the_end_is_taken() -> None:
+    """Its advantage is 1e-18 a step; from where the policy stands no run is longer than 3 steps."""
+    risk, leave = 2.84e-7, 1.27e-11
+    model = SSP.from_transitions(
+        {
+            "a": {"go": [(1.0, "b", 1.0)]},
+            "b": {
+                "hurry": [(1 - risk, "c", 1.0), (risk, "d", 1.0)],
+                "wait": [(1 - leave, "a", 1.0), (leave, "c", 1.0)],
+            },
+            "c": {"end": [(0.45, "g", 1.0), (0.55, "d", 1.0)]},
+            "d": {},
+        },
+        goal={"g"},
+        treat_actionless_as_dead_ends=True,
+    )
+    solution = solve(MaxProb(model, "a"))
+    assert solution.objective == pytest.approx(0.45, rel=1e-12)
+    assert solution.gap <= GAP
+    assert solve(MCMP(model, "a")).objective == pytest.approx(2.0 / leave + 1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_who_gains_nothing_by_giving_up_goes_on(
+    compiled: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("numba")
+    monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if compiled else 1 << 62)
+    model = SSP.from_transitions({"a": {"go": [(1.0, "g", 0.0)]}}, goal={"g"})
+    assert solve(MCMP(model, "a", 1.0, give_up="anywhere")).failure_probability == 0.0

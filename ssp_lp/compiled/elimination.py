@@ -201,12 +201,14 @@ def improve_components(
         begin, size = components[c], components[c + 1] - components[c]
         if size == 1:
             s = order[begin]
-            pick, least, _, _ = _best_pair(
+            pick, least, kept, _ = _best_pair(
                 offsets, indptr, indices, data, exits, cost, values, s, choice[s]
             )
             if least == np.inf:
                 return c
-            choice[s], values[s] = pick, least
+            values[s] = least
+            if least < kept:  # among equals the held one stays
+                choice[s] = pick
             continue
         for i in range(size):
             place[order[begin + i]] = i

@@ -92,4 +92,5 @@ def _miss(
             off[s, j], rounding = precise_advantage(
                 row, s, indptr, indices, data, exits, rewards[row, j], x[:, j], low[:, j], epsilon
             )
-            missed[j] = max(missed[j], abs(off[s, j]) + rounding)
+            wrong = abs(off[s, j]) + rounding
+            missed[j] = max(missed[j], wrong) if wrong == wrong else np.inf

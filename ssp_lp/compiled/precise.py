@@ -116,5 +116,5 @@ def shortfalls(
         worst = 0.0
         for row in range(offsets[s], offsets[s + np.uint32(1)]):
             ahead = safe_advantage(row, s, indptr, indices, data, exits, cost[row], values, epsilon)
-            worst = max(worst, -ahead)
+            worst = max(worst, -ahead) if ahead == ahead else np.inf
         result[s] = worst

@@ -23,6 +23,7 @@ from ssp_lp.dynamic_programming.settled import Settled
 
 _ONE, _OTHER = np.ones(1), np.array([0.0, 1.0])
 _SMALL = 1e-2
+_PROVED = 1e-11  # gap of a probability that rounding may leave
 
 _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
 
@@ -71,11 +72,17 @@ def extreme_reach(exits: Exits, *, greatest: bool) -> ExtremeReach:
     if settled.totals[:, 0].min() < _SMALL:  # so small that the other cannot tell
         choice = improve(dynamics, wanted[:, None], -_ONE, settled.choice).choice
         settled = improve(dynamics, both, _OTHER, choice)
+    missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
+    least = dual_bound(dynamics, other, missed, choice=settled.choice).values
+    if float((missed - least).max()) > _PROVED:  # a policy of longer runs may be better
+        settled = improve(dynamics, both, _OTHER, settled.choice, precise=True)
+        missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
+        least = dual_bound(dynamics, other, missed, choice=settled.choice).values
     totals = evaluate_policy(dynamics, settled.choice, both, _PRECISE)
     won, lost = totals.values.T
     tied = _tied(exits, settled, wanted, other, (won, totals.low[:, 0]), lost)
     reach, missed = np.clip(won, 0.0, 1.0), np.clip(lost, 0.0, 1.0)
-    least = dual_bound(dynamics, other, missed, choice=settled.choice).values
+    least = np.minimum(least, missed)
     most = 1.0 - least
     if reach.min() < _SMALL:  # so small that 1 - least loses digits of it
         above = -dual_bound(dynamics, -wanted, -reach, floor=-1.0, choice=settled.choice).values

@@ -56,6 +56,8 @@ _WORSE = 1e-9
 _UNCERTAIN = 1e-11
 """Relative loss that rounding may hide over a run, from which on precision is doubled."""
 
+_OPEN = 1e-13  # the same of gains that were seen and declined, in small processes
+
 
 def improve(
     dynamics: Dynamics,
@@ -97,6 +99,7 @@ def improve(
             if dynamics.is_reused and not precise:  # what is made of all layers is checked
                 nothing = np.zeros_like(values)
                 return Settled(choice, values[:, None], values, nothing, nothing, work)
+            left = _declined(dynamics, pair_cost, values, choice)
             totals = evaluate_policy(dynamics, choice, rewards)
         else:
             found = _settle(dynamics, rewards, weights, choice, guess, deadline)
@@ -109,10 +112,21 @@ def improve(
         return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     values = weighted(totals.values, weights)
     scale = float(np.abs(values).max(initial=0.0))
-    hidden = (left + 4.0 * MACHINE_EPSILON * scale) * float(totals.runs.max(initial=0.0))
-    if precise or hidden > _UNCERTAIN * scale:
+    longest = float(totals.runs.max(initial=0.0))
+    hidden = (left + 4.0 * MACHINE_EPSILON * scale) * longest
+    few = dynamics.n_states <= DIRECT_STATES
+    open_ties = few and left * longest > _OPEN * scale
+    if precise or open_ties or hidden > _UNCERTAIN * scale:
         return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
+
+
+def _declined(
+    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, choice: IntArray
+) -> float:
+    """The greatest gain that was left to be rounding."""
+    backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values, choice)
+    return float((backup.here - backup.minima).max(initial=0.0))
 
 
 _Found = tuple[IntArray, System, FloatArray, float, Work]
@@ -162,8 +176,7 @@ def _settle(
         above = values if accuracy <= _FINE else None
         if not better.any():
             if accuracy <= _FINE:
-                left = float((backup.here - backup.minima).max(initial=0.0))
-                return choice, system, totals, left, work
+                return choice, system, totals, gain, work
             accuracy = _FINE
             continue
         if rounds > MOST_ROUNDS:

@@ -63,7 +63,7 @@ class Tails:
 
 
 _TABLE = 1_000_000
-"""Charges, layers x pairs, that are worked out together."""
+"""Charges, layers x pairs or x layers of a step, that are worked out together."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class LayeredProcess:
         base = self.base
         if self.grows_evenly or base.arrivals is None:
             return PairCost(base.gain_cost, self._growth, float(layer))
-        size = max(_TABLE // max(base.arrivals.shape[0], 1), 1)
+        size = max(_TABLE // max(*base.arrivals.shape, 1), 1)
         block, place = divmod(layer, size)
         if block not in self._charges:
             width, layers = base.arrivals.shape[1], min(size, self.cap)
