@@ -23,6 +23,7 @@ from comparison_families import FAMILIES, RANDOM, SQUARES
 from formulations import MCMP, S3P, ConstrainedCost, MaxProb
 from ssp_lp import SSP, Solution, SSPError, certify, evaluate, solve
 from ssp_lp.problem import Problem
+from ssp_lp.process.semantics import GiveUp
 from ssp_lp.process.side_rows import CostLimit
 
 GAP = 1e-9
@@ -89,11 +90,17 @@ def check(model: SSP, options: argparse.Namespace, tally: Tally) -> Iterator[str
         if small:
             wrong += disagreement(solution, _by_program(problem), PROGRAM, "linear program")
             tally.counts["linear programs"] += 1
-        if options.storm and problem.failure_budget and isinstance(problem, MCMP):
+        if options.storm and is_for_storm(problem):
             wrong += disagreement(solution, _by_storm(problem), STORM, "Storm")
             tally.counts["by Storm"] += 1
         tally.counts["wrong"] += len(wrong)
         yield from (f"{told}: {reason}" for reason in wrong)
+
+
+def is_for_storm(problem: Problem) -> bool:
+    """Whether Storm ends on it: where giving up is free its search need not."""
+    asked = isinstance(problem, MCMP) and problem.failure_budget is not None
+    return asked and problem.semantics.give_up is GiveUp.DEAD_ENDS
 
 
 def problems(model: SSP) -> Iterator[Problem]:
