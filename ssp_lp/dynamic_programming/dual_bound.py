@@ -44,6 +44,12 @@ class DualBound:
     values: FloatArray  # [states]
     low: FloatArray  # [states] to be added to the values
 
+    @property
+    def rounded(self) -> FloatArray:
+        """The bound of each state as one number, rounded down, [states]."""
+        below = np.nextafter(self.values, -np.inf)
+        return np.where(self.low == 0.0, self.values, below)
+
     def at(self, start: FloatArray) -> float:
         """The bound where an episode begins, rounded down.
 

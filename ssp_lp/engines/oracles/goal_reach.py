@@ -12,7 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.approach import approach
-from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.extreme_reach import Exits, extreme_reach
 from ssp_lp.dynamic_programming.linear_system import System
 from ssp_lp.dynamic_programming.policy_iteration import improve
@@ -171,7 +171,7 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     miss = (1.0 - survival) + survival * skeleton.at_pairs(missing, 1.0) / departs
     rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
     settled = improve(dynamics, rewards, only_cost, first)
-    bound = sub_solution(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice)
+    bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
     early_goal = np.clip(skeleton.lift(settled.totals[:, 1]), 0.0, 1.0)
     surely = reach.goal == 1.0  # decided on the graph
     return ReachPolicy(
