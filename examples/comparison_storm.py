@@ -11,6 +11,8 @@ accumulated cost. That is the ratio's numerator, and where the budget is tight, 
 instances, its value over 1 - budget is the ratio. Our solvers find the ratio itself.
 """
 
+from typing import Any
+
 import numpy as np
 import scipy.sparse as sp
 import stormpy
@@ -39,8 +41,7 @@ def prepare(ready: ReadyInstance, order: Order, *, sound: bool, precision: str |
     model, size, details = storm_model(process), size_of(process), describe(process)
     del process
     asked = ready.instance
-    query = f'multi(R{{"cost"}}min=? [C], P<={asked.failure_budget!r} [F "fail"])'
-    formula = stormpy.parse_properties(query)[0]
+    formula = least_cost_within(asked.failure_budget)
     environment = environments.sound() if sound else environments.Environment()
     settings = environment.modelchecker().multi()
     if precision is not None:
@@ -57,6 +58,12 @@ def prepare(ready: ReadyInstance, order: Order, *, sound: bool, precision: str |
 
     note = joined(f"precision {float(settings.precision):.0e}", size)
     return Prepared(call, note=note, details=details)
+
+
+def least_cost_within(failure_budget: float) -> Any:
+    """The least expected cost of a process whose failure is limited, as Storm's formula."""
+    query = f'multi(R{{"cost"}}min=? [C], P<={failure_budget!r} [F "fail"])'
+    return stormpy.parse_properties(query)[0]
 
 
 def storm_model(process: ExplicitProcess) -> models.SparseMdp:

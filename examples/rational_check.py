@@ -21,11 +21,11 @@ from rational_models import GOAL, draw_model
 from rational_policies import Exact
 from rational_question import Question
 from ssp_lp import SSP, InfeasibleError, certify, solve
+from ssp_lp.arrays import LEAST_BUDGET
 
 SMALLEST = 1e-3  # values below are compared absolutely, by this share of the tolerance
 LARGEST_GAP = 1e-8
 SLOW = 20.0  # seconds
-LEAST_BUDGET = 1e-10  # so far below the least failure a budget counts as equal to it
 COLUMNS = ("checked", "wrong", "refused", "slow", "wide gaps", "near ties")
 QUIET = ("wide gaps", "near ties")  # said by the library, or too near to tell apart
 REFUSALS = ("error", "refused", "gap")

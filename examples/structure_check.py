@@ -162,11 +162,10 @@ def _by_storm(problem: MCMP) -> float:
     import stormpy
 
     from comparison_explicit import reachable_part
-    from comparison_storm import storm_model
+    from comparison_storm import least_cost_within, storm_model
 
     model = storm_model(reachable_part(problem.instance().explicit()))
-    query = f'multi(R{{"cost"}}min=? [C], P<={problem.failure_budget!r} [F "fail"])'
-    result = stormpy.model_checking(model, stormpy.parse_properties(query)[0])
+    result = stormpy.model_checking(model, least_cost_within(problem.failure_budget))
     return float(result.get_value(model.initial_states[0]))
 
 

@@ -11,7 +11,6 @@ from ssp_lp.engines.charge_instance import ChargeInstance
 from ssp_lp.engines.instance import Instance
 from ssp_lp.engines.label_instance import LabelInstance
 from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
-from ssp_lp.engines.oracles.oracle import Column
 from ssp_lp.engines.oracles.priced import LARGEST
 from ssp_lp.engines.refinement import CERTIFYING
 from ssp_lp.engines.row import CONTRADICTION, Row, relative_gap
@@ -230,11 +229,10 @@ def _least_failure_certificate(problem: Problem, found: Evaluation, failure: flo
     least = instance.least_failure()
     allowed, bound = least.column.failure, least.objective_bound
     if isinstance(instance, LabelInstance) and np.isfinite(found.objective):
-        oracle, known = instance.oracle(), list[Column]()
+        oracle, column = instance.oracle(), None
         for steps in _STEEP_PRICES:
             price = steps * max(found.objective, 1.0)
-            column = oracle.minimise(price, *known)
-            known = [column]
+            column = oracle.minimise(price, column)
             priced = lagrange_bound(
                 oracle.prove(price, column).bound, np.array([price]), np.array([allowed])
             )

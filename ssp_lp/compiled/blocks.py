@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-from ssp_lp.compiled.elimination import _best_pair, _eliminate, _gather
+from ssp_lp.compiled.elimination import best_pair, improve_component
 
 Array = np.ndarray[Any, Any]
 
@@ -62,16 +62,17 @@ def improve_blocks(
             if _any_stale(stale, states):
                 for i in range(states.size):
                     before[i] = values[states[i]]
-                changed += _settle(
-                    offsets, indptr, indices, data, exits, states, place, cost, noise,
+                moved, _ = improve_component(
+                    offsets, indptr, indices, data, exits, states, place, cost, noise, _ROUNDS,
                     choice, values, inner, low, leaving, right,
                 )  # fmt: skip
+                changed += moved
                 _mark(entering, entering_offsets, owner, states, before, values, stale)
             continue
         s = order[begin]
         if not stale[s]:
             continue
-        pick, least, kept, terms = _best_pair(
+        pick, least, kept, terms = best_pair(
             offsets, indptr, indices, data, exits, cost, values, s, choice[s]
         )
         old = values[s]
@@ -114,45 +115,3 @@ def _mark_entering(
 ) -> None:
     for k in range(entering_offsets[s], entering_offsets[s + np.uint32(1)]):
         stale[owner[entering[k]]] = True
-
-
-@njit(cache=True)
-def _settle(
-    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    states: Array, place: Array, cost: Array, noise: float,
-    choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
-) -> int:  # fmt: skip
-    """Howard's rounds within one block; a policy that does not leave it is taken back."""
-    column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
-    size, changed = states.size, 0
-    held = np.empty(size, dtype=choice.dtype)
-    for i in range(size):
-        place[states[i]] = i
-    for _ in range(_ROUNDS):
-        _gather(
-            indptr, indices, data, exits, choice, states, 0, size, place, rewards, True, column,
-            inner, low, leaving, right,
-        )  # fmt: skip
-        if not _eliminate(inner, low, leaving, right, size):
-            if changed:
-                for i in range(size):
-                    choice[states[i]] = held[i]
-            break
-        now = 0
-        for i in range(size):
-            values[states[i]] = right[i, 0]
-        for i in range(size):
-            s = states[i]
-            held[i] = choice[s]
-            pick, least, kept, terms = _best_pair(
-                offsets, indptr, indices, data, exits, cost, values, s, choice[s]
-            )
-            if least < kept - noise * terms:
-                choice[s] = pick
-                now += 1
-        changed += now
-        if now == 0:
-            break
-    for i in range(size):
-        place[states[i]] = -1
-    return changed

@@ -192,53 +192,80 @@ def improve_components(
     Returns:
         The first component that a policy does not leave; -1 if there is none.
     """
-    n = values.size
     inner, right = np.empty((most, most)), np.empty((most, 1))
     low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
-    place = np.full(n if most > 1 else 0, -1, dtype=np.int32)
-    column, rewards = values.reshape(n, 1), cost.reshape(cost.size, 1)
+    place = np.full(values.size if most > 1 else 0, -1, dtype=np.int32)
     for c in range(components.size - 1):
-        begin, size = components[c], components[c + 1] - components[c]
-        if size == 1:
-            s = order[begin]
-            pick, least, kept, _ = _best_pair(
-                offsets, indptr, indices, data, exits, cost, values, s, choice[s]
-            )
-            if least == np.inf:
-                return c
-            values[s] = least
-            if least < kept:  # among equals the held one stays
-                choice[s] = pick
-            continue
-        for i in range(size):
-            place[order[begin + i]] = i
-        changed, rounds = True, 0
-        while changed and rounds < _ROUNDS:
-            rounds += 1
-            _gather(
-                indptr, indices, data, exits, choice, order, begin, size, place, rewards, True,
-                column, inner, low, leaving, right,
+        begin, end = components[c], components[c + 1]
+        if end - begin > 1:
+            _, leaves = improve_component(
+                offsets, indptr, indices, data, exits, order[begin:end], place, cost, noise,
+                _ROUNDS, choice, values, inner, low, leaving, right,
             )  # fmt: skip
-            if not _eliminate(inner, low, leaving, right, size):
+            if not leaves:
                 return c
-            changed = False
-            for i in range(size):
-                values[order[begin + i]] = right[i, 0]
-            for i in range(size):
-                s = order[begin + i]
-                pick, least, kept, size_of_it = _best_pair(
-                    offsets, indptr, indices, data, exits, cost, values, s, choice[s]
-                )
-                if least < kept - noise * size_of_it:
-                    choice[s] = pick
-                    changed = True
-        for i in range(size):
-            place[order[begin + i]] = -1
+            continue
+        s = order[begin]
+        pick, least, kept, _ = best_pair(
+            offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+        )
+        if least == np.inf:
+            return c
+        values[s] = least
+        if least < kept:  # among equals the held one stays
+            choice[s] = pick
     return -1
 
 
 @njit(cache=True)
-def _best_pair(
+def improve_component(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
+    states: Array, place: Array, cost: Array, noise: float, rounds: int,
+    choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
+) -> tuple[int, bool]:  # fmt: skip
+    """Howard's rounds within one component, in place; a policy that does not leave is taken back.
+
+    Returns:
+        How often a pair was changed, and whether all policies left.
+    """
+    column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
+    size, changed, leaves = states.size, 0, True
+    held = np.empty(size, dtype=choice.dtype)
+    for i in range(size):
+        place[states[i]] = i
+    for _ in range(rounds):
+        _gather(
+            indptr, indices, data, exits, choice, states, 0, size, place, rewards, True, column,
+            inner, low, leaving, right,
+        )  # fmt: skip
+        if not _eliminate(inner, low, leaving, right, size):
+            leaves = False
+            if changed:
+                for i in range(size):
+                    choice[states[i]] = held[i]
+            break
+        now = 0
+        for i in range(size):
+            values[states[i]] = right[i, 0]
+        for i in range(size):
+            s = states[i]
+            held[i] = choice[s]
+            pick, least, kept, terms = best_pair(
+                offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+            )
+            if least < kept - noise * terms:
+                choice[s] = pick
+                now += 1
+        changed += now
+        if now == 0:
+            break
+    for i in range(size):
+        place[states[i]] = -1
+    return changed, leaves
+
+
+@njit(cache=True)
+def best_pair(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
     cost: Array, values: Array, s: int, held: int,
 ) -> tuple[int, float, float, float]:  # fmt: skip

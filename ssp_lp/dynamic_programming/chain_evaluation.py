@@ -138,11 +138,11 @@ def _missed(
     system: System, rewards: FloatArray, x: FloatArray, low: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """By what totals miss their equations, [states, rewards], and the most of it, [rewards]."""
-    home, off = np.arange(system.size, dtype=np.int32), np.empty_like(x)
+    off = np.empty_like(x)
     most = np.zeros(rewards.shape[1])
     for j in range(rewards.shape[1]):
         columns = (np.ascontiguousarray(part[:, j]) for part in (rewards, x, low))
-        off[:, j], rounding = precise_advantages(home, system.matrix, system.exits, *columns)
+        off[:, j], rounding = precise_advantages(system.home, system.matrix, system.exits, *columns)
         most[j] = (np.abs(off[:, j]) + rounding).max(initial=0.0)
     return off, most
 
@@ -150,11 +150,10 @@ def _missed(
 def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
     """Expected steps, checked: at least one half more than what follows them, [states]."""
     ones, half = np.ones((system.size, 1)), np.full(system.size, -0.5)
-    home = np.arange(system.size, dtype=np.int32)
     for accuracy in _RUN_ACCURACIES:
         runs = solve(ones, None, accuracy)[:, 0]
         if not (np.isfinite(runs).all() and runs.min(initial=0.0) >= 0.0):
             return None
-        if (safe_advantages(home, system.matrix, system.exits, half, -runs) >= 0.0).all():
+        if (safe_advantages(system.home, system.matrix, system.exits, half, -runs) >= 0.0).all():
             return runs
     return None

@@ -108,11 +108,7 @@ def dual_bound(
 
 
 def sub_solution(
-    dynamics: Dynamics,
-    pair_cost: FloatArray,
-    values: FloatArray,
-    floor: float = 0.0,
-    choice: IntArray | None = None,
+    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
 ) -> FloatArray:
     """Lower the given values to ones that pass the check in working precision, [states].
 
@@ -121,13 +117,8 @@ def sub_solution(
         pair_cost: [pairs].
         values: near-optimal values, or any others, [states].
         floor: a constant that is known to be a sub-solution.
-        choice: a policy of about these values, which leaves, [states].
     """
     values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
-    if choice is not None:
-        lowered = lowered_at_once(dynamics, pair_cost, values, floor, choice)
-        if lowered is not None:
-            return lowered
     lack = shortfall(dynamics, pair_cost, values)
     return lowered_until_nothing_lacks(dynamics, pair_cost, values, lack, floor)
 

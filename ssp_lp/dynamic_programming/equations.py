@@ -87,6 +87,7 @@ def dense_solver(matrix: sp.csr_array, exits: FloatArray) -> Solver:
     np.fill_diagonal(system, departs)
 
     def solve(rewards: FloatArray) -> FloatArray:
+        """Totals of these rewards, refined once."""
         try:
             x = np.linalg.solve(system, rewards)
             return np.asarray(x + np.linalg.solve(system, rewards - system @ x))

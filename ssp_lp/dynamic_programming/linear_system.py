@@ -83,9 +83,9 @@ class System:
         return self.components.largest <= _SMALL
 
     @cached_property
-    def _home(self) -> IntArray:
-        """Each state's own row."""
-        return np.arange(self.size, dtype=np.uint32)
+    def home(self) -> IntArray:
+        """Each state's own row, [states]."""
+        return np.arange(self.size, dtype=np.int32)
 
     @cached_property
     def closed(self) -> IntArray:
@@ -260,7 +260,8 @@ class System:
 
         found, rows = self.components, self.matrix
         stuck = solve_components(
-            unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits, self._home,
+            unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
+            unsigned(self.home),
             unsigned(found.order), found.offsets, first, last,
             int(found.sizes[first:last].max(initial=1)), rewards, x,
         )  # fmt: skip

@@ -111,21 +111,35 @@ def improve(
     except SolverError:
         return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     values = weighted(totals.values, weights)
-    scale = float(np.abs(values).max(initial=0.0))
-    longest = float(totals.runs.max(initial=0.0))
-    hidden = (left + 4.0 * MACHINE_EPSILON * scale) * longest
-    few = dynamics.n_states <= DIRECT_STATES
-    open_ties = few and left * longest > _OPEN * scale
-    if precise or open_ties or hidden > _UNCERTAIN * scale:
+    if precise or _may_hide_more(values, totals.runs, left):
         return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
     return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
+
+
+def _may_hide_more(values: FloatArray, runs: FloatArray, left: float) -> bool:
+    """Whether gains that were left to be rounding, gathered along a run, may be worth something.
+
+    Args:
+        values: [states].
+        runs: about the expected steps, [states].
+        left: the greatest gain that was seen and declined.
+    """
+    scale, longest = float(np.abs(values).max(initial=0.0)), float(runs.max(initial=0.0))
+    hidden = (left + 4.0 * MACHINE_EPSILON * scale) * longest
+    open_ties = len(values) <= DIRECT_STATES and left * longest > _OPEN * scale
+    return open_ties or hidden > _UNCERTAIN * scale
 
 
 def _declined(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, choice: IntArray
 ) -> float:
     """The greatest gain that was left to be rounding."""
-    backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values, choice)
+    return _greatest_gain(
+        best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values, choice)
+    )
+
+
+def _greatest_gain(backup: Backup) -> float:
     return float((backup.here - backup.minima).max(initial=0.0))
 
 
@@ -146,11 +160,7 @@ def _settle(
         The policy, its equations and totals, the greatest gain that was left to be rounding, and
         the work.
     """
-    offsets, transitions, pair_cost = (
-        dynamics.pair_offsets,
-        dynamics.transitions,
-        weighted(rewards, weights),
-    )
+    transitions, pair_cost = dynamics.transitions, weighted(rewards, weights)
     accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES else _FINE
     work, rounds = Work(), 0
     changed_before = np.inf
@@ -168,7 +178,7 @@ def _settle(
         values = weighted(totals, weights)
         if accuracy <= _FINE and above is not None and _rises(values, above):
             raise SolverError("a policy that was to improve the last one is worse")
-        backup = best_pairs(offsets, transitions, pair_cost, values, choice)
+        backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
         better, gain, scale = _gains(backup, values, accuracy)
         if accuracy > _FINE and system.is_solved_exactly and not better.any():
             accuracy = _FINE  # the totals are exact already: only noise was thought to be greater
@@ -202,7 +212,7 @@ def _gains(backup: Backup, values: FloatArray, accuracy: float) -> tuple[BoolArr
     if accuracy > _FINE:
         noise = noise + _NOISE * accuracy * scale
     better = np.asarray(backup.minima < backup.here - noise)
-    return better, float((backup.here - backup.minima).max(initial=0.0)), scale
+    return better, _greatest_gain(backup), scale
 
 
 def _rises(values: FloatArray, above: FloatArray) -> bool:

@@ -136,8 +136,7 @@ def search(
         price = edge.slope
         try:
             if found.found_at != price:
-                known = found, edge.inside, edge.outside, oracle.first()
-                begun = [column for column in known if column is not None]
+                begun = found, edge.inside, edge.outside
                 found = oracle.minimise(price, *begun, deadline=Deadline(deadline))
                 calls, work = calls + 1, work + found.work
         except OutOfTimeError:

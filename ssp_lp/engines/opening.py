@@ -76,19 +76,17 @@ def open_by_pricing(
         None where no column that keeps to the budget was found.
     """
     oracle = instance.oracle()
-    first, price = _beginning(oracle, row, hint)
+    last, price = _beginning(oracle, row, hint)
     if price is None:
         return None
     steps = _STEPS if hint is None else tuple(hint.spread * step for step in _HINTED_STEPS)
     one_sided = price == 0.0 or (hint is not None and hint.slack)
-    last = first
     inside: Column | None = None
     outside: Column | None = None
     work = Work()
     for calls, step in enumerate((*steps, None), start=1):
         try:
-            known = [c for c in (last, first, inside, outside) if c is not None]
-            last = oracle.minimise(price, *known, deadline=Deadline(deadline))
+            last = oracle.minimise(price, last, inside, outside, deadline=Deadline(deadline))
         except OutOfTimeError:
             if last is None or (inside is None and last.failure > row.budget):
                 raise

@@ -60,7 +60,9 @@ class ExplicitOracle:
     def _first(self) -> Column:
         return self.measure(self._leaving.astype(np.int32))
 
-    def minimise(self, failure_price: float, *warm: Column, deadline: Deadline = NEVER) -> Column:
+    def minimise(
+        self, failure_price: float, *warm: Column | None, deadline: Deadline = NEVER
+    ) -> Column:
         """A policy of least ``cost + failure_price * failure``, measured exactly."""
         weights = np.array([1.0, failure_price])
         settled = improve(
@@ -75,21 +77,24 @@ class ExplicitOracle:
         return replace(best, found_at=failure_price)
 
     def _begun(
-        self, weights: FloatArray, warm: Sequence[Column]
+        self, weights: FloatArray, warm: Sequence[Column | None]
     ) -> tuple[IntArray, FloatArray | None]:
         """A policy to start from, [states], and about its totals, [states, 2]: the best of some."""
-        known = [(c.choice, c.totals) for c in warm if c.choice is not None]
+        known = [c for c in warm if c is not None and c.choice is not None]
         if not known:
             return self._leaving, None
-        if self.process.n_states <= DIRECT_STATES or any(totals is None for _, totals in known):
-            return known[0]
-        choices, totals = zip(*known, strict=True)
-        values = [weighted(required(total), weights) for total in totals]
-        choice, follows = switched(self.process.dynamics, choices, values)
-        guess = (
-            totals[0] if not follows.any() else np.stack(totals)[follows, np.arange(len(choice))]
+        if self.process.n_states <= DIRECT_STATES or any(c.totals is None for c in known):
+            return required(known[0].choice), known[0].totals
+        known.append(self._first)
+        totals = [required(column.totals) for column in known]
+        choice, follows = switched(
+            self.process.dynamics,
+            [required(column.choice) for column in known],
+            [weighted(total, weights) for total in totals],
         )
-        return choice, guess
+        if not follows.any():
+            return choice, totals[0]
+        return choice, np.stack(totals)[follows, np.arange(len(choice))]
 
     def measure(self, choice: IntArray) -> Column:
         """Exact cost and failure of one pair per state, by a sparse linear solve.

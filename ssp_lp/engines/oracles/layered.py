@@ -67,7 +67,9 @@ class LayeredOracle:
         policy = DeterministicPolicy(base.skeleton.model, tails.decisions[0])
         return Column(cost, failure, goal + base.start_goal, None, policy=policy)
 
-    def minimise(self, failure_price: float, *warm: Column, deadline: Deadline = NEVER) -> Column:
+    def minimise(
+        self, failure_price: float, *warm: Column | None, deadline: Deadline = NEVER
+    ) -> Column:
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         choice = self._blank_choice()

@@ -79,12 +79,14 @@ class Oracle(Protocol):
         """A policy from which the goal is reached if it can be; cheap to find."""
         ...
 
-    def minimise(self, failure_price: float, *warm: Column, deadline: Deadline = NEVER) -> Column:
+    def minimise(
+        self, failure_price: float, *warm: Column | None, deadline: Deadline = NEVER
+    ) -> Column:
         """A policy of least priced cost, measured exactly.
 
         Args:
             failure_price: price of failure.
-            warm: policies to start from, the one that is thought to be nearest first.
+            warm: policies to start from, the one that is thought to be nearest first; None: none.
             deadline: looked at inside every loop.
 
         Raises:
