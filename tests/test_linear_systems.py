@@ -17,6 +17,7 @@ from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_system import System
 from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.precise import advantage_bounds
 
 Switch = Callable[[bool], None]
 
@@ -180,3 +181,23 @@ def test_passes_along_the_chain_only_improve_and_end_at_the_optimum() -> None:
         assert np.allclose(values, measured, rtol=1e-11)
         ahead = (cost + rows @ measured).reshape(n, actions).min(axis=1)
         assert np.allclose(ahead, measured, rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bounds_of_advantages_hold_in_fractions(compiled: bool, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    steps, exits = slow_chain(rng)
+    cost, values = rng.normal(size=(2, len(exits))) * 10.0 ** rng.uniform(-3, 8)
+    home, rows = np.arange(len(exits), dtype=np.int32), sp.csr_array(steps)
+    lower, upper = advantage_bounds(home, rows, exits, cost, values)
+    exact = [
+        Fraction(float(cost[i]))
+        - Fraction(float(exits[i])) * Fraction(float(values[i]))
+        + sum(
+            Fraction(float(steps[i, j])) * (Fraction(float(values[j])) - Fraction(float(values[i])))
+            for j in range(len(exits))
+        )
+        for i in range(len(exits))
+    ]
+    assert all(low <= middle <= high for low, middle, high in zip(lower, exact, upper, strict=True))
+    assert (upper - lower).max() <= 1e-13 * np.abs([*cost, *values]).max()

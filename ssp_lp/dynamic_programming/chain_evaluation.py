@@ -2,8 +2,9 @@
 
 Let t be a super-solution of the run length: t - chain @ t >= 1/2, checked with its rounding. If
 computed totals x miss their equations by at most r in every state, then they are wrong by at most
-2 r t: (I - chain)^-1 is non-negative. What x misses is worked out in twice the working precision
-(``precise``), and x is corrected, as a sum of two numbers, until the bound is small.
+2 r t: (I - chain)^-1 is non-negative. Where r, bounded in working precision, is too large, what x
+misses is worked out in twice that precision (``precise``), and x is corrected, as a sum of two
+numbers, until the bound is small.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import numpy as np
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
 from ssp_lp.dynamic_programming.linear_system import DIRECT_STATES, EXACT, System
 from ssp_lp.dynamic_programming.precise import (
+    advantage_bounds,
     exact_sum,
     precise_advantages,
     safe_advantages,
@@ -121,6 +123,10 @@ def _evaluated(
     if runs is None:
         return None
     longest, low = float(runs.max(initial=0.0)), np.zeros_like(x)
+    if accuracy >= EVALUATED:
+        plain = Totals(x, low, runs, _missed_at_most(system, rewards, x))
+        if plain.are_within(accuracy):
+            return plain
     before = np.full(rewards.shape[1], np.inf)
     for _ in range(CORRECTIONS):
         off, missed = _missed(system, rewards, x, low)
@@ -132,6 +138,16 @@ def _evaluated(
         x, low = exact_sum(x, low + solve(off, None, EXACT))
     totals = Totals(x, low, runs, missed)
     return totals if totals.are_within(max(accuracy, EVALUATED)) else None
+
+
+def _missed_at_most(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
+    """The most by which totals miss their equations, bounded in working precision, [rewards]."""
+    most = np.empty(rewards.shape[1])
+    for j in range(most.size):
+        columns = np.ascontiguousarray(rewards[:, j]), np.ascontiguousarray(x[:, j])
+        bounds = advantage_bounds(system.home, system.matrix, system.exits, *columns)
+        most[j] = max(float(np.abs(bound).max(initial=0.0)) for bound in bounds)
+    return most
 
 
 def _missed(

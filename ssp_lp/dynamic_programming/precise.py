@@ -134,3 +134,40 @@ def safe_advantages(
         total[rows] += term
         rounded[rows] += np.where(term == 0.0, 0.0, np.abs(total[rows]) + 2.0 * np.abs(term))
     return np.asarray(total - MACHINE_EPSILON * rounded)
+
+
+def advantage_bounds(
+    home: IntArray,
+    transitions: sp.csr_array,
+    exits: FloatArray,
+    cost: FloatArray,
+    values: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Bounds of advantages from below and from above, in working precision, [pairs] each.
+
+    Args:
+        home: state of each pair, [pairs].
+        transitions: [pairs, states].
+        exits: [pairs].
+        cost: [pairs].
+        values: [states].
+    """
+    if accelerated(transitions.nnz):
+        arguments = home, transitions, exits
+        return (
+            safe_advantages(*arguments, cost, values),
+            -safe_advantages(*arguments, -cost, -values),
+        )
+    here, lengths = values[home], np.diff(transitions.indptr)
+    terms = transitions.data * (values[transitions.indices] - np.repeat(here, lengths))
+    shape, ones = transitions.shape, np.ones(transitions.shape[1])
+    total, whole = (
+        sp.csr_array((part, transitions.indices, transitions.indptr), shape=shape) @ ones
+        for part in (terms, np.abs(terms))
+    )
+    leaving = exits * here
+    result = total + (cost - leaving)
+    rounding = MACHINE_EPSILON * (
+        (lengths + 2.0) * whole + np.abs(cost) + 2.0 * np.abs(leaving) + np.abs(result)
+    )
+    return result - rounding, result + rounding
