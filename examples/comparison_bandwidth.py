@@ -19,8 +19,8 @@ from comparison_instances import parse_instance
 from comparison_memory import usable_cores
 from comparison_models import build
 from comparison_process import DONE, Report
-from ssp_lp.bellman import best_pairs
-from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.dynamic_programming.bellman import best_pairs
+from ssp_lp.processes.explicit import ExplicitProcess
 
 _READ_BYTES = 1 << 30  # far larger than any cache
 _CHUNK = 1 << 16  # numbers summed in one go
@@ -94,7 +94,7 @@ def main(arguments: list[str]) -> None:
     report = Report(Path(arguments[1]))
     report.say(read=read_bandwidth())
     ready = build(parse_instance(arguments[0]))
-    process = ready.problem().instance().explicit()
+    process = ready.problem().compile().explicit()
     report.say(sweep=asdict(sweep_bandwidth(process)), phase=DONE)
 
 

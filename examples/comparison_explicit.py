@@ -5,7 +5,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from comparison_models import ReadyInstance
-from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.processes.explicit import ExplicitProcess
 
 
 def written_out(ready: ReadyInstance) -> ExplicitProcess:
@@ -16,7 +16,7 @@ def written_out(ready: ReadyInstance) -> ExplicitProcess:
     """
     if ready.instance.case == "S" and ready.instance.cost_cap is None:
         raise ValueError(f"only a cap can be written out: {ready.instance.name}80")
-    return reachable_part(ready.problem().instance().explicit())
+    return reachable_part(ready.problem().compile().explicit())
 
 
 def reachable_part(process: ExplicitProcess) -> ExplicitProcess:

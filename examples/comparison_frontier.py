@@ -68,7 +68,7 @@ def measure_frontier(ready: ReadyInstance, gap: float) -> FrontierCost:
 
 def _cold_seconds(ready: ReadyInstance, price: float) -> float:
     """Seconds of one call of an oracle that has seen nothing yet; building it is not counted."""
-    oracle = ready.problem().instance().oracle()
+    oracle = ready.problem().compile().pricing()
     began = time.perf_counter()
     oracle.minimise(price)
     return time.perf_counter() - began

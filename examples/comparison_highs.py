@@ -1,7 +1,7 @@
 """HiGHS called directly on the occupation program: its interior points and first-order methods.
 
-The program is the one of `ssp_lp.program`. Interior points run without crossover, since only the
-value is asked for; threads and tolerances are left as they are.
+The program is the one of `ssp_lp.programs.compiling`. Interior points run without
+crossover, since only the value is asked for; threads and tolerances are left as they are.
 """
 
 import math
@@ -13,9 +13,10 @@ from comparison_answer import Answer, Prepared
 from comparison_explicit import describe, size_of, written_out
 from comparison_models import ReadyInstance
 from comparison_solvers import Order
-from ssp_lp.engines.lp.answer import LPAnswer, residuals
-from ssp_lp.engines.lp.highs import highs_lp
-from ssp_lp.program import LinearProgram, occupation_program
+from ssp_lp.linear_programming.answer import LPAnswer, residuals
+from ssp_lp.linear_programming.highs import highs_lp
+from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.programs.compiling import occupation_program
 
 
 def prepare(ready: ReadyInstance, order: Order, *, method: str) -> Prepared:

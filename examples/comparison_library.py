@@ -7,7 +7,7 @@ from comparison_answer import Answer, Prepared, joined
 from comparison_models import ReadyInstance, build
 from comparison_solvers import Order
 from ssp_lp import Solution, SolverError, solve
-from ssp_lp.accelerator import has_accelerator
+from ssp_lp.compiled.accelerator import has_accelerator
 
 
 def prepare(ready: ReadyInstance, order: Order, *, engine: str, backend: str | None) -> Prepared:

@@ -22,7 +22,7 @@ from comparison_answer import Answer, Prepared, joined
 from comparison_explicit import describe, size_of, written_out
 from comparison_models import ReadyInstance
 from comparison_solvers import Order
-from ssp_lp.process.explicit import ExplicitProcess
+from ssp_lp.processes.explicit import ExplicitProcess
 
 _CHUNK = 20_000  # states handed over at a time: lists of Python numbers are large
 

@@ -1,6 +1,6 @@
-"""The paper's robot on three roads: the linear program, column generation, and the paper's game.
+"""The paper's robot by three methods: the linear program, column generation, and the paper's game.
 
-For both cases prints what the roads say, how alpha* follows from c* and the price, and how the
+For both cases prints what the methods say, how alpha* follows from c* and the price, and how the
 mixture of section 3.4 behaves as delta goes to 0.
 
     python examples/cross_check.py
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from formulations import MCMP, S3P
 from robot import RobotGrid, grid_model, start_state
 from ssp_lp import cross_check
-from ssp_lp.crosscheck import GameSolution, delta_mixture, stationary_game
+from ssp_lp.game import GameSolution, delta_mixture, stationary_game
 
 DELTAS = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 

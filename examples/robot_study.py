@@ -8,7 +8,7 @@ from formulations import MCMP, S3P
 from robot import ContinuousRobot, RobotGrid
 from robot_arena import FloatArray
 from ssp_lp import SSP, Evaluation, Solution, simulate, solve
-from ssp_lp.simulation import SimulationReport
+from ssp_lp.analysis.simulation import SimulationReport
 
 BUDGET = 0.05
 DISCOUNT = 0.999

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from textwrap import fill
 
 from robot_study import Trial
-from ssp_lp.simulation import SimulationReport
+from ssp_lp.analysis.simulation import SimulationReport
 
 PAPER = {
     1.0: {

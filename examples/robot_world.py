@@ -15,7 +15,7 @@ from robot_grid import N_ACTIONS, NOISE, START_BOX, STEP_LENGTH, TURN_STEP, IntA
 
 @dataclass(frozen=True)
 class ContinuousRobot:
-    """A simulator (`ssp_lp.simulation.Simulator`) whose world is [episodes, 3]: x, y, theta.
+    """A simulator (see `ssp_lp.analysis.simulation`) whose world is [episodes, 3]: x, y, theta.
 
     The grid says how worlds map to states of the model, what lies where, and whether a collision is
     tested along the whole step or at its end point. Every step costs 1.

@@ -25,8 +25,8 @@ from comparison_families import FAMILIES, RANDOM, SQUARES
 from formulations import MCMP, S3P, ConstrainedCost, MaxProb
 from ssp_lp import SSP, Solution, SSPError, certify, evaluate, solve
 from ssp_lp.problem import Problem
-from ssp_lp.process.semantics import GiveUp
-from ssp_lp.process.side_rows import CostLimit
+from ssp_lp.processes.failure_semantics import GiveUp
+from ssp_lp.processes.secondary_costs import CostLimit
 
 GAP = 1e-9
 PROGRAM = 1e-6  # relative difference from the full linear program
@@ -164,7 +164,7 @@ def _by_storm(problem: MCMP) -> float:
     from comparison_explicit import reachable_part
     from comparison_storm import least_cost_within, storm_model
 
-    model = storm_model(reachable_part(problem.instance().explicit()))
+    model = storm_model(reachable_part(problem.compile().explicit()))
     result = stormpy.model_checking(model, least_cost_within(problem.failure_budget))
     return float(result.get_value(model.initial_states[0]))
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from formulations import MCMP, S3P
 from ssp_lp import GIVE_UP, DeterministicPolicy, evaluate
-from ssp_lp.crosscheck import (
+from ssp_lp.game import (
     Game,
     GameSolution,
     bayes_adaptive,
@@ -16,12 +16,12 @@ from ssp_lp.crosscheck import (
     play,
     posterior,
 )
-from ssp_lp.crosscheck.bayes import bayes_player
-from ssp_lp.crosscheck.models import label_models
+from ssp_lp.game.bayes_adaptive.iteration import bayes_player
+from ssp_lp.game.models import label_models
 from ssp_lp.model import SSP
 from ssp_lp.policies import Policy
 from ssp_lp.policies.timed import TimedPolicy
-from ssp_lp.process.semantics import start_distribution
+from ssp_lp.processes.failure_semantics import start_distribution
 from walkthrough_lottery import (
     BAYES_POINTS,
     ONE,
@@ -80,7 +80,7 @@ def section_3_1() -> list[Row]:
     players = {"M": (bayes_player(problem), cost), "S": (bayes_player(ratio), success_cost)}
     alone = []
     for case, (player, of) in players.items():
-        cheapest, safest = player.reply(1.0, 0.0, 1e-11), player.reply(0.0, 1.0, 1e-11)
+        cheapest, safest = player.response(1.0, 0.0, 1e-11), player.response(0.0, 1.0, 1e-11)
         alone += [
             Row(f"{case}: least J_obj", cheapest.objective, of(Plan(True, 0), ONE)),
             Row(f"{case}: least J_cond", safest.condition, failure(Plan(False, FOR_EVER), GAMMA)),
@@ -106,9 +106,9 @@ def section_3_2() -> list[Row]:
     game = Game(stake=float(c), budget=float(BUDGET))
     rows = []
     for alpha in (Fraction(k, 8) for k in range(1, 8)):
-        reply = game.best_reply(player, float(alpha), 1e-11)
+        response = game.best_response(player, float(alpha), 1e-11)
         theory = best_payoff(BAYES_POINTS, alpha, c / BUDGET)
-        rows.append(Row(f"J*({alpha})", game.payoff(float(alpha), reply), theory))
+        rows.append(Row(f"J*({alpha})", game.payoff(float(alpha), response), theory))
     values = [row.computed for row in rows]
     rows.append(Row("J* is concave there", float(np.max(np.diff(values, 2)) <= 1e-12), 1))
     for share in (Fraction(9, 10), Fraction(1), Fraction(11, 10)):
@@ -169,7 +169,7 @@ def _tries(policy: Policy) -> int:
 
 
 def section_3_4() -> list[Row]:
-    """The mixture of the best replies to alpha* - delta and alpha* + delta (t3-4).
+    """The mixture of the best responses to alpha* - delta and alpha* + delta (t3-4).
 
     Minus is best at alpha* - delta, so at alpha* it pays at most delta times its slope more than
     J*(alpha*), and plus likewise: so does the mixture, which pays what both pay where they cross.
@@ -187,7 +187,7 @@ def section_3_4() -> list[Row]:
         rows += [Row(at + "worst payoff", mixture.value, game_value(pair, scale)),
                  Row(at + "its distance to c*", mixture.value, c,
                      bound=float(delta * slope))]  # fmt: skip
-    # alpha* is where the two plans of the optimum cross: near enough, they are the replies.
+    # alpha* is where the two plans of the optimum cross: near enough, they are the responses.
     return [
         *rows,
         Row("J_obj of the last", mixture.objective, c),

@@ -65,7 +65,7 @@ def payoff(plan: Point, alpha: Fraction, scale: Fraction) -> Fraction:
 
 
 def best_plan(plans: Sequence[Point], alpha: Fraction, scale: Fraction) -> Point:
-    """Return the best reply to alpha."""
+    """Return the best response to alpha."""
     return min(plans, key=lambda p: payoff(p, alpha, scale))
 
 

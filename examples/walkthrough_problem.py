@@ -6,9 +6,9 @@ import numpy as np
 
 from formulations import MCMP, S3P
 from ssp_lp import GIVE_UP, MixedPolicy, StochasticPolicy, evaluate, solve
-from ssp_lp.goal_probability import max_goal_probability, min_goal_probability
-from ssp_lp.model.graph import attention_states, dead_ends
-from ssp_lp.process.expectations import cost_means, successor_means
+from ssp_lp.analysis.goal_probability import max_goal_probability, min_goal_probability
+from ssp_lp.model.graph.reachability import attention_states, dead_ends
+from ssp_lp.processes.expectations import cost_means, successor_means
 from walkthrough_model import (
     FOR_EVER,
     START,

@@ -3,7 +3,7 @@
 from formulations import MCMP
 from robot import RobotGrid, grid_model, start_state
 from ssp_lp import InfeasibleError, evaluate, solve
-from ssp_lp.crosscheck import bayes_adaptive, stationary_game
+from ssp_lp.game import bayes_adaptive, stationary_game
 
 GAMMAS = (0.99, 0.999, 0.9999, 0.99999)
 BUDGET = 0.05

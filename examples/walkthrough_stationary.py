@@ -7,9 +7,9 @@ from scipy.optimize import linprog
 
 from formulations import MCMP, S3P
 from ssp_lp import Solution, evaluate, solve
-from ssp_lp.crosscheck import bayes_adaptive, stationary_game, thresholds
-from ssp_lp.crosscheck.models import label_models
-from ssp_lp.process.semantics import start_distribution
+from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
+from ssp_lp.game.models import label_models
+from ssp_lp.processes.failure_semantics import start_distribution
 from walkthrough_lottery import ONE, Lottery, adversary, numerator_s, optimum_m
 from walkthrough_model import (
     BUDGET,

@@ -22,7 +22,7 @@ from formulations.s3p import S3P
 from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
 from ssp_lp.problem import Problem
-from ssp_lp.process.side_rows import CostLimit
+from ssp_lp.processes.secondary_costs import CostLimit
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
 

@@ -5,12 +5,17 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
-from ssp_lp.engines.instance import Instance
-from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_setting
-from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
-from ssp_lp.process.side_rows import CostLimit, SideRow, side_rows
+from ssp_lp.processes.failure_semantics import (
+    FailureSemantics,
+    GiveUp,
+    parse_give_up,
+    start_distribution,
+)
+from ssp_lp.processes.secondary_costs import CostLimit, SideRow, side_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +101,11 @@ class ConstrainedCost:
         return rows
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
-        return Semantics(GiveUp(self.give_up), self.charge_failing_step)
+        return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The failure-labelled process without the limits."""
         start = start_distribution(self.model, self.start)
-        return LabelInstance(self.model, start, self.semantics, self.discount)
+        return CompiledFailureLabel(self.model, start, self.semantics, self.discount)

@@ -6,14 +6,14 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
-from ssp_lp.engines.charge_instance import ChargeInstance
-from ssp_lp.engines.instance import Instance
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_numbers, check_setting
-from ssp_lp.process.charge import Late
-from ssp_lp.process.measure import WithinBound
-from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.layered.arrival_cost import Late
+from ssp_lp.processes.layered.law_measure import WithinBound
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +86,12 @@ class CostBoundedReach:
         start_distribution(self.model, self.start)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """Arriving in time is what counts."""
         measure = WithinBound(self.cost_bound)
-        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The accumulated-cost process, an arrival in time its only reward."""
         start = start_distribution(self.model, self.start)
-        return ChargeInstance(self.model, start, Late(self.cost_bound, rewarded=True))
+        return CompiledArrivalCost(self.model, start, Late(self.cost_bound, rewarded=True))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.engines.charge_instance import ChargeInstance
-from ssp_lp.engines.instance import Instance
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_numbers, check_setting
-from ssp_lp.process.charge import TOTAL_COST
-from ssp_lp.process.measure import TailMeanOf
-from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
+from ssp_lp.processes.layered.law_measure import TailMeanOf
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,12 +83,12 @@ class CVaR:
         start_distribution(self.model, self.start)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """The mean of the tail is what counts."""
         measure = TailMeanOf(float(self.level))
-        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The accumulated-cost process."""
         start = start_distribution(self.model, self.start)
-        return ChargeInstance(self.model, start, TOTAL_COST, ratio=True)
+        return CompiledArrivalCost(self.model, start, TOTAL_COST, ratio=True)

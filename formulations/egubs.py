@@ -6,13 +6,13 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from ssp_lp.engines.charge_instance import ChargeInstance
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_numbers
-from ssp_lp.process.charge import ExponentialReward
-from ssp_lp.process.measure import ExponentialUtility
-from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.layered.arrival_cost import ExponentialReward
+from ssp_lp.processes.layered.law_measure import ExponentialUtility
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,15 +85,15 @@ class EGUBS:
     @property
     def cost_horizon(self) -> float:
         """Accumulated cost from which a stationary policy is optimal (C_max)."""
-        return self.instance().cost_horizon
+        return self.compile().cost_horizon
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """The utility is what counts."""
         measure = ExponentialUtility(float(self.risk_factor), float(self.goal_bonus))
-        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
 
-    def instance(self) -> ChargeInstance:
+    def compile(self) -> CompiledArrivalCost:
         """The accumulated-cost process, rewarded on arrival."""
         reward = ExponentialReward(float(self.risk_factor), float(self.goal_bonus))
-        return ChargeInstance(self.model, start_distribution(self.model, self.start), reward)
+        return CompiledArrivalCost(self.model, start_distribution(self.model, self.start), reward)

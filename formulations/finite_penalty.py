@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.engines.instance import Instance
-from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_penalty, check_setting
-from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
+from ssp_lp.processes.failure_semantics import (
+    FailureSemantics,
+    GiveUp,
+    parse_give_up,
+    start_distribution,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,11 +87,11 @@ class FinitePenalty:
         start_distribution(self.model, self.start)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """What a failing episode costs, penalty included."""
-        return Semantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))
+        return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The failure-labelled process, the penalty part of its costs."""
         start = start_distribution(self.model, self.start)
-        return LabelInstance(self.model, start, self.semantics, self.discount)
+        return CompiledFailureLabel(self.model, start, self.semantics, self.discount)

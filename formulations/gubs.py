@@ -6,14 +6,14 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from ssp_lp.engines.charge_instance import ChargeInstance
-from ssp_lp.engines.instance import Instance
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_numbers
-from ssp_lp.process.charge import UtilityReward
-from ssp_lp.process.measure import ExpectedUtility, Utility
-from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
+from ssp_lp.processes.layered.arrival_cost import UtilityReward
+from ssp_lp.processes.layered.law_measure import ExpectedUtility, Utility
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +96,13 @@ class GUBS:
         return float(self.goal_bonus), float(self.utility_at_infinity)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """The utility is what counts."""
         measure = ExpectedUtility(self.utility, *self._numbers)
-        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
+        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The accumulated-cost process, rewarded on arrival."""
         bonus, limit = self._numbers
         reward = UtilityReward(self.utility, limit, bonus)
-        return ChargeInstance(self.model, start_distribution(self.model, self.start), reward)
+        return CompiledArrivalCost(self.model, start_distribution(self.model, self.start), reward)

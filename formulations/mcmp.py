@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.engines.instance import Instance
-from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.model import SSP
 from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
-from ssp_lp.process.semantics import GiveUp, Semantics, parse_give_up, start_distribution
+from ssp_lp.processes.failure_semantics import (
+    FailureSemantics,
+    GiveUp,
+    parse_give_up,
+    start_distribution,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +93,11 @@ class MCMP:
         start_distribution(self.model, self.start)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
-        return Semantics(parse_give_up(str(self.give_up)), bool(self.charge_failing_step))
+        return FailureSemantics(parse_give_up(str(self.give_up)), bool(self.charge_failing_step))
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The failure-labelled process."""
         start = start_distribution(self.model, self.start)
-        return LabelInstance(self.model, start, self.semantics, self.discount)
+        return CompiledFailureLabel(self.model, start, self.semantics, self.discount)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.engines.instance import Instance
-from ssp_lp.engines.label_instance import LabelInstance
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.model import SSP
-from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,10 +71,12 @@ class MinCost:
         start_distribution(self.model, self.start)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """Failing is forbidden."""
-        return Semantics(GiveUp.DEAD_ENDS, charge_failing_step=False, penalty=float("inf"))
+        return FailureSemantics(GiveUp.DEAD_ENDS, charge_failing_step=False, penalty=float("inf"))
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The process of the pairs that keep the goal sure."""
-        return LabelInstance(self.model, start_distribution(self.model, self.start), self.semantics)
+        return CompiledFailureLabel(
+            self.model, start_distribution(self.model, self.start), self.semantics
+        )

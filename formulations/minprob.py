@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.engines.instance import Instance
-from ssp_lp.engines.label_instance import LabelInstance
-from ssp_lp.goal_probability import attention_labels
+from ssp_lp.analysis.goal_probability import attention_labels
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.model import SSP
-from ssp_lp.process.semantics import Aim, GiveUp, Semantics, start_distribution
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, start_distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +73,12 @@ class MinProb:
         return attention_labels(self.model)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """Only the goal counts."""
-        return Semantics(GiveUp.ATTENTION, charge_failing_step=False, aim=Aim.LEAST_GOAL)
+        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, aim=Aim.LEAST_GOAL)
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The failure-labelled process, the goal its only cost."""
-        return LabelInstance(self.model, start_distribution(self.model, self.start), self.semantics)
+        return CompiledFailureLabel(
+            self.model, start_distribution(self.model, self.start), self.semantics
+        )

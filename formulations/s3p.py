@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.engines.cost_instance import CostInstance
-from ssp_lp.engines.instance import Instance
+from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
-from ssp_lp.process.semantics import GiveUp, Semantics, start_distribution
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +81,11 @@ class S3P:
         start_distribution(self.model, self.start)
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """Failing is free and happens where the goal can be avoided for sure."""
-        return Semantics(GiveUp.ATTENTION, charge_failing_step=False)
+        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False)
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The accumulated-cost process."""
         start = start_distribution(self.model, self.start)
-        return CostInstance(self.model, start, self.discount, fixed_cap=self.cost_cap)
+        return CompiledAccumulatedCost(self.model, start, self.discount, fixed_cap=self.cost_cap)

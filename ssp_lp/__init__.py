@@ -3,8 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from ssp_lp.certificate import Certificate, certify
-from ssp_lp.cost_law import CostLaw, success_costs
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.analysis.total_cost.cost_law import CostLaw, success_costs
 from ssp_lp.errors import (
     InfeasibleError,
     MissingDependencyError,
@@ -12,7 +12,6 @@ from ssp_lp.errors import (
     SolverError,
     SSPError,
 )
-from ssp_lp.evaluation import Evaluation, evaluate
 from ssp_lp.model import SSP
 from ssp_lp.policies import (
     GIVE_UP,
@@ -22,24 +21,25 @@ from ssp_lp.policies import (
     StochasticPolicy,
     TimedPolicy,
 )
-from ssp_lp.process.semantics import GiveUp
+from ssp_lp.processes.failure_semantics import GiveUp
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
+from ssp_lp.verification.certificate import Certificate, certify
 
 if TYPE_CHECKING:
-    from ssp_lp.agreement import Agreement, cross_check
-    from ssp_lp.frontier import Frontier, trace_frontier
-    from ssp_lp.simulation import simulate
+    from ssp_lp.analysis.frontier import Frontier, trace_frontier
+    from ssp_lp.analysis.simulation import simulate
+    from ssp_lp.verification.cross_check import CrossCheck, cross_check
 
 __version__ = "0.1.0"
 
 __all__ = [
     "GIVE_UP",
     "SSP",
-    "Agreement",
     "Certificate",
     "CostAwarePolicy",
     "CostLaw",
+    "CrossCheck",
     "DeterministicPolicy",
     "Evaluation",
     "Frontier",
@@ -63,11 +63,11 @@ __all__ = [
 ]
 
 _ON_DEMAND = {
-    "Agreement": "ssp_lp.agreement",
-    "cross_check": "ssp_lp.agreement",
-    "Frontier": "ssp_lp.frontier",
-    "trace_frontier": "ssp_lp.frontier",
-    "simulate": "ssp_lp.simulation",
+    "CrossCheck": "ssp_lp.verification.cross_check",
+    "cross_check": "ssp_lp.verification.cross_check",
+    "Frontier": "ssp_lp.analysis.frontier",
+    "trace_frontier": "ssp_lp.analysis.frontier",
+    "simulate": "ssp_lp.analysis.simulation",
 }
 
 

@@ -7,13 +7,13 @@ from numbers import Real
 from typing import Protocol, overload, runtime_checkable
 
 from ssp_lp.arrays import LEAST_BUDGET
-from ssp_lp.engines.instance import Instance
-from ssp_lp.engines.oracles.goal_reach import greatest_goal_reach
-from ssp_lp.engines.rows_instance import RowsInstance
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.process.semantics import Semantics, start_distribution
-from ssp_lp.process.side_rows import CostLimit, SideRow
+from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
+from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.secondary_costs import CostLimit, SideRow
 
 
 class Problem(Protocol):
@@ -50,11 +50,11 @@ class Problem(Protocol):
         ...
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         """What an episode is worth: what is counted and what failing costs."""
         ...
 
-    def instance(self) -> Instance:
+    def compile(self) -> CompiledProblem:
         """The augmented process, ready for an engine."""
         ...
 
@@ -78,9 +78,9 @@ class LimitedProblem(Problem, WithLimits, Protocol):
     """A problem with limits; its cost is plain: neither a ratio nor a penalty nor another aim."""
 
 
-def rows_instance(problem: LimitedProblem) -> RowsInstance:
+def compiled_constrained(problem: LimitedProblem) -> CompiledConstrained:
     """The process of a problem with limits, and its rows."""
-    return RowsInstance(
+    return CompiledConstrained(
         model=problem.model,
         start=start_distribution(problem.model, problem.start),
         semantics=problem.semantics,

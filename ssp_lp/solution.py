@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.analysis.occupation import equivalent_randomised_policy
 from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
-from ssp_lp.engines.row import relative_gap
-from ssp_lp.evaluation import Evaluation, evaluate
-from ssp_lp.occupation import equivalent_randomised_policy
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.problem import Problem, WithLimits
-from ssp_lp.process.semantics import Aim
+from ssp_lp.processes.failure_semantics import Aim
 
 
 @dataclass(frozen=True)

@@ -10,22 +10,23 @@ from numbers import Real
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, read_only
-from ssp_lp.constrained import solve_constrained
+from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
+from ssp_lp.column_generation.failure_constraint import Row, least_of
 from ssp_lp.dynamic_programming.work import Work
-from ssp_lp.engines.charge_instance import ChargeInstance
-from ssp_lp.engines.cost_instance import CostInstance
-from ssp_lp.engines.instance import checked_least_failure
-from ssp_lp.engines.lp import BACKENDS, check_agreement, solve_program
-from ssp_lp.engines.oracles.goal_reach import extreme_goal_reach
-from ssp_lp.engines.refinement import Effort, optimise
-from ssp_lp.engines.row import Row, least_of
 from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.linear_programming.solving import BACKENDS
+from ssp_lp.methods.constrained import solve_constrained
+from ssp_lp.methods.full_program import check_agreement, solve_program
+from ssp_lp.methods.refinement import SolveOptions, optimise
+from ssp_lp.methods.risk import solve_for_risk
+from ssp_lp.methods.worth import solve_for_worth
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.problem import Problem, WithLimits
-from ssp_lp.process.measure import Measure
-from ssp_lp.process.semantics import Aim
-from ssp_lp.reward import solve_for_worth
-from ssp_lp.risk import solve_for_risk
+from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.goal_reach import extreme_goal_reach
+from ssp_lp.processes.layered.law_measure import Measure
 from ssp_lp.solution import Run, Solution, remarks
 
 ENGINES = ("auto", "columns", "lp", "game")
@@ -66,11 +67,12 @@ def solve(
             ``run.program`` tells how many iterations it took from there.
         policy_class: "mixed" (lotteries, the optimum) or "deterministic": the best single policy
             that never tosses a coin, stationary in the model's states, in case S in (state,
-            accumulated cost); see ``ssp_lp.deterministic``. With engine "auto" or "lp" only.
+            accumulated cost); see ``ssp_lp.integer_programming.best_policy``. With engine "auto"
+            or "lp" only.
         tolerance: relative gap to reach.
         time_limit: seconds after which the best policy so far is returned with its honest gap;
             with limits on secondary costs, if any that keeps to them has been found.
-        progress: called after each oracle call with (calls, failure price, objective).
+        progress: called after each pricing call with (calls, failure price, objective).
 
     Returns:
         The solution; its numbers are recomputed from the model. Of what is to be large the
@@ -85,7 +87,7 @@ def solve(
     began = time.perf_counter()
     _check_arguments(engine, backend, policy_class, tolerance)
     _check_time_limit(time_limit)
-    effort = Effort(
+    options = SolveOptions(
         engine="columns" if engine == "auto" else engine,
         backend=backend,
         tolerance=tolerance,
@@ -97,17 +99,17 @@ def solve(
         name = type(problem).__name__
         raise ModelError(f"policy_class='deterministic' is not available for {name}")
     if isinstance(problem, WithLimits):
-        solution = solve_constrained(problem, effort)
+        solution = solve_constrained(problem, options)
     elif engine == "game":
-        solution = _by_game(problem, effort)
+        solution = _by_game(problem, options)
     elif measure is not None:
-        solution = _by_measure(problem, measure, effort)
+        solution = _by_measure(problem, measure, options)
     elif problem.semantics.aim is not Aim.LEAST_COST:
-        solution = _extreme_goal(problem, effort)
+        solution = _extreme_goal(problem, options)
     elif problem.failure_budget is None:
         solution = _at_least_failure(problem)
     else:
-        solution = _within_budget(problem, problem.failure_budget, effort, engine, deterministic)
+        solution = _within_budget(problem, problem.failure_budget, options, engine, deterministic)
     _check_answer(solution)
     run = replace(solution.run, seconds=time.perf_counter() - began)
     return replace(solution, run=run, note=_with_gap(solution, tolerance))
@@ -164,18 +166,18 @@ def _check_arguments(engine: str, backend: str | None, policy_class: str, tolera
         raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
 
 
-def _by_game(problem: Problem, effort: Effort) -> Solution:
+def _by_game(problem: Problem, options: SolveOptions) -> Solution:
     """The paper's own construction, which knows neither columns nor programs."""
-    from ssp_lp.crosscheck.stationary import stationary_game, value_function
-    from ssp_lp.crosscheck.threshold import Patience
+    from ssp_lp.game.stationary import stationary_game, value_function
+    from ssp_lp.game.threshold import Patience
 
-    instance = problem.instance()
-    if isinstance(instance, CostInstance) and instance.fixed_cap is not None:
+    compiled = problem.compile()
+    if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
         raise ModelError("engine='game' chooses its own cap M: leave cost_cap out")
-    patience = Patience(effort.deadline, effort.progress)
-    found = stationary_game(problem, tolerance=effort.tolerance, patience=patience)
+    patience = Patience(options.deadline, options.progress)
+    found = stationary_game(problem, tolerance=options.tolerance, patience=patience)
     optimum = found.optimum
-    replies = optimum.threshold.replies
+    replies = optimum.threshold.responses
     reason = f"the paper's game, {len(optimum.threshold.trials)} values of c"
     work = Work(backups=sum(r.sweeps for r in replies))
     return Solution(
@@ -193,25 +195,25 @@ def _by_game(problem: Problem, effort: Effort) -> Solution:
     )
 
 
-def _by_measure(problem: Problem, measure: Measure, effort: Effort) -> Solution:
+def _by_measure(problem: Problem, measure: Measure, options: SolveOptions) -> Solution:
     """The best worth of arriving, or the least risk given success."""
-    instance = problem.instance()
+    compiled = problem.compile()
     if measure.maximised:
-        return solve_for_worth(problem, instance, effort)
-    if not isinstance(instance, ChargeInstance):
+        return solve_for_worth(problem, compiled, options)
+    if not isinstance(compiled, CompiledArrivalCost):
         raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
-    return solve_for_risk(problem, instance, effort)
+    return solve_for_risk(problem, compiled, options)
 
 
-def _extreme_goal(problem: Problem, effort: Effort) -> Solution:
+def _extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     """The greatest or the least goal probability; the full program, where asked for, agrees."""
-    instance, aim = problem.instance(), problem.semantics.aim
+    compiled, aim = problem.compile(), problem.semantics.aim
     reach = extreme_goal_reach(problem.model, aim)
-    objective, bound = float(instance.start @ reach.goal), float(instance.start @ reach.bound)
+    objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
-    if effort.engine == "lp":
+    if options.engine == "lp":
         row = Row(1.0, ratio=False)
-        optimum = solve_program(instance, row, effort.backend, effort.deadline)
+        optimum = solve_program(compiled, row, options.backend, options.deadline)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
         reason, program = "the full linear program agrees with policy iteration", optimum.report
     return Solution(
@@ -222,13 +224,13 @@ def _extreme_goal(problem: Problem, effort: Effort) -> Solution:
         failure_price=None,
         value_function=None,
         budget_used=max(1.0 - objective, 0.0),
-        run=Run(effort.engine, reason, 1, 0.0, program=program),
+        run=Run(options.engine, reason, 1, 0.0, program=program),
         upper_bound=-least_of(-bound, -objective) if greatest else None,
     )
 
 
 def _at_least_failure(problem: Problem) -> Solution:
-    least = checked_least_failure(problem.instance(), None)
+    least = checked_least_failure(problem.compile(), None)
     row = Row(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
     reason = "two stages: greatest goal probability, then least cost"
@@ -245,22 +247,22 @@ def _at_least_failure(problem: Problem) -> Solution:
 
 
 def _within_budget(
-    problem: Problem, budget: float, effort: Effort, asked: str, deterministic: bool
+    problem: Problem, budget: float, options: SolveOptions, asked: str, deterministic: bool
 ) -> Solution:
     """The best lottery within the budget, or the best single policy.
 
     Args:
         problem: the problem.
         budget: of failure.
-        effort: engine, tolerance and limits.
+        options: engine, tolerance and limits.
         asked: the engine's name as it was given.
         deterministic: no lotteries.
     """
-    outcome = optimise(problem.instance(), budget, effort)
+    outcome = optimise(problem.compile(), budget, options)
     found = outcome.found
     price = max(found.price - found.objective, 0.0) if outcome.row.ratio else found.price
     unlimited = asked != "lp" and not problem.ratio and budget >= 1.0
-    reason = f"{_REASONS['unlimited' if unlimited else asked]}, {outcome.calls} oracle calls"
+    reason = f"{_REASONS['unlimited' if unlimited else asked]}, {outcome.calls} pricing calls"
     solution = Solution(
         problem=problem,
         policy=outcome.lottery,
@@ -269,13 +271,13 @@ def _within_budget(
         failure_price=price + problem.semantics.penalty,
         value_function=read_only(found.proof.values),
         budget_used=found.failure,
-        run=Run(effort.engine, reason, outcome.calls, 0.0, outcome.work, outcome.program),
+        run=Run(options.engine, reason, outcome.calls, 0.0, outcome.work, outcome.program),
         note=remarks(problem, outcome.row.budget, found.finished),
     )
     if not deterministic:
         return solution
-    from ssp_lp.deterministic import best_deterministic
+    from ssp_lp.integer_programming.best_policy import best_deterministic
 
     reason += "; then one policy by mixed-integer programs"
-    single = best_deterministic(solution, outcome, effort.tolerance, effort.deadline)
+    single = best_deterministic(solution, outcome, options.tolerance, options.deadline)
     return replace(single, run=replace(single.run, reason=reason))

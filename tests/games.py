@@ -12,9 +12,9 @@ from checks import library_model
 from references.frontier import Point
 from small_models import model_of
 from ssp_lp import InfeasibleError
-from ssp_lp.crosscheck import Equilibrium, Game, bayes_adaptive
-from ssp_lp.crosscheck.reply import Reply
-from ssp_lp.crosscheck.stationary import stationary_player
+from ssp_lp.game import Equilibrium, Game, bayes_adaptive
+from ssp_lp.game.best_responses.best_response import BestResponse
+from ssp_lp.game.stationary import stationary_player
 from strategies import Draw
 
 RETRY = {
@@ -41,7 +41,7 @@ def with_room(criterion: Any, model: Any, start: Any, share: float, gamma: float
         InfeasibleError: case S, and the goal cannot be reached.
     """
     problem = criterion(model, start=start, failure_budget=0.5, discount=gamma)
-    least = stationary_player(problem).reply(0.0, 1.0, 1e-13).condition
+    least = stationary_player(problem).response(0.0, 1.0, 1e-13).condition
     budget = least + share * (1.0 - least)
     return criterion(model, start=start, failure_budget=budget, discount=gamma)
 
@@ -127,12 +127,14 @@ class Capped:
     player: Any
     cap: int
 
-    def reply(self, objective_weight: float, condition_weight: float, accuracy: float) -> Reply:
-        """The best reply of the class, which is its own bound."""
-        found = self.player._reply(np.array([objective_weight, condition_weight]), self.cap)
+    def response(
+        self, objective_weight: float, condition_weight: float, accuracy: float
+    ) -> BestResponse:
+        """The best response of the class, which is its own bound."""
+        found = self.player._response(np.array([objective_weight, condition_weight]), self.cap)
         return replace(found, bound=found.payoff(objective_weight, condition_weight))
 
-    def policy(self, reply: Reply) -> Any:
+    def policy(self, reply: BestResponse) -> Any:
         """The reply's policy."""
         return self.player.policy(reply)
 

@@ -10,11 +10,12 @@ import scipy.sparse as sp
 
 from formulations import MCMP, S3P
 from robot import RobotGrid, grid_model, start_state
-from ssp_lp import ModelError, accelerator, certify, solve
-from ssp_lp.bellman import ChosenRows, PairCost, best_pairs, safe_minima
-from ssp_lp.dynamic_programming.linear_system import System
+from ssp_lp import ModelError, certify, solve
+from ssp_lp.compiled import accelerator
+from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
+from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.model import SSP
-from ssp_lp.process.rows import RowChoice, live_rows
+from ssp_lp.processes.live_rows import RowChoice, live_rows
 
 pytest.importorskip("numba")
 
@@ -165,7 +166,7 @@ def test_solutions_are_the_same_with_and_without(
 
 
 def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ssp_lp.engines.oracles import layered
+    from ssp_lp.column_generation.pricing import layered
 
     grid = RobotGrid(segments=10, headings=6)
     problem = S3P(grid_model(grid), start_state(grid), 0.2)

@@ -10,33 +10,24 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 ORDER = [
-    ("errors", "arrays", "accelerator"),
+    ("errors", "arrays"),
     ("compiled",),
-    ("bellman",),
-    ("model",),
-    ("dynamic_programming",),
-    ("policies",),
-    ("process",),
-    ("program",),
-    ("engines", "goal_probability"),
+    ("model", "linear_programming"),
+    ("policies", "dynamic_programming"),
+    ("processes",),
+    ("programs",),
+    ("column_generation",),
     ("problem",),
-    ("chain", "ends", "failing", "estimate", "players"),
-    ("live_chain", "layer_powers"),
-    ("arrivals",),
-    ("cost_law",),
-    ("evaluation", "occupation", "simulation"),
-    ("solution", "frontier"),
-    ("risk",),
-    ("certificate",),
-    ("crosscheck", "deterministic", "reward", "constrained"),
-    ("solve",),
-    ("road",),
-    ("judge",),
-    ("agreement",),
+    ("analysis",),
+    ("solution",),
+    ("methods", "integer_programming", "game"),
+    ("solve", "verification"),
 ]
+WITH_SOLVERS = {"linear_programming", "integer_programming"}
+
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 
-LP_PATH = ("ssp_lp.engines.lp", "ssp_lp.engines.column_generation", "ssp_lp.program")
+LP_PATH = ("ssp_lp.linear_programming", "ssp_lp.column_generation.secant_search", "ssp_lp.programs")
 
 
 def imports_of(path: Path) -> set[str]:
@@ -69,22 +60,22 @@ def test_imports_point_to_earlier_rooms(path: Path) -> None:
 
 
 @pytest.mark.parametrize("path", files_of("ssp_lp"), ids=lambda p: str(p.relative_to(ROOT)))
-def test_no_solver_outside_the_lp_engine(path: Path) -> None:
-    if "engines/lp" in path.as_posix():
+def test_no_solver_outside_its_rooms(path: Path) -> None:
+    if path.parts[-2] in WITH_SOLVERS or path.name == "restricted_master.py":
         return
     for name in imports_of(path):
         assert name.split(".")[0] not in {"highspy", "clarabel", "cvxpy"}
 
 
-def test_crosscheck_never_sees_the_lp_path() -> None:
-    for path in files_of("ssp_lp/crosscheck"):
+def test_the_game_never_sees_the_lp_path() -> None:
+    for path in files_of("ssp_lp/game"):
         for name in imports_of(path):
             assert not name.startswith(LP_PATH), f"{path.name} imports {name}"
 
 
-def test_nothing_that_crosscheck_imports_sees_the_lp_path() -> None:
+def test_nothing_that_the_game_imports_sees_the_lp_path() -> None:
     """The second opinion is independent: no module that it needs, however far, knows a program."""
-    queue, seen = files_of("ssp_lp/crosscheck"), set()
+    queue, seen = files_of("ssp_lp/game"), set()
     while queue:
         path = queue.pop()
         if path in seen:
@@ -98,9 +89,10 @@ def test_nothing_that_crosscheck_imports_sees_the_lp_path() -> None:
     assert ROOT / "ssp_lp/__init__.py" not in seen
 
 
-def test_oracles_and_evaluation_never_see_the_lp_path() -> None:
-    rooms = [*files_of("ssp_lp/engines/oracles"), ROOT / "ssp_lp/chain.py"]
-    for path in [*rooms, ROOT / "ssp_lp/evaluation.py"]:
+def test_pricing_and_evaluation_never_see_the_lp_path() -> None:
+    analysis = ROOT / "ssp_lp/analysis"
+    rooms = [*files_of("ssp_lp/column_generation/pricing"), analysis / "chain.py"]
+    for path in [*rooms, analysis / "evaluation.py"]:
         for name in imports_of(path):
             assert not name.startswith(LP_PATH), f"{path.name} imports {name}"
 
@@ -118,3 +110,16 @@ def test_formulations_only_state_problems() -> None:
 def test_no_module_is_longer_than_it_should_be(package: str) -> None:
     long = {p.name: n for p in files_of(package) if (n := len(p.read_text().splitlines())) > 300}
     assert not long
+
+
+@pytest.mark.parametrize(
+    "folder", [p for p in (ROOT / "ssp_lp").rglob("*") if p.is_dir()], ids=lambda p: p.name
+)
+def test_no_folder_holds_more_than_a_dozen_files(folder: Path) -> None:
+    assert len([p for p in folder.glob("*.py") if p.name != "__init__.py"]) <= 12
+
+
+def test_the_front_room_is_small() -> None:
+    inside = [p for p in (ROOT / "ssp_lp").iterdir() if p.name != "__pycache__"]
+    assert sum(p.is_dir() for p in inside) <= 14
+    assert sum(p.suffix == ".py" for p in inside) <= 8

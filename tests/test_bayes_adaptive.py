@@ -14,7 +14,7 @@ from references import mcmp, s3p
 from references.chain import start_distribution
 from references.frontier import Point, constrained_optimum, constrained_ratio
 from ssp_lp import evaluate, solve
-from ssp_lp.crosscheck import bayes_adaptive, belief_at, posterior, stationary_game
+from ssp_lp.game import bayes_adaptive, belief_at, posterior, stationary_game
 from strategies import Draw, acyclic_problems, problems
 
 few = settings(max_examples=30, deadline=None, derandomize=True)

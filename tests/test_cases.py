@@ -9,7 +9,8 @@ import pytest
 
 from cases import FOLDER, ROBOT_VALUES, expected, load_case, needs_cases
 from formulations import MCMP, S3P
-from ssp_lp import SSP, InfeasibleError, goal_probability, solve
+from ssp_lp import SSP, InfeasibleError, solve
+from ssp_lp.analysis import goal_probability
 
 pytestmark = needs_cases
 

@@ -19,21 +19,21 @@ from ssp_lp import (
     ModelError,
     SolverError,
     certify,
-    constrained,
     cross_check,
     evaluate,
     simulate,
     solve,
     trace_frontier,
 )
-from ssp_lp.engines import conflict
-from ssp_lp.engines.lp.highs import solve_with_highs
-from ssp_lp.engines.lp.master import solve_master
-from ssp_lp.engines.rows_generation import Pace, generate
-from ssp_lp.problem import rows_instance
-from ssp_lp.process.explicit import ExplicitProcess
-from ssp_lp.process.side_rows import side_rows
-from ssp_lp.program import rows_program
+from ssp_lp.column_generation import conflict
+from ssp_lp.column_generation.constrained_search import Pace, generate
+from ssp_lp.column_generation.restricted_master import solve_master
+from ssp_lp.linear_programming.highs import solve_with_highs
+from ssp_lp.methods import constrained
+from ssp_lp.problem import compiled_constrained
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.secondary_costs import side_rows
+from ssp_lp.programs.compiling import rows_program
 from strategies import problems
 from test_constrained_cases import FUEL, RISKY, THREE, TIME, attempt, check
 from test_constrained_cost import charged_problems, discounts, limits_of, meanings
@@ -175,7 +175,7 @@ def test_stabilised_prices_end_at_the_same_optimum(in_between):
     model, fuel = ring_model(300, np.random.default_rng(1))
     limits = {"steps": CostLimit(np.ones(900), 9.0), "fuel": CostLimit(fuel, 24.0)}
     problem = ConstrainedCost(model, 0, limits, failure_budget=0.2)
-    instance = rows_instance(problem).settled()
+    instance = compiled_constrained(problem).settled()
     opened = constrained._opened(instance, instance, Pace(1e-9, in_between=in_between))
     centre = np.zeros(3), opened.unlimited
     pace = Pace(1e-9, in_between=in_between)
@@ -269,7 +269,7 @@ def test_a_time_limit_leaves_an_honest_gap():
 
 
 def test_progress_and_the_run():
-    """Each oracle call is reported."""
+    """Each pricing call is reported."""
     calls = []
     limits = {"fuel": CostLimit(FUEL, 3), "time": CostLimit(TIME, 2)}
     solution = solve(

@@ -25,7 +25,6 @@ from ssp_lp import (
     SolverError,
     StochasticPolicy,
     TimedPolicy,
-    arrivals,
     cross_check,
     evaluate,
     simulate,
@@ -33,9 +32,11 @@ from ssp_lp import (
     success_costs,
     trace_frontier,
 )
-from ssp_lp.chain import policy_chain
+from ssp_lp.analysis.chain import policy_chain
+from ssp_lp.analysis.total_cost import arrivals
 from ssp_lp.policies.policy import Branches, Policy
-from ssp_lp.process.measure import (
+from ssp_lp.processes.failure_semantics import FailureSemantics
+from ssp_lp.processes.layered.law_measure import (
     CostQuantileOf,
     ExpectedUtility,
     ExponentialUtility,
@@ -43,7 +44,6 @@ from ssp_lp.process.measure import (
     TailMeanOf,
     WithinBound,
 )
-from ssp_lp.process.semantics import Semantics
 from strategies import DEAD_ENDS, Draw, problems
 
 LEVELS = (0.0, 0.25, 0.5, 0.9, 0.95, 0.99)
@@ -623,7 +623,7 @@ class Measured(S3P):
     counted: Measure = BY_THREE
 
     @property
-    def semantics(self) -> Semantics:
+    def semantics(self) -> FailureSemantics:
         return replace(super().semantics, measure=self.counted)
 
 

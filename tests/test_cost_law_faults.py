@@ -13,10 +13,10 @@ from checks import optimum
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, compare_criteria
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
-from ssp_lp.engines.charge_instance import ChargeInstance
-from ssp_lp.engines.refinement import CERTIFYING
-from ssp_lp.risk import tail_mean
-from ssp_lp.risk.trial import pose
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.methods.refinement import CERTIFYING
+from ssp_lp.methods.risk import tail_mean
+from ssp_lp.methods.risk.trial import pose
 
 LAWS = {
     "split": [(0.45, "g", 0), (0.55, "g", 80)],
@@ -55,8 +55,8 @@ def test_cvar_refutes_thresholds_at_least_failure_without_a_price(failing, level
 def test_cvar_refutes_all_thresholds_below_the_best_value():
     """Going down from a threshold above the best value must not end the search there."""
     problem = CVaR(model_of({"x": LAWS}), "x", 0.5)
-    instance = problem.instance()
-    assert isinstance(instance, ChargeInstance)
+    instance = problem.compile()
+    assert isinstance(instance, CompiledArrivalCost)
     question = pose(problem, instance)
     search = tail_mean._Search(problem, question, 0.5, CERTIFYING)
     sixty = tail_mean.Best(60.042, always(problem.model, "sixty"), 0.0, 60, 0.0, 0)

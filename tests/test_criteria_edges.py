@@ -21,9 +21,9 @@ from ssp_lp import (
     solve,
     trace_frontier,
 )
-from ssp_lp.engines.label_instance import LabelInstance
-from ssp_lp.process.semantics import GiveUp, Semantics
-from ssp_lp.process.semantics import start_distribution as distribution_of
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp
+from ssp_lp.processes.failure_semantics import start_distribution as distribution_of
 
 
 @each_engine
@@ -116,7 +116,7 @@ def test_costs_do_not_matter_to_isspude_where_they_are_of_no_use():
     assert values[0][2] < values[1][2]
 
 
-FINED = Semantics(GiveUp.ANYWHERE, charge_failing_step=False, penalty=10.0)
+FINED = FailureSemantics(GiveUp.ANYWHERE, charge_failing_step=False, penalty=10.0)
 
 
 @dataclass(frozen=True)
@@ -128,10 +128,12 @@ class Fined:
     failure_budget: float
     discount: None = None
     ratio: bool = False
-    semantics: Semantics = FINED
+    semantics: FailureSemantics = FINED
 
-    def instance(self) -> LabelInstance:
-        return LabelInstance(self.model, distribution_of(self.model, self.start), self.semantics)
+    def compile(self) -> CompiledFailureLabel:
+        return CompiledFailureLabel(
+            self.model, distribution_of(self.model, self.start), self.semantics
+        )
 
 
 def test_a_penalty_and_a_budget_go_together():

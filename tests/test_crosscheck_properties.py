@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from checks import library_model
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, certify, evaluate, solve
-from ssp_lp.agreement import compare
-from ssp_lp.road import ROADS, road_of
+from ssp_lp.verification.cross_check import compare
+from ssp_lp.verification.method_result import METHODS, result_of
 from strategies import acyclic_problems, problems
 
 discounts = st.sampled_from([0.9, 0.99, 0.5, 0.999])
@@ -31,13 +31,13 @@ def often(examples):
 
 def least_failure(problem):
     """The least discounted failure."""
-    return problem.instance().least_failure().column.failure
+    return problem.compile().least_failure().column.failure
 
 
 def check_roads(problem):
     """No disagreement, and the game's own proof holds."""
-    solutions = {name: solve(problem, name) for name in ROADS}
-    found = compare([road_of(name, s) for name, s in solutions.items()], problem)
+    solutions = {name: solve(problem, name) for name in METHODS}
+    found = compare([result_of(name, s) for name, s in solutions.items()], problem)
     assert found.agrees, found.summary()
     assert found.objective_distance <= 1e-7
     game = solutions["game"]
@@ -51,9 +51,9 @@ def check_roads(problem):
 
 
 def check_infeasible(problem):
-    """Every road says so, with the same least failure."""
+    """Every method says so, with the same least failure."""
     least = []
-    for name in ROADS:
+    for name in METHODS:
         with pytest.raises(InfeasibleError) as caught:
             solve(problem, name)
         least.append(caught.value.least_discounted_failure)
@@ -128,7 +128,7 @@ def test_three_roads_agree_at_the_least_failure(drawn, discount, ratio):
     least = least_failure(loose)
     if 0.0 < least < 1.0 - 1e-12:
         problem = criterion(model, start=drawn.start, failure_budget=least, discount=discount)
-        found = compare([road_of(name, solve(problem, name)) for name in ROADS], problem)
+        found = compare([result_of(name, solve(problem, name)) for name in METHODS], problem)
         assert found.agrees, found.summary()
         assert certify(solve(problem, "game")).accepted
 
@@ -220,7 +220,7 @@ def test_a_bracket_that_rounding_holds_open_is_left():
     budget = least_failure(loose) + 4e-10
     problem = MCMP(model, start="a", failure_budget=budget, discount=0.9)
     assert solve(problem, "game", tolerance=1e-13).run.oracle_calls <= 40
-    found = compare([road_of(name, solve(problem, name)) for name in ROADS], problem)
+    found = compare([result_of(name, solve(problem, name)) for name in METHODS], problem)
     assert found.agrees, found.summary()
 
 

@@ -12,7 +12,7 @@ from plain_policies import memory_chain, stationary_policies
 from references import s3p
 from references.chain import long_run_average, mean, start_distribution
 from ssp_lp import evaluate
-from ssp_lp.crosscheck import bayes_adaptive, stationary_game
+from ssp_lp.game import bayes_adaptive, stationary_game
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.timed import TimedPolicy
 from strategies import problems

@@ -12,10 +12,10 @@ from games import FORK, RETRY, Capped, drawn_problem, game_at, hand_problem, mix
 from operators import cost_game, cost_tail
 from references import s3p
 from references.chain import plain_model
-from ssp_lp.crosscheck import bayes_adaptive, play, stationary_game
-from ssp_lp.crosscheck.bayes import bayes_player
-from ssp_lp.crosscheck.stationary import stationary_player
-from ssp_lp.crosscheck.threshold import extremes, find_threshold
+from ssp_lp.game import bayes_adaptive, play, stationary_game
+from ssp_lp.game.bayes_adaptive.iteration import bayes_player
+from ssp_lp.game.stationary import stationary_player
+from ssp_lp.game.threshold import extremes, find_threshold
 from strategies import problems
 
 few = settings(max_examples=30, deadline=None, derandomize=True)

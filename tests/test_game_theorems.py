@@ -26,10 +26,10 @@ from references.chain import mean, start_distribution
 from references.frontier import constrained_ratio
 from small_models import TWO_MOVES, model_of
 from ssp_lp import evaluate, solve
-from ssp_lp.crosscheck import Game, play, stationary_game, thresholds
-from ssp_lp.crosscheck.game import crossing
-from ssp_lp.crosscheck.reply import Reply
-from ssp_lp.crosscheck.stationary import stationary_player
+from ssp_lp.game import Game, play, stationary_game, thresholds
+from ssp_lp.game.best_responses.best_response import BestResponse
+from ssp_lp.game.equilibrium import crossing
+from ssp_lp.game.stationary import stationary_player
 from strategies import Draw, acyclic_problems, problems
 from test_theorems import library_policy
 
@@ -91,7 +91,7 @@ def test_t3_1_the_least_c_over_smaller_budgets_is_the_optimum_of_case_s(drawn, g
     assert found.objective == pytest.approx(optimum, rel=1e-7, abs=1e-9)
     spent, budget = found.optimum.spent, problem.failure_budget
     assert 0.0 < spent <= budget
-    least = found.player.reply(0.0, 1.0, 1e-13).condition
+    least = found.player.response(0.0, 1.0, 1e-13).condition
     grid = [least + k / 8 * (budget - least) for k in (8, 6, 4, 2, 1)]
     curve = thresholds(problem, [*grid, spent])
     assert min(t.low for t in curve[:-1]) >= optimum * (1.0 - 1e-7) - 1e-9
@@ -137,7 +137,7 @@ def test_t3_1_is_false_where_the_budget_is_one():
     gamma = 0.9
     choices = {"x": {**TWO_MOVES["x"], "fail": [(1.0, "d", 1)]}, "d": {}}
     problem = hand_problem(S3P, choices, 1.0, gamma)
-    cheapest = stationary_player(problem).reply(1.0, 0.0, 1e-12)
+    cheapest = stationary_player(problem).response(1.0, 0.0, 1e-12)
     assert cheapest.objective == 0.0
     assert cheapest.condition == pytest.approx(1.0)
     for budget in (0.999, 1.0):
@@ -232,13 +232,13 @@ def test_the_least_payoff_is_concave(criterion, drawn, gamma, share, c):
     problem = drawn_problem(criterion, drawn, share, gamma)
     player, game = stationary_player(problem), game_at(problem, c)
     alphas = np.linspace(0.0, 1.0, 9)
-    replies = [game.best_reply(player, alpha, 1e-12) for alpha in alphas]
+    replies = [game.best_response(player, alpha, 1e-12) for alpha in alphas]
     values = np.array([game.payoff(a, r) for a, r in zip(alphas, replies, strict=True)])
     room = 1e-9 * (1.0 + values.max())
     assert (np.diff(values, 2) <= room).all()
     found = play(player, game, replies)
     assert values.max() <= found.upper + room
-    assert game.best_reply(player, found.alpha, 1e-12).bound <= found.upper + room
+    assert game.best_response(player, found.alpha, 1e-12).bound <= found.upper + room
 
 
 def _paying(drawn):
@@ -355,9 +355,9 @@ def test_a_game_is_told_by_its_stake_and_its_budget():
 def test_policies_that_differ_by_rounding_do_not_cross_outside():
     """The least failing policies of a tight budget: equal to eight digits, and one dominates."""
     game = Game(2.0, 1e-6)
-    minus, plus = Reply(2.0, 1e-6, 0.0), Reply(2.0 + 1e-11, 1e-6 * (1 + 1e-11), 0.0)
+    minus, plus = BestResponse(2.0, 1e-6, 0.0), BestResponse(2.0 + 1e-11, 1e-6 * (1 + 1e-11), 0.0)
     assert crossing(game, minus, plus) == 1.0
-    assert 0.0 < crossing(game, minus, Reply(1.0, 0.5, 0.0)) < 1.0
+    assert 0.0 < crossing(game, minus, BestResponse(1.0, 0.5, 0.0)) < 1.0
     choices = {
         "x": {"a": [(0.9, "x", 2), (0.1, "g", 2)], "b": [(0.25, "g", 2), (0.75, "x", 3)]},
     }

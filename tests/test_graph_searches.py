@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from ssp_lp import SSP
-from ssp_lp.accelerator import has_accelerator
-from ssp_lp.model import graph
+from ssp_lp.compiled.accelerator import has_accelerator
+from ssp_lp.model.graph import end_components, reachability
 
 PATHS = {"whole": (1 << 22, False), "pieces": (3, False), "compiled": (1 << 22, True)}
 
@@ -17,7 +17,9 @@ def path(request, monkeypatch):
     if compiled and not has_accelerator():
         pytest.skip("no accelerator")
     monkeypatch.setattr("ssp_lp.model.chunks.CHUNK", chunk)
-    monkeypatch.setattr("ssp_lp.accelerator.least_entries", lambda: 0 if compiled else 1 << 62)
+    monkeypatch.setattr(
+        "ssp_lp.compiled.accelerator.least_entries", lambda: 0 if compiled else 1 << 62
+    )
 
 
 def drawn_model(seed, n_states):
@@ -86,10 +88,12 @@ def test_reachable_states_and_dead_ends(path, seed, n_states):
     for _ in range(n_states):
         ahead = [set().union(*(ahead[t] for t in known)) for known in ahead]
     start = rng.integers(0, n_states, size=2)
-    reached = graph.reachable_states(model, start)
+    reached = reachability.reachable_states(model, start)
     assert members(reached) == set().union(*(ahead[s] for s in start))
     goals = members(model.goal_mask)
-    assert members(graph.dead_ends(model)) == {s for s in range(n_states) if not ahead[s] & goals}
+    assert members(reachability.dead_ends(model)) == {
+        s for s in range(n_states) if not ahead[s] & goals
+    }
 
 
 @pytest.mark.parametrize(("seed", "n_states"), SEEDS)
@@ -103,13 +107,13 @@ def test_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
         if stay == kept:
             break
         kept = stay
-    attention = graph.attention_states(model)
+    attention = reachability.attention_states(model)
     assert members(attention) == kept
     staying = {p for p in range(model.n_pairs) if steps[p] | {int(model.pair_state[p])} <= kept}
-    assert members(graph.staying_pairs(model, attention)) == staying
+    assert members(reachability.staying_pairs(model, attention)) == staying
     some = rng.random(n_states) < 0.3
     expected = {p for p in range(model.n_pairs) if steps[p] & members(some)}
-    assert members(graph.pairs_into(model, some)) == expected
+    assert members(reachability.pairs_into(model, some)) == expected
 
 
 @pytest.mark.parametrize(("seed", "n_states"), SEEDS)
@@ -125,7 +129,7 @@ def test_states_from_which_the_goal_is_sure(path, seed, n_states):
         if near == kept:
             break
         kept &= near
-    states, staying = graph.surely_reaching(model)
+    states, staying = reachability.surely_reaching(model)
     assert members(states) == kept
     assert members(staying) == set(pairs)
 
@@ -138,7 +142,7 @@ def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, eve
     leaving = rng.random(model.n_pairs) < 0.15
     usable = None if everything else rng.random(model.n_pairs) < 0.7
     free = [everything or bool(usable[p]) for p in range(model.n_pairs)]
-    choice = graph.approach_pairs(model, leaving, usable)
+    choice = reachability.approach_pairs(model, leaving, usable)
     expected, near = {}, set()
     while True:
         found = {}
@@ -159,7 +163,7 @@ def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, eve
 def test_end_components_are_the_maximal_ones(path, seed, n_states, share):
     model, rng = drawn_model(seed, n_states)
     allowed = rng.random(model.n_pairs) < share
-    component, inside = graph.end_components(model, allowed)
+    component, inside = end_components.end_components(model, allowed)
     expected, kept = plain_components(model, allowed)
     assert members(inside) == kept
     assert component.tolist() == expected

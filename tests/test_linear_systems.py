@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ssp_lp import SolverError, accelerator
-from ssp_lp.dynamic_programming.block_sweeps import improve_along_chain
-from ssp_lp.dynamic_programming.chain_evaluation import evaluate_chain
-from ssp_lp.dynamic_programming.components import strong_components
+from ssp_lp import SolverError
+from ssp_lp.compiled import accelerator
 from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.linear_system import System
-from ssp_lp.dynamic_programming.policy_iteration import improve
-from ssp_lp.dynamic_programming.precise import advantage_bounds
+from ssp_lp.dynamic_programming.linear_systems.components import strong_components
+from ssp_lp.dynamic_programming.linear_systems.precise import advantage_bounds
+from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
+from ssp_lp.dynamic_programming.policy_iteration.block_sweeps import improve_along_chain
+from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 
 Switch = Callable[[bool], None]
 

@@ -133,7 +133,7 @@ def test_the_lattice_of_costs_is_exact() -> None:
             },
             goal={"g"},
         )
-        base: Any = S3P(model, start="s", failure_budget=0.5).instance()
+        base: Any = S3P(model, start="s", failure_budget=0.5).compile()
         unit = base.base.unit
         assert float(costs[0]) / unit == pytest.approx(layers[0])
         assert float(costs[1]) / unit == pytest.approx(layers[1])

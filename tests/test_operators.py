@@ -1,4 +1,4 @@
-"""The players' best replies against the operators of the paper, written out literally."""
+"""The players' best responses against the operators of the paper, written out literally."""
 
 import pytest
 from hypothesis import given, settings
@@ -10,8 +10,8 @@ from games import RETRY, hand_problem
 from operators import bayes_label, cost_game, cost_tail, stationary_label
 from references.chain import mean, plain_model, start_distribution
 from small_models import TWO_MOVES
-from ssp_lp.crosscheck.bayes import bayes_player
-from ssp_lp.crosscheck.stationary import stationary_player
+from ssp_lp.game.bayes_adaptive.iteration import bayes_player
+from ssp_lp.game.stationary import stationary_player
 from strategies import problems
 
 few = settings(max_examples=25, deadline=None, derandomize=True)
@@ -27,13 +27,13 @@ def _at_start(drawn, values):
 @few
 @given(problems(most_live=2), st.sampled_from([0.5, 0.8]), alphas, scales)
 def test_the_bayes_operator_of_case_m(drawn, gamma, alpha, scale):
-    """Section 3.3: T^N 0 increases to J*(x', alpha), which is the player's best reply.
+    """Section 3.3: T^N 0 increases to J*(x', alpha), which is the player's best response.
 
     Labels, END and all of U(x') as in the paper; G-bar is summed once.
     """
     reference = plain(drawn)
     problem = MCMP(library_model(drawn), start=drawn.start, failure_budget=0.5, discount=gamma)
-    reply = bayes_player(problem).reply(alpha, (1 - alpha) * scale, 1e-11)
+    reply = bayes_player(problem).response(alpha, (1 - alpha) * scale, 1e-11)
     before = 0.0
     for depth in (5, 40, 400):
         value = _at_start(drawn, bayes_label(reference, gamma, alpha, scale, depth))
@@ -56,16 +56,16 @@ def test_the_bayes_operator_as_printed_weighs_the_stage_cost_twice():
     printed = bayes_label(model, gamma, alpha, scale, 200, printed=True)["x", "s"]
     assert printed < right - 0.02
     player = bayes_player(hand_problem(MCMP, TWO_MOVES, 0.5, gamma))
-    assert player.reply(alpha, 1 - alpha, 1e-12).bound == pytest.approx(right, rel=1e-9)
+    assert player.response(alpha, 1 - alpha, 1e-12).bound == pytest.approx(right, rel=1e-9)
 
 
 @few
 @given(problems(most_live=2), st.sampled_from([0.5, 0.8]), alphas, scales)
 def test_the_stationary_operator_of_case_m(drawn, gamma, alpha, scale):
-    """Section 3.5.2: T_alpha^N 0 tends to the player's best reply; (u, f) for staying u only."""
+    """Section 3.5.2: T_alpha^N 0 tends to the player's best response; (u, f) for staying u only."""
     reference = plain(drawn)
     problem = MCMP(library_model(drawn), start=drawn.start, failure_budget=0.5, discount=gamma)
-    reply = stationary_player(problem).reply(alpha, (1 - alpha) * scale, 1e-12)
+    reply = stationary_player(problem).response(alpha, (1 - alpha) * scale, 1e-12)
     values = stationary_label(reference, gamma, alpha, scale, 150, leaving=False)
     assert reply.payoff(alpha, (1 - alpha) * scale) == pytest.approx(
         _at_start(drawn, values), rel=1e-8, abs=1e-10
@@ -99,7 +99,7 @@ def test_a_failed_run_may_still_reach_the_goal_as_printed():
         else:
             assert printed == pytest.approx(honest, rel=1e-9)
         player = stationary_player(hand_problem(MCMP, choices, 0.5, gamma))
-        reply = player.reply(alpha, (1 - alpha) * scale, 1e-12)
+        reply = player.response(alpha, (1 - alpha) * scale, 1e-12)
         assert reply.bound == pytest.approx(honest, rel=1e-6)
 
 
@@ -113,7 +113,7 @@ def test_the_operators_of_case_s(alpha):
     model, gamma, scale, rush = plain_model(RETRY, {"g"}), 0.95, 5.0, {"x": "rush"}
     problem = hand_problem(S3P, RETRY, 0.5, gamma)
     weights = alpha, (1 - alpha) * scale
-    reply = stationary_player(problem).reply(*weights, 1e-12)
+    reply = stationary_player(problem).response(*weights, 1e-12)
     tails = [cost_tail(model, rush, gamma, scale, discounted=d) for d in (True, False)]
     for cap, error in ((5, 1.0), (20, 1e-1), (80, 1e-4), (120, 1e-9)):
         ours, printed = (
@@ -121,6 +121,6 @@ def test_the_operators_of_case_s(alpha):
         )
         assert reply.bound - 1e-10 <= ours <= printed + 1e-12
         assert printed == pytest.approx(reply.bound, abs=error)
-    reply = bayes_player(problem).reply(*weights, 1e-11)
+    reply = bayes_player(problem).response(*weights, 1e-11)
     exact = cost_game(model, "x", gamma, alpha, scale, 150, tails[1], bayes=True)
     assert reply.payoff(*weights) == pytest.approx(exact, rel=1e-9)

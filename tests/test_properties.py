@@ -19,7 +19,8 @@ from plain_policies import mcmp_point, s3p_point
 from references import mcmp, s3p, s3p_program
 from references.chain import start_distribution
 from references.frontier import constrained_optimum, least_failure, price_interval
-from ssp_lp import InfeasibleError, goal_probability, solve
+from ssp_lp import InfeasibleError, solve
+from ssp_lp.analysis import goal_probability
 from strategies import acyclic_problems, budgets, discounts, problems
 
 ENGINES = ("lp", "columns")

@@ -7,9 +7,10 @@ import pytest
 
 from comparison_families import FAMILIES, grid
 from formulations import MCMP, S3P, ConstrainedCost, FinitePenalty, MaxProb
-from ssp_lp import SSP, SolverError, accelerator, certify, evaluate, solve
-from ssp_lp.engines.row import least_of
-from ssp_lp.process.side_rows import CostLimit
+from ssp_lp import SSP, SolverError, certify, evaluate, solve
+from ssp_lp.column_generation.failure_constraint import least_of
+from ssp_lp.compiled import accelerator
+from ssp_lp.processes.secondary_costs import CostLimit
 
 SIZES = {
     "layered": (30, 20), "scattered": (1_500,), "grid": (40,), "river": (20, 60),

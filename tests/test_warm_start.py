@@ -12,11 +12,11 @@ from checks import CLOSE, check_bounds, check_certificate
 from formulations import MCMP, S3P
 from robot import RobotGrid, grid_model, start_state
 from ssp_lp import SSP, Solution, solve
-from ssp_lp.engines.lp.answer import residuals
-from ssp_lp.engines.lp.highs import solve_with_highs
-from ssp_lp.engines.lp.warm_start import policy_basis
-from ssp_lp.engines.row import Row
-from ssp_lp.program import occupation_program
+from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.linear_programming.answer import residuals
+from ssp_lp.linear_programming.highs import solve_with_highs
+from ssp_lp.methods.policy_basis import policy_basis
+from ssp_lp.programs.compiling import occupation_program
 from test_larger_models import drawn_model
 
 TIGHT, SLACK = 0.4, 1.0
@@ -84,7 +84,7 @@ def test_a_budget_equal_to_the_least_failure_needs_no_program(robot: Any) -> Non
 def test_a_basis_is_regular_and_its_policies_lie_on_both_sides(robot: Any, criterion: Any) -> None:
     model, start = robot
     problem = criterion(model, start=start, failure_budget=TIGHT)
-    instance = problem.instance().for_program()
+    instance = problem.compile().for_program()
     process, row = instance.explicit(), Row(TIGHT, problem.ratio)
     basis = policy_basis(instance, process, row, np.inf)
     assert not basis.slack
@@ -103,7 +103,7 @@ def test_a_wrong_basis_is_refuted(robot: Any) -> None:
     """Started at the optimum of another budget, HiGHS moves to the right one."""
     model, start = robot
     problem = MCMP(model, start=start, failure_budget=TIGHT)
-    instance = problem.instance()
+    instance = problem.compile()
     process = instance.explicit()
     program = occupation_program(process, TIGHT, ratio=False)
     basis = policy_basis(instance, process, Row(SLACK, ratio=False), np.inf)

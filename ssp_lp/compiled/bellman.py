@@ -1,6 +1,6 @@
-"""Compiled Bellman backups and policy products; ``ssp_lp.bellman`` holds their numpy twins.
+"""Compiled Bellman backups and policy products; twin of ``dynamic_programming.bellman``.
 
-No fast-math: sums run in the order of scipy's products, so that both roads agree to the last bit.
+No fast-math: sums run in the order of scipy's products, so that both agree to the last bit.
 Index arrays come as unsigned views: signed ones cost a test for negative positions at each access.
 """
 

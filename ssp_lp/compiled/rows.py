@@ -1,4 +1,4 @@
-"""Compiled selection of a process's rows from a model's outcomes; twin of ``process.rows``."""
+"""Compiled selection of a process's rows from a model's outcomes: ``processes.live_rows``."""
 
 from __future__ import annotations
 

@@ -16,10 +16,10 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
-from ssp_lp.bellman import ChosenRows
-from ssp_lp.dynamic_programming.components import Components, strong_components
-from ssp_lp.dynamic_programming.linear_system import System
-from ssp_lp.model.predecessors import Predecessors, find_predecessors
+from ssp_lp.dynamic_programming.bellman import ChosenRows
+from ssp_lp.dynamic_programming.linear_systems.components import Components, strong_components
+from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
 
 _KEPT_CHAINS = 4
 """Layers of accumulated cost ask for the equations of the same few policies again and again."""

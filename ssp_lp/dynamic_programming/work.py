@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Work:
-    """Passes over a process: what most of an oracle's time is spent on."""
+    """Passes over a process: what most of a pricing problem's time is spent on."""
 
     backups: int = 0  # over all pairs
     products: int = 0  # over one pair per state

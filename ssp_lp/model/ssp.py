@@ -27,13 +27,13 @@ from ssp_lp.model.checks import (
     successor_array,
     unit_sums,
 )
+from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
 from ssp_lp.model.labels import (
     action_table,
     check_state_names,
     goal_mask_of,
     indexed_labels,
 )
-from ssp_lp.model.predecessors import Predecessors, find_predecessors
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -260,7 +260,7 @@ class SSP:
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:
-        """What was found out about the model's graph, by name (``ssp_lp.model.kept``)."""
+        """What was found out about the model's graph, by name (``ssp_lp.model.graph.kept``)."""
         return {}
 
     @cached_property

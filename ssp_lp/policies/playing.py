@@ -11,7 +11,7 @@ import numpy as np
 from ssp_lp.arrays import IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_states, staying_pairs
+from ssp_lp.model.graph.reachability import attention_states, staying_pairs
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
 
 

@@ -1,0 +1,251 @@
+"""The Markov chain that a policy makes of a model: the nodes are (state, memory)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    concatenated_ranges,
+    read_only,
+    sorted_unique,
+)
+from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import dead_ends, reached_along
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
+
+_MOST_KEYS = 2_000_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """The part of a policy's chain that is reached from the start, sorted by memory and state.
+
+    Nodes at goals and dead-ends and decisions to give up end it. ``move`` holds each node's steps
+    once per outcome, so that costs stay attached to their outcomes.
+    """
+
+    model: SSP
+    state: IntArray  # [nodes]
+    memory: IntArray  # [nodes]
+    start: FloatArray  # [nodes]
+    give_up: FloatArray  # [nodes] probability of giving up at once
+    dead: FloatArray  # [nodes] 1 at dead-ends
+    source: IntArray  # [moves] node
+    target: IntArray  # [moves] node
+    probability: FloatArray  # [moves]
+    cost: FloatArray  # [moves]
+    outcome: IntArray  # [moves] of the model: by it costs can be exchanged
+    branch_node: IntArray  # [branches]
+    branch_pair: IntArray  # [branches] pair or GIVE_UP_CODE
+    branch_probability: FloatArray  # [branches]
+    layered: bool  # memory never decreases
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of (state, memory) nodes."""
+        return len(self.state)
+
+    @cached_property
+    def goal(self) -> FloatArray:
+        """1 at goals, [nodes]."""
+        return self.model.goal_mask[self.state].astype(np.float64)
+
+    @cached_property
+    def matrix(self) -> sp.csr_array:
+        """Transition probabilities, [nodes, nodes]; rows of goals and dead-ends are empty."""
+        n = self.n_nodes
+        return sp.csr_array((self.probability, (self.source, self.target)), shape=(n, n))
+
+    def per_node(self, move_values: FloatArray) -> FloatArray:
+        """Expected value of the next move from each node, [nodes]."""
+        return np.bincount(
+            self.source, weights=self.probability * move_values, minlength=self.n_nodes
+        ).astype(np.float64)
+
+    def accumulate(
+        self, reward: FloatArray, inside: BoolArray, survival: float = 1.0
+    ) -> FloatArray:
+        """Expected total reward from each node while the chain moves within ``inside``.
+
+        Args:
+            reward: [nodes] or [nodes, rewards]; counted at nodes of ``inside`` only.
+            inside: nodes, from all of which the chain leaves for good, [nodes].
+            survival: factor of every move.
+
+        Returns:
+            Like ``reward``; zero outside. The numbers are verified (``evaluate_chain``).
+        """
+        result = np.zeros_like(reward)
+        nodes, system = self._system(inside, survival)
+        if nodes.size:
+            own = reward[nodes].reshape(nodes.size, -1)
+            result[nodes] = evaluate_chain(system, own).values.reshape(reward[nodes].shape)
+        return result
+
+    def push(self, inflow: FloatArray, survival: float = 1.0) -> FloatArray:
+        """Expected visits of each node, given what enters each from outside, [nodes]."""
+        everywhere = np.ones(self.n_nodes, dtype=np.bool_)
+        return self._system(everywhere, survival)[1].solve_transposed(inflow)
+
+    def _system(self, inside: BoolArray, survival: float) -> tuple[IntArray, System]:
+        """The equations of the moves within some nodes, kept for further rewards."""
+        key = survival, inside.tobytes()
+        if key not in self._systems:
+            nodes = np.flatnonzero(inside)
+            rows = self.matrix if nodes.size == self.n_nodes else self.matrix[nodes]
+            own = sp.csr_array(rows[:, nodes] * survival)
+            beyond = np.where(inside, 0.0, survival)
+            ending = (self.goal + self.dead)[nodes] > 0.0
+            moving = (1.0 - survival) + survival * self.give_up[nodes] + rows @ beyond
+            self._systems[key] = nodes, System(own, np.where(ending, 1.0, moving))
+        return self._systems[key]
+
+    @cached_property
+    def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
+        return {}
+
+
+def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
+    """Follow a policy from the start and build its chain.
+
+    Args:
+        start: distribution over states, [states].
+
+    Raises:
+        ModelError: the policy has no decision in a state that it reaches, or its memory grows
+            without end.
+    """
+    dead = dead_ends(model)
+    ended = dead | model.goal_mask
+    first = np.flatnonzero(start > 0)
+    memory = np.where(ended[first], 0, policy.start_memory(first))
+    start_key = memory * model.n_states + first
+    if policy.is_stationary:
+        keys = _stationary_nodes(model, policy, first, ended)
+        visited = np.zeros(model.n_states, dtype=np.bool_)
+        visited[keys] = True
+        found = [_expand(model, policy, keys, ended)]
+        return _assemble(model, visited, start_key, start[first], dead, found, policy.monotone)
+    visited = np.zeros(0, dtype=np.bool_)
+    frontier, found = sorted_unique(start_key), []
+    while frontier.size:
+        visited = _marked(visited, frontier)
+        step = _expand(model, policy, frontier, ended)
+        found.append(step)
+        visited = _grown(visited, int(step[1].max(initial=0)))
+        frontier = sorted_unique(step[1][~visited[step[1]]])
+    return _assemble(model, visited, start_key, start[first], dead, found, policy.monotone)
+
+
+def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolArray) -> IntArray:
+    """The states that a policy without memory comes to, by one search on its graph."""
+    acting = np.flatnonzero(~ended)
+    branch = policy.branches(acting, np.zeros(acting.size, dtype=np.int64))
+    moves = branch.pair >= 0
+    pair, source = branch.pair[moves], acting[branch.situation[moves]]
+    begin = model.outcome_offsets[pair]
+    count = model.outcome_offsets[pair + 1] - begin
+    outcome = concatenated_ranges(begin, count)
+    possible = model.probabilities[outcome] > 0.0
+    edges = np.bincount(np.repeat(source, count)[possible], minlength=model.n_states)
+    offsets = np.append(0, np.cumsum(edges))
+    return np.flatnonzero(reached_along(model.successors[outcome[possible]], offsets, start))
+
+
+def _marked(visited: BoolArray, keys: IntArray) -> BoolArray:
+    visited = _grown(visited, int(keys[-1]))
+    visited[keys] = True
+    return visited
+
+
+def _grown(visited: BoolArray, key: int) -> BoolArray:
+    if key < visited.size:
+        return visited
+    if key >= _MOST_KEYS:
+        raise ModelError("the policy's chain is too large: its memory does not settle")
+    wider = np.zeros(max(key + 1, 2 * visited.size), dtype=np.bool_)
+    wider[: visited.size] = visited
+    return wider
+
+
+Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
+
+
+def _expand(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Step:
+    """Moves and branches out of the given nodes, all as keys."""
+    memory, state = np.divmod(keys, model.n_states)
+    acting = ~ended[state]
+    keys, memory, state = keys[acting], memory[acting], state[acting]
+    branch = policy.branches(state, memory)
+    if (branch.pair == UNDECIDED).any():
+        where = int(branch.situation[int(np.argmax(branch.pair == UNDECIDED))])
+        raise ModelError(f"the policy has no decision in state {model.states[int(state[where])]!r}")
+    moves = branch.pair != GIVE_UP_CODE
+    pair, situation = branch.pair[moves], branch.situation[moves]
+    begin = model.outcome_offsets[pair]
+    count = model.outcome_offsets[pair + 1] - begin
+    outcome = concatenated_ranges(begin, count)
+    chance = np.repeat(branch.probability[moves], count) * model.probabilities[outcome]
+    situation, outcome = np.repeat(situation, count)[chance > 0], outcome[chance > 0]
+    successor = model.successors[outcome].astype(np.int64)
+    cost = model.costs[outcome]
+    after = policy.remember(memory[situation], successor, cost)
+    after = np.where(ended[successor], 0, after)
+    target = after * model.n_states + successor
+    return (keys[situation], target, chance[chance > 0], cost, outcome,
+            keys[branch.situation], branch.pair, branch.probability)  # fmt: skip
+
+
+def _assemble(
+    model: SSP,
+    visited: BoolArray,
+    start_key: IntArray,
+    start: FloatArray,
+    dead: BoolArray,
+    found: list[Step],
+    layered: bool,
+) -> Chain:
+    source, target, chance, cost, outcome, node, pair, weight = (
+        np.concatenate([step[i] for step in found]) for i in range(8)
+    )
+    known = np.flatnonzero(visited)
+    position = np.zeros(visited.size, dtype=np.int32)
+    position[known] = np.arange(known.size)
+    memory, state = np.divmod(known, model.n_states)
+    begin = np.bincount(position[start_key], weights=start, minlength=known.size)
+    node = position[node]
+    gives_up = pair == GIVE_UP_CODE
+    give_up = np.bincount(node[gives_up], weights=weight[gives_up], minlength=known.size)
+    return Chain(
+        model=model,
+        state=read_only(state),
+        memory=read_only(memory),
+        start=read_only(begin),
+        give_up=read_only(give_up.astype(np.float64)),
+        dead=read_only(dead[state].astype(np.float64)),
+        source=position[source],
+        target=position[target],
+        probability=chance,
+        cost=cost,
+        outcome=outcome,
+        branch_node=node,
+        branch_pair=pair,
+        branch_probability=weight,
+        layered=layered,
+    )
+
+
+def reaching(chain: Chain, ends: BoolArray) -> BoolArray:
+    """Nodes from which the chain may come to one of the given nodes, [nodes]."""
+    backward = chain.matrix.tocsc()
+    return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))

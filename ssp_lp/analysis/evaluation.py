@@ -1,0 +1,243 @@
+"""Exact evaluation of any policy under a problem's semantics, by sparse linear solves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from ssp_lp.analysis.chain import Chain, policy_chain, reaching
+from ssp_lp.analysis.failure_costs import give_up_costs, lost_costs
+from ssp_lp.analysis.terminal_outcomes import end_marks
+from ssp_lp.analysis.total_cost.cost_law import law_of_chains
+from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.errors import ModelError
+from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem, WithLimits
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    start_distribution,
+    survival_of,
+)
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a policy attains from the start. Costs are in the model's unit."""
+
+    goal_probability: float
+    failure_probability: float  # 1 - goal_probability: wandering for ever is failure
+    success_cost: float  # E[total cost; goal]
+    conditional_cost: float  # E[total cost | goal]; nan if the goal is never reached
+    expected_cost: float  # E[r_tau]: until failure is declared, charges included, undiscounted
+    objective: float  # what the problem optimises, discounted where it is; penalty or measure
+    discounted_failure: float | None  # paper, eq. constrain_condition_approximate
+    ends: Mapping[str, float]  # how episodes end: goal, each label, dead_end, gave_up, wandering
+    secondary_costs: Mapping[str, float] = field(
+        default_factory=dict
+    )  # of limits; as ``objective``
+
+
+def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
+    """Evaluate a policy exactly, with the stopping time taken from its own chain.
+
+    The paper's tau (section 2.4) is the first time at which the goal cannot be reached any more
+    under the policy; the problem's ``give_up`` and ``charge_failing_step`` say what happens then.
+    Any policy will do: a solution's, a :class:`DeterministicPolicy` of the user's own, or a
+    lottery. The conditional cost of a lottery is the ratio of the weighted sums, never the mean
+    of the members' conditional costs.
+
+    Args:
+        policy: the policy, on the problem's model.
+        problem: says the start, the discount and the semantics.
+
+    Returns:
+        Exact numbers, up to the rounding of linear solves.
+
+    Raises:
+        ModelError: the policy has no decision in a state that it reaches, or gives up where the
+            problem forbids it.
+    """
+    if policy.model is not problem.model:
+        raise ModelError("the policy was made for another model object")
+    start = start_distribution(problem.model, problem.start)
+    lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
+    chains = (policy_chain(problem.model, member, start) for member in lottery.policies)
+    measure = problem.semantics.measure
+    if measure is None:
+        return _report(_mean([_measure(c, problem) for c in chains], lottery.weights), problem)
+    kept, used = list(chains), lottery.weights > 0.0  # the law needs them as well
+    evaluation = _report(_mean([_measure(c, problem) for c in kept], lottery.weights), problem)
+    law = law_of_chains([kept[i] for i in np.flatnonzero(used)], lottery.weights[used])
+    return replace(evaluation, objective=measure.of(law))
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Quantities of a policy that are linear in the start lottery."""
+
+    goal: float
+    failure: float  # 1 - goal, summed from its own exits
+    success_cost: float
+    expected_cost: float
+    discounted_goal: float  # E[gamma^T; goal]
+    discounted_failure: float  # 1 - that, likewise
+    discounted_cost: float  # case M: discounted E[r_tau]; case S: E[gamma^(T - 1) r_T; goal]
+    ends: Mapping[str, float]
+    secondary: Mapping[str, float]  # discounted like the cost
+
+
+def _mean(parts: list[Measures], weights: FloatArray) -> Measures:
+    """Mean of measures over a lottery; an infinite cost of weight 0 does not count."""
+    used = [(p, float(w)) for p, w in zip(parts, weights, strict=True) if w > 0]
+    scalars = {
+        f.name: sum(w * getattr(p, f.name) for p, w in used)
+        for f in fields(Measures)
+        if f.name not in ("ends", "secondary")
+    }
+    names = list(dict.fromkeys(name for p, _ in used for name in p.ends))
+    return Measures(
+        **scalars,
+        ends={n: sum(w * p.ends.get(n, 0.0) for p, w in used) for n in names},
+        secondary={n: sum(w * p.secondary[n] for p, w in used) for n in used[0][0].secondary},
+    )
+
+
+def _report(sums: Measures, problem: Problem) -> Evaluation:
+    discounted = problem.discount is not None
+    failure, surrogate = sums.failure, sums.discounted_failure
+    objective = sums.discounted_cost
+    semantics = problem.semantics
+    if semantics.aim is not Aim.LEAST_COST:
+        objective = sums.discounted_goal
+    elif semantics.penalty > 0.0 and not semantics.forbids_failing:
+        objective += semantics.penalty * surrogate
+    if problem.ratio:
+        reached = sums.discounted_goal
+        objective = objective / reached if reached > 0 else float("nan")
+    return Evaluation(
+        goal_probability=sums.goal,
+        failure_probability=failure,
+        success_cost=sums.success_cost,
+        conditional_cost=sums.success_cost / sums.goal if sums.goal > 0 else float("nan"),
+        expected_cost=sums.expected_cost,
+        objective=objective,
+        discounted_failure=surrogate if discounted else None,
+        ends=sums.ends,
+        secondary_costs=sums.secondary,
+    )
+
+
+def _complement(probability: float) -> float:
+    return min(max(1.0 - probability, 0.0), 1.0)
+
+
+def _measure(chain: Chain, problem: Problem) -> Measures:
+    gamma = survival_of(problem.discount)
+    hopeful = reaching(chain, chain.goal > 0)
+    alive = hopeful & (chain.goal == 0)
+    goal, success = _success(chain, alive, 1.0)
+    early, early_cost = (goal, success) if gamma == 1.0 else _success(chain, alive, gamma)
+    reached, failed = _two_ways(chain, goal, alive, 1.0)
+    kept, surrogate = _two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
+    stopped = _until_failure(chain, hopeful, problem.semantics, 1.0)
+    if problem.ratio:
+        target = float(chain.start @ early_cost)
+    else:
+        target = stopped if gamma == 1.0 else _until_failure(
+            chain, hopeful, problem.semantics, gamma
+        )  # fmt: skip
+    return Measures(
+        goal=reached,
+        failure=failed,
+        success_cost=float(chain.start @ success),
+        expected_cost=stopped,
+        discounted_goal=kept,
+        discounted_failure=surrogate,
+        discounted_cost=target,
+        ends=_ends(chain),
+        secondary=_secondary(chain, hopeful, problem),
+    )
+
+
+def _secondary(chain: Chain, hopeful: BoolArray, problem: Problem) -> dict[str, float]:
+    """Each secondary cost, counted as the cost is: on the same chain with other costs."""
+    if not isinstance(problem, WithLimits):
+        return {}
+    survival = survival_of(problem.discount)
+    return {
+        row.name: _until_failure(
+            replace(chain, model=row.model, cost=row.costs[chain.outcome]),
+            hopeful,
+            problem.semantics,
+            survival,
+        )
+        for row in problem.side_rows
+    }
+
+
+def _success(chain: Chain, alive: BoolArray, survival: float) -> tuple[FloatArray, FloatArray]:
+    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] at nodes before the goal."""
+    hit = chain.per_node(chain.goal[chain.target])
+    early = chain.accumulate(hit, alive, survival)
+    weight = np.where(chain.goal[chain.target] > 0, 1.0, survival * early[chain.target])
+    priced = chain.per_node(weight * chain.cost)
+    return early, chain.accumulate(priced, alive, survival)
+
+
+def _two_ways(
+    chain: Chain, early: FloatArray, alive: BoolArray, survival: float
+) -> tuple[float, float]:
+    """Probabilities of reaching the goal and of failing, each from its own exits, discounted.
+
+    Args:
+        chain: the chain.
+        early: E[survival^(T-1); goal], [nodes].
+        alive: nodes from which the goal can be reached, [nodes].
+        survival: the discount.
+    """
+    goal = min(float(chain.start @ (survival * early + chain.goal)), 1.0)
+    ended = (~alive & (chain.goal == 0.0)).astype(np.float64)
+    leaks = (1.0 - survival) + survival * (chain.matrix @ ended + chain.give_up)
+    failed = chain.accumulate(np.where(alive, leaks, 0.0), alive, survival)
+    failure = min(float(chain.start @ (failed + ended)), 1.0)
+    if failure == 0.0:  # decided on the graph: no exit leads to failure
+        return 1.0, 0.0
+    return goal, 1.0 if goal == 0.0 else failure
+
+
+def _until_failure(
+    chain: Chain, hopeful: BoolArray, semantics: FailureSemantics, survival: float
+) -> float:
+    """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs."""
+    lost = lost_costs(chain, hopeful, semantics, survival)
+    if semantics.forbids_failing:
+        lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
+    charged = chain.give_up * give_up_costs(chain, semantics)
+    endless = np.isinf(lost)
+    if endless.any() and (chain.start[reaching(chain, endless)] > 0).any():
+        return float("inf")
+    lost = np.where(endless, 0.0, lost)
+    alive = hopeful & (chain.goal == 0)
+    stage = chain.per_node(chain.cost) + charged + survival * (chain.matrix @ lost)
+    return float(
+        chain.start @ (lost + chain.accumulate(np.where(alive, stage, 0.0), alive, survival))
+    )
+
+
+def _ends(chain: Chain) -> dict[str, float]:
+    """Probability of each way in which episodes end."""
+    final = (chain.goal > 0) | (chain.dead > 0)
+    settling = reaching(chain, final | (chain.give_up > 0)) & ~final
+    names = ["goal", *chain.model.state_labels, "dead_end", "gave_up"]
+    marks = end_marks(chain.model)
+    at_end = np.stack([final & (marks[chain.state] == i) for i in range(len(names))], axis=1)
+    hits = chain.matrix @ at_end.astype(np.float64)
+    hits[:, -1] += chain.give_up
+    totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling)
+    shares = chain.start @ (totals + at_end)
+    ends = {name: float(share) for name, share in zip(names, shares, strict=True)}
+    return ends | {"wandering": _complement(sum(ends.values()))}

@@ -1,0 +1,81 @@
+"""What it costs, from a node of a policy's chain on, that the goal is out of reach."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import csgraph
+
+from ssp_lp.analysis.chain import Chain, reaching
+from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.end_components import end_components
+from ssp_lp.model.graph.reachability import attention_states, dead_ends
+from ssp_lp.processes.expectations import costless_pairs
+from ssp_lp.processes.failure_semantics import (
+    FailureSemantics,
+    GiveUp,
+    dead_end_charges,
+    give_up_charges,
+)
+
+
+def give_up_costs(chain: Chain, semantics: FailureSemantics) -> FloatArray:
+    """Charge of giving up at each node that may do so, 0 elsewhere, [nodes].
+
+    Raises:
+        ModelError: the policy gives up in a state where the semantics forbids it.
+    """
+    charge = state_give_up_charges(chain.model, semantics)[chain.state]
+    forbidden = (chain.give_up > 0) & np.isinf(charge)
+    if forbidden.any():
+        state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
+        raise ModelError(f"the policy gives up in state {state!r}: not with {semantics.give_up!s}")
+    return np.where(chain.give_up > 0, charge, 0.0)
+
+
+def lost_costs(
+    chain: Chain, hopeful: BoolArray, semantics: FailureSemantics, survival: float
+) -> FloatArray:
+    """Cost still to come at nodes from which the chain cannot reach the goal, [nodes].
+
+    Failure is declared there at once, and charged as the semantics says; with ``DEAD_ENDS`` stage
+    costs are paid until a dead-end is entered, which costs infinity where that is never.
+
+    Args:
+        hopeful: nodes from which the goal is reached with positive probability, [nodes].
+        survival: discount of costs to come, 1 for none.
+    """
+    entering = dead_end_charges(chain.model, dead_ends(chain.model), semantics)[chain.state]
+    lost = ~hopeful & (chain.dead == 0)
+    values = np.where(chain.dead > 0, entering, 0.0)
+    if not lost.any():
+        return values
+    if semantics.give_up is not GiveUp.DEAD_ENDS:
+        return np.where(lost, state_give_up_charges(chain.model, semantics)[chain.state], values)
+    stage = chain.per_node(chain.cost) + survival * (chain.matrix @ values)
+    if survival < 1.0:
+        return values + chain.accumulate(np.where(lost, stage, 0.0), lost, survival)
+    endless, free = _recurrent(chain, lost)
+    infinite = reaching(chain, endless) & lost if endless.any() else endless
+    values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~free & ~infinite)
+    return np.where(infinite, np.inf, values)
+
+
+def _recurrent(chain: Chain, lost: BoolArray) -> tuple[BoolArray, BoolArray]:
+    """Lost nodes in closed classes that cost something, and in ones that cost nothing."""
+    _, label = csgraph.connected_components(chain.matrix, connection="strong")
+    leaves = (chain.dead > 0) | (chain.give_up > 0) | ~lost
+    leaves[chain.source[label[chain.source] != label[chain.target]]] = True
+    closed = ~np.isin(label, np.unique(label[leaves]))
+    paying = np.isin(label, np.unique(label[chain.per_node(chain.cost) > 0]))
+    return closed & paying, closed & ~paying
+
+
+def state_give_up_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
+    """What giving up in each state costs, infinite where it is not allowed, [states].
+
+    Staying for ever in an end component that costs nothing is free whatever the semantics.
+    """
+    component, _ = end_components(model, costless_pairs(model))
+    return give_up_charges(model, attention_states(model), component >= 0, semantics)

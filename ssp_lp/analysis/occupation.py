@@ -1,0 +1,76 @@
+"""Expected visits of a policy, and the randomised policy equivalent to a lottery."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssp_lp.analysis.chain import Chain, policy_chain, reaching
+from ssp_lp.arrays import FloatArray, IntArray, segment_sums
+from ssp_lp.errors import ModelError
+from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
+from ssp_lp.policies.joint import common_memory
+from ssp_lp.problem import Problem
+from ssp_lp.processes.failure_semantics import start_distribution, survival_of
+
+
+def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
+    """Expected number of visits of each node, visits at time t weighted survival^t, [nodes].
+
+    Raises:
+        ModelError: the policy may wander for ever, so that visits are infinite.
+    """
+    if survival == 1.0:
+        ends = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
+        if not reaching(chain, ends).all():
+            raise ModelError("the policy may wander for ever: its expected visits are infinite")
+    return chain.push(chain.start, survival)
+
+
+def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:
+    """The stationary randomised policy that visits every pair as often as the lottery does.
+
+    Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
+    the lottery's expected visits. Under a discount visits are discounted, so that the discounted
+    cost and failure are kept: a stationary policy cannot keep both those and the real ones.
+    Members of the state alone are carried along the memory that others need, the accumulated cost
+    or the time; members whose memories differ along both. Where time is remembered (section 3.4),
+    every visit of a situation has one time, and the distribution over situations is the lottery's
+    at each time, not only in total.
+
+    Raises:
+        ModelError: a member may wander for ever, or is of a class whose memory is not known.
+    """
+    model, start = problem.model, start_distribution(problem.model, problem.start)
+    survival = survival_of(problem.discount)
+    memory = common_memory(policy)
+    keys, pairs, flows = [], [], []
+    for member, weight in zip(policy.policies, policy.weights, strict=True):
+        lifted = member if memory is None else memory.followed_by(member)
+        chain = policy_chain(model, lifted, start)
+        visits = expected_visits(chain, survival)
+        flow = weight * visits[chain.branch_node] * chain.branch_probability
+        keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
+        pairs.append(chain.branch_pair)
+        flows.append(flow)
+    return _shares(
+        policy, memory, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows)
+    )
+
+
+def _shares(
+    policy: MixedPolicy,
+    carrier: Policy | None,
+    keys: IntArray,
+    pairs: IntArray,
+    flows: FloatArray,
+) -> StochasticPolicy:
+    n_pairs = policy.model.n_pairs
+    joint, back = np.unique(keys * (n_pairs + 1) + pairs + 1, return_inverse=True)
+    flow = np.bincount(back, weights=flows).astype(np.float64)
+    key, pair = np.divmod(joint, n_pairs + 1)
+    situation, first = np.unique(key, return_index=True)
+    offsets = np.append(first, key.size)
+    total = np.repeat(segment_sums(flow, offsets), np.diff(offsets))
+    even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
+    share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
+    return StochasticPolicy(policy.model, situation, offsets, pair - 1, share, carrier)

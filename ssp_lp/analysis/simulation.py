@@ -1,0 +1,222 @@
+"""Simulation of a policy, vectorised over episodes, in the model or in a world of the user's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.analysis.episode_batch import EpisodeBatch
+from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
+from ssp_lp.analysis.failure_costs import state_give_up_charges
+from ssp_lp.analysis.terminal_outcomes import end_marks
+from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.policies import MixedPolicy, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.problem import Problem
+from ssp_lp.processes.failure_semantics import dead_end_charges, start_distribution
+
+World = npt.NDArray[Any]
+
+
+class Simulator(Protocol):
+    """A world in which episodes are played, many at a time."""
+
+    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
+        """Begin episodes: their worlds, [episodes, ...], and states of the model, [episodes]."""
+        ...
+
+    def step(
+        self, world: World, pair: IntArray, rng: np.random.Generator
+    ) -> tuple[World, IntArray, FloatArray]:
+        """Take one step in each of k episodes.
+
+        Args:
+            world: [k, ...].
+            pair: state-action pairs of the model, [k].
+
+        Returns:
+            The worlds, the model's states there, and the costs, [k] each.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ModelSimulator:
+    """The model itself as a world: the world is the state."""
+
+    model: SSP
+    start: FloatArray  # [states]
+
+    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
+        """Draw start states."""
+        state = rng.choice(self.model.n_states, size=episodes, p=self.start)
+        return state, state
+
+    def step(
+        self, world: World, pair: IntArray, rng: np.random.Generator
+    ) -> tuple[World, IntArray, FloatArray]:
+        """Draw one outcome of each pair by inversion."""
+        model = self.model
+        begin, end = model.outcome_offsets[pair], model.outcome_offsets[pair + 1]
+        cumulative = self._cumulative
+        before = np.where(begin > 0, cumulative[begin - 1], 0.0)
+        level = before + rng.random(len(pair)) * (cumulative[end - 1] - before)
+        outcome = np.clip(np.searchsorted(cumulative, level, side="right"), begin, end - 1)
+        successor = model.successors[outcome].astype(np.int64)
+        return successor, successor, model.costs[outcome]
+
+    @cached_property
+    def _cumulative(self) -> FloatArray:
+        return np.cumsum(self.model.probabilities)
+
+
+@dataclass(frozen=True, eq=False)
+class SimulationReport:
+    """What happened in the episodes."""
+
+    episodes: int
+    ends: Mapping[str, int]  # goal, each label, dead_end, gave_up, unfinished
+    goal_probability: Estimate
+    conditional_cost: Estimate  # mean total cost of the episodes that reached the goal
+    expected_cost: Estimate  # mean cost until the end, failing charged as the problem says
+    success_costs: FloatArray  # [successes] total costs of the episodes that reached the goal
+    mean_steps: float
+    paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
+
+
+def simulate(
+    policy: Policy | MixedPolicy,
+    problem: Problem,
+    *,
+    episodes: int = 10_000,
+    rng: np.random.Generator,
+    max_steps: int = 10_000,
+    simulator: Simulator | None = None,
+    record: int = 0,
+    confidence: float = 0.95,
+) -> SimulationReport:
+    """Play episodes and count how they end.
+
+    An episode ends at a goal, in a dead-end, when the policy gives up, or unfinished after
+    ``max_steps``. A mixed policy draws one member for each episode.
+
+    Args:
+        policy: the policy, on the problem's model.
+        problem: says the start and what failing costs.
+        episodes: how many to play.
+        rng: the source of all randomness.
+        max_steps: steps after which an episode counts as unfinished.
+        simulator: another world than the model, such as a continuous one.
+        record: keep the paths of this many first episodes.
+        confidence: of the intervals.
+
+    Raises:
+        ModelError: wrong arguments, or a state in which the policy has no decision.
+    """
+    if not 0.0 < confidence < 1.0:
+        raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
+    if episodes < 1 or max_steps < 1:
+        raise ModelError("episodes and max_steps must be at least 1")
+    if policy.model is not problem.model:
+        raise ModelError("the policy was made for another model object")
+    world_of = simulator
+    if world_of is None:
+        world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
+    played = _play(policy, problem, world_of, episodes, rng, max_steps, record)
+    return _report(problem, played, confidence)
+
+
+@dataclass(frozen=True, eq=False)
+class _Played:
+    mark: IntArray  # [episodes] end mark of ends.end_marks, or GAVE_UP, UNFINISHED
+    cost: FloatArray  # [episodes] total of stage costs
+    charge: FloatArray  # [episodes] what failing cost in the end
+    steps: IntArray  # [episodes]
+    paths: tuple[World, ...]
+
+
+_GAVE_UP, _UNFINISHED = -2, -1
+
+
+def _play(
+    policy: Policy | MixedPolicy,
+    problem: Problem,
+    simulator: Simulator,
+    episodes: int,
+    rng: np.random.Generator,
+    max_steps: int,
+    record: int,
+) -> _Played:
+    model, marks = problem.model, end_marks(problem.model)
+    players = EpisodeBatch(policy, episodes, rng)
+    world, state = simulator.reset(episodes, rng)
+    world, state = world.copy(), np.array(state, dtype=np.int64)
+    players.begin(state, marks[state] < 0)
+    cost, steps = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
+    gave_up = np.zeros(episodes, dtype=np.bool_)
+    trace = [world[:record].copy()]
+    for _ in range(max_steps):
+        alive = np.flatnonzero((marks[state] < 0) & ~gave_up)
+        if alive.size == 0:
+            break
+        pair = players.decide(alive, state[alive])
+        gave_up[alive[pair == GIVE_UP_CODE]] = True
+        alive, pair = alive[pair != GIVE_UP_CODE], pair[pair != GIVE_UP_CODE]
+        moved, successor, paid = _checked_step(model, simulator.step(world[alive], pair, rng))
+        world[alive], state[alive] = moved, successor
+        cost[alive] += paid
+        steps[alive] += 1
+        going = marks[successor] < 0
+        players.remember(alive[going], successor[going], paid[going])
+        if record:
+            trace.append(world[:record].copy())
+    mark = np.where(gave_up, _GAVE_UP, np.where(marks[state] < 0, _UNFINISHED, marks[state]))
+    history = np.stack(trace)
+    paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
+    return _Played(mark, cost, _charges(problem, model, state, gave_up), steps, paths)
+
+
+def _checked_step(
+    model: SSP, step: tuple[World, IntArray, FloatArray]
+) -> tuple[World, IntArray, FloatArray]:
+    """What a simulator handed back, if it can be: states of the model and finite costs >= 0."""
+    world, state, cost = step
+    if ((state < 0) | (state >= model.n_states)).any():
+        raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
+    if not (np.isfinite(cost) & (np.asarray(cost) >= 0)).all():
+        raise ModelError("the simulator returned a cost that is negative or not finite")
+    return world, state, cost
+
+
+def _charges(problem: Problem, model: SSP, state: IntArray, gave_up: np.ndarray) -> FloatArray:
+    entering = dead_end_charges(model, dead_ends(model), problem.semantics)[state]
+    if not gave_up.any():
+        return entering
+    giving_up = state_give_up_charges(model, problem.semantics)[state]
+    return np.where(gave_up, giving_up, entering)
+
+
+def _report(problem: Problem, played: _Played, confidence: float) -> SimulationReport:
+    names = ["goal", *problem.model.state_labels, "dead_end"]
+    ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
+    ends["gave_up"] = int((played.mark == _GAVE_UP).sum())
+    ends["unfinished"] = int((played.mark == _UNFINISHED).sum())
+    reached = played.mark == 0
+    return SimulationReport(
+        episodes=len(played.mark),
+        ends=ends,
+        goal_probability=proportion_estimate(int(reached.sum()), len(played.mark), confidence),
+        conditional_cost=mean_estimate(played.cost[reached], confidence),
+        expected_cost=mean_estimate(played.cost + played.charge, confidence),
+        success_costs=read_only(played.cost[reached]),
+        mean_steps=float(played.steps.mean()),
+        paths=played.paths,
+    )

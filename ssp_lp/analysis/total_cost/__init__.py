@@ -1,0 +1,1 @@
+"""The law of a policy's total cost."""

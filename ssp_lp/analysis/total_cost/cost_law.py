@@ -1,0 +1,294 @@
+"""The law of success costs: how likely a policy reaches the goal at which total cost, exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from math import inf, isfinite, isnan, nan
+from numbers import Rational
+from typing import NamedTuple
+
+import numpy as np
+
+from ssp_lp.analysis.chain import Chain, policy_chain
+from ssp_lp.analysis.total_cost.arrivals import Arrivals
+from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
+from ssp_lp.arrays import QUANTILE, FloatArray
+from ssp_lp.errors import ModelError
+from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem
+from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.layered.lattice import last_layer
+from ssp_lp.processes.layered.law_measure import TailMeanOf, Utility, utilities
+
+_LAST_LAYER = 2**62  # as good as infinitely many
+_NOTHING = 1e-17  # of a sum: less than its rounding
+_UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
+
+
+def success_costs(policy: Policy | MixedPolicy, problem: Problem) -> CostLaw:
+    """The law of the total cost of a policy on the runs that reach the goal.
+
+    Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
+    is the mixture of its members' laws, so that a quantile is the mixture's, never a mean of the
+    members' quantiles.
+
+    Args:
+        policy: any policy on the problem's model.
+        problem: says the start.
+
+    Raises:
+        ModelError: the policy was made for another model, or has no decision in a state that it
+            reaches.
+
+    Example:
+        >>> from ssp_lp import SSP, DeterministicPolicy
+        >>> from formulations import S3P
+        >>> model = SSP.from_transitions(
+        ...     {"door": {"try": [(0.5, "out", 0.1), (0.5, "door", 0.1)]}}, goal={"out"})
+        >>> problem = S3P(model, start="door")
+        >>> law = success_costs(DeterministicPolicy.from_actions(model, {"door": "try"}), problem)
+        >>> law.within(0.3), law.quantile(0.95)
+        (0.875, 0.5)
+    """
+    if policy.model is not problem.model:
+        raise ModelError("the policy was made for another model object")
+    start = start_distribution(problem.model, problem.start)
+    lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
+    used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
+    chains = [policy_chain(problem.model, p, start) for p, _ in used]
+    return law_of_chains(chains, np.array([w for _, w in used]))
+
+
+def law_of_chains(chains: Sequence[Chain], weights: FloatArray) -> CostLaw:
+    """The law of a lottery from its members' chains.
+
+    Args:
+        chains: of the members.
+        weights: of the members, > 0, [members].
+    """
+    return CostLaw(tuple(Prospect.of(chain) for chain in chains), weights)
+
+
+class Atoms(NamedTuple):
+    """Total costs that occur, increasing, and how likely each is together with success."""
+
+    costs: FloatArray  # [atoms]
+    probabilities: FloatArray  # [atoms] Pr(goal, C = cost)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CostLaw:
+    """The sub-probability law of the total cost C on the runs that reach the goal.
+
+    What is missing from mass 1 is the failure probability. :attr:`goal`, :attr:`cost` and
+    :meth:`exponential` are linear solves on the policy's chain. The rest follows the chain through
+    layers of the costs' common unit, as far as a question needs; how far it has come is kept
+    within the law for the next question, and changes no answer. It raises :class:`ModelError` where
+    the costs have no common unit that gives a sane number of layers.
+    """
+
+    _prospects: tuple[Prospect, ...]  # of the members of the lottery
+    _weights: FloatArray  # [members]
+
+    @cached_property
+    def goal(self) -> float:
+        """The probability of reaching the goal."""
+        return self._mean(lambda p: float(p.chain.start @ p.goal))
+
+    @cached_property
+    def cost(self) -> float:
+        """E[C; goal]."""
+        return self._mean(lambda p: float(p.chain.start @ p.cost))
+
+    @property
+    def conditional_mean(self) -> float:
+        """E[C | goal]; nan where the goal is never reached."""
+        return self.cost / self.goal if self.goal > 0.0 else nan
+
+    def within(self, bound: float | Fraction) -> float:
+        """Pr(goal, C <= bound).
+
+        A float means its shortest decimal (three steps of 0.1 are within 0.3), or the total of
+        whole layers that it is the float of (2/3, where the unit is 1/3); fractions are exact.
+        """
+        if bound == inf:
+            return self.goal
+        last = self._last_layer(bound)
+        for settled in self._arrivals.followed(last + 1):
+            if settled > last or self._arrivals.remaining()[0] <= _NOTHING * self.goal:
+                break
+            if self._arrivals.leaps:
+                break
+        return min(self._arrivals.arrived(last + 1), self.goal)
+
+    def excess(self, threshold: float) -> float:
+        """E[(C - threshold)^+; goal]; what lies far out is not lost to cancellation."""
+        if isnan(threshold):
+            raise ModelError("the threshold must be a number")
+        if threshold == inf:
+            return 0.0
+        last = self._last_layer(float(threshold))
+        for settled in self._arrivals.followed(last + 1):
+            if settled > last:
+                break
+            if self._arrivals.remaining()[1] <= _NOTHING * self.cost:
+                return 0.0
+            if self._arrivals.leaps:
+                goal, cost = self._arrivals.remaining(last + 1)
+                return (self._cost_of(last + 1) - threshold) * goal + cost
+        arrivals = self._arrivals
+        layers, masses = arrivals.atoms()
+        known = float(masses @ np.maximum(arrivals.cost_of(layers) - threshold, 0.0))
+        goal, cost = arrivals.remaining()
+        return known + (self._arrivals.frontier - threshold) * goal + cost
+
+    def quantile(self, level: float) -> float:
+        """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached.
+
+        The comparison has a relative slack of 1e-12 (``arrays.QUANTILE``), so that an atom at
+        which the mass reaches the level exactly is not missed. Level 0 asks for the least cost.
+
+        Raises:
+            ModelError: the level does not lie in [0, 1).
+        """
+        _check_level(level)
+        if self.goal == 0.0:
+            return nan
+        needed = level * self.goal * (1.0 - QUANTILE)
+        for _ in self._arrivals.followed():
+            layers, masses = self._arrivals.atoms()
+            total = np.cumsum(masses)
+            if total.size and total[-1] >= needed:
+                return float(self._arrivals.cost_of(layers[np.searchsorted(total, needed)]))
+            if self._arrivals.remaining()[0] <= 1e-3 * QUANTILE * self.goal:
+                break
+            if self._arrivals.leaps:
+                return self._cost_of(self._arrivals.first_reaching(needed))
+        return float(self._arrivals.cost_of(self._arrivals.atoms()[0][-1]))
+
+    def tail_mean(self, level: float) -> float:
+        """The mean of the costliest ``1 - level`` of the runs that succeed; level 0: of them all.
+
+        The conditional value at risk (Rockafellar and Uryasev 2000), where an atom at the quantile
+        counts for as much of it as belongs to the share; nan where the goal is never reached.
+
+        Raises:
+            ModelError: the level does not lie in [0, 1).
+        """
+        _check_level(level)
+        return TailMeanOf(level).of(self)
+
+    def exponential(self, rate: float) -> float:
+        """E[exp(rate * C); goal], rate <= 0, by a linear solve; no lattice is needed.
+
+        Raises:
+            ModelError: a rate above 0, for which the expectation need not be finite.
+        """
+        if not -inf < rate <= 0.0:
+            raise ModelError(f"rate must be a number of at most 0, not {rate!r}")
+        return self._mean(lambda p: _exponential(p, rate))
+
+    def expectation(self, utility: Utility, at_infinity: float) -> float:
+        """E[utility(C); goal], followed until the rest cannot matter.
+
+        Args:
+            utility: a non-increasing function of the total cost, on arrays.
+            at_infinity: what it falls to.
+
+        Raises:
+            ModelError: a utility that is not a finite number for each cost, or one that falls so
+                slowly, of a policy that takes so long, that the table becomes too large.
+        """
+        gain = _gain(utility, at_infinity)
+        if self.goal == 0.0:
+            return 0.0
+        for _ in self._arrivals.followed():
+            layers, masses = self._arrivals.atoms()
+            known = float(masses @ gain(self._arrivals.cost_of(layers)))
+            there = abs(float(gain(np.array([self._arrivals.frontier]))[0]))
+            if self._arrivals.remaining()[0] * there <= _UTILITY_LEFT * abs(known):
+                break
+        return at_infinity * self.goal + known
+
+    def upto(self, bound: float | Fraction) -> Atoms:
+        """All atoms of a total cost of at most ``bound``, as :meth:`within` compares."""
+        if bound == inf:
+            raise ModelError("give a finite bound, or all_but(mass)")
+        last = self._last_layer(bound)
+        for settled in self._arrivals.followed(last + 1):
+            if settled > last:
+                break
+        layers, masses = self._arrivals.atoms()
+        return Atoms(self._arrivals.cost_of(layers[layers <= last]), masses[layers <= last])
+
+    def all_but(self, mass: float) -> Atoms:
+        """The least costs that leave out a mass of at most ``mass`` of the runs that succeed.
+
+        Raises:
+            ModelError: the mass is not above 0.
+        """
+        if not mass > 0.0:
+            raise ModelError(f"mass must be above 0, not {mass!r}: the support may be infinite")
+        for _ in self._arrivals.followed():
+            if self._arrivals.remaining()[0] <= mass:
+                break
+        layers, masses = self._arrivals.atoms()
+        beyond = np.append(np.cumsum(masses[::-1])[::-1], 0.0) + self._arrivals.remaining()[0]
+        kept = int(np.argmax(beyond <= mass))
+        return Atoms(self._arrivals.cost_of(layers[:kept]), masses[:kept])
+
+    def _mean(self, of: Callable[[Prospect], float]) -> float:
+        """The lottery's mean of a number of each member."""
+        numbers = zip(self._prospects, self._weights, strict=True)
+        return sum((float(w) * of(p) for p, w in numbers), start=0.0)
+
+    def _cost_of(self, layer: int) -> float:
+        """Total cost of a layer."""
+        return float(self._arrivals.cost_of(np.array(layer)))
+
+    @cached_property
+    def _arrivals(self) -> Arrivals:
+        exact = self._prospects[0].chain.model.exact_costs
+        return Arrivals(Live.of(self._prospects, self._weights), exact)
+
+    def _last_layer(self, bound: float | Fraction) -> int:
+        """The last layer of a total cost of at most ``bound``; -1 where there is none."""
+        if isnan(bound):
+            raise ModelError("the bound must be a number")
+        unit = self._arrivals.unit
+        if not isinstance(bound, Rational) and (bound <= 0.0 or bound >= float(_LAST_LAYER * unit)):
+            return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
+        return min(max(last_layer(bound, unit), -1), _LAST_LAYER)
+
+    def __repr__(self) -> str:
+        """One line: the goal probability and the mean."""
+        return f"CostLaw(goal {self.goal:.6g}, mean cost given success {self.conditional_mean:.6g})"
+
+
+def _exponential(prospect: Prospect, rate: float) -> float:
+    """E[exp(rate * C); goal] on one chain: what a step's factor takes away counts as given up."""
+    chain = prospect.chain
+    lost = chain.per_node(-np.expm1(rate * chain.cost))
+    tilted = replace(
+        chain,
+        probability=chain.probability * np.exp(rate * chain.cost),
+        give_up=chain.give_up + lost,
+    )
+    arriving = tilted.per_node(chain.goal[chain.target])
+    return float(chain.start @ (tilted.accumulate(arriving, prospect.alive) + chain.goal))
+
+
+def _gain(utility: Utility, at_infinity: float) -> Utility:
+    """What a total cost is worth beyond an infinite one, checked."""
+    if not isfinite(at_infinity):
+        raise ModelError(f"at_infinity must be a finite number, not {at_infinity!r}")
+    return lambda costs: utilities(utility, costs) - at_infinity
+
+
+def _check_level(level: float) -> None:
+    if not 0.0 <= level < 1.0:
+        raise ModelError(f"level must lie in [0, 1), not {level!r}")

@@ -1,0 +1,224 @@
+"""Any charge of the total cost, compiled: bounded reach, utilities, and risk given success."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFailure
+from ssp_lp.column_generation.compiled_problems.layered import (
+    MOST_ENTRIES,
+    CompiledLayered,
+    check_table,
+)
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.processes.goal_reach import (
+    GoalReach,
+    ReachPolicy,
+    cheapest,
+    greatest_goal_reach,
+    least_goal_reach,
+)
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
+from ssp_lp.processes.layered.arrival_cost import Charge, ExponentialReward, TailValues
+from ssp_lp.processes.layered.moment_reach import MomentReach, cost_horizon, greatest_moment
+from ssp_lp.processes.layered.process import LayeredProcess, Tails
+
+_FIRST_LAYERS = 64
+"""Layers of a first attempt where nothing says how many are needed."""
+
+_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+
+_MOST_LAYERS = 100_000
+"""Layers of a charge that does not settle, after which the gap that is left is left."""
+
+_MARGIN = 1.02  # layers beyond what a price asks for: the price still moves a little
+_LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledArrivalCost(CompiledLayered):
+    """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited; exact.
+
+    The table of accumulated costs ends where the charge has become affine: what is best beyond it
+    follows in closed form, or, where the charge still grows, as in case S from the price on at
+    which it is best to fail. A charge that never settles is cut and refined.
+    """
+
+    model: SSP
+    start: FloatArray  # [states]
+    charge: Charge
+    ratio: bool = False
+    safest_only: bool = False  # only policies of least failure
+    cap: int | None = None  # layers; None: as the charge asks
+    discount: None = None
+    is_trial: bool = False
+
+    @cached_property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        usable = self.greatest.usable if self.safest_only else None
+        return accumulate_cost(self.model, self.start, None, arrivals=True, usable=usable)
+
+    @cached_property
+    def greatest(self) -> GoalReach:
+        """The greatest goal probability."""
+        return greatest_goal_reach(self.model)
+
+    @cached_property
+    def _safest(self) -> ReachPolicy:
+        """The cheapest policy of greatest goal probability."""
+        return cheapest(self.model, self.greatest)
+
+    @cached_property
+    def _riskiest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
+        least = least_goal_reach(self.model)
+        return least, cheapest(self.model, least)
+
+    @cached_property
+    def _moments(self) -> MomentReach | None:
+        """The tail of an exponential utility."""
+        if not isinstance(self.charge, ExponentialReward):
+            return None
+        usable = self.greatest.usable if self.charge.bonus > 0.0 else None
+        return greatest_moment(self.model, self.charge.rate, usable)
+
+    @cached_property
+    def cost_horizon(self) -> float:
+        """Accumulated cost from which a stationary policy is optimal; 0 for other charges."""
+        charge, moments = self.charge, self._moments
+        if moments is None or not isinstance(charge, ExponentialReward) or charge.bonus == 0.0:
+            return 0.0
+        return cost_horizon(self.model, self.greatest, moments, charge.rate, charge.bonus)
+
+    @cached_property
+    def process(self) -> LayeredProcess:
+        """The process cut at the cap."""
+        cap = self._first_guess() if self.cap is None else self.cap
+        check_table(cap, self.base, "bound on them")
+        return LayeredProcess(self.base, cap, self._tails, self.charge)
+
+    def _settled_layers(self) -> int:
+        """Layers after which the charge is affine, or the tail optimal; 1 where it never is."""
+        settled = self.charge.settled(self.base.exact_unit) or 0
+        if isinstance(self.charge, ExponentialReward):
+            settled = int(min(np.ceil(self.cost_horizon / self.base.unit), 1e15))
+        return max(settled, 1)
+
+    def _first_guess(self) -> int:
+        """As many layers as are surely needed, and some more where that is not enough."""
+        if self.charge.settled(self.base.exact_unit) is None:
+            return _FIRST_LAYERS + self.base.width
+        if self.charge.slope == 0.0 or self.safest_only:
+            return self._settled_layers()
+        goal = float(self.base.start @ self._tails.goal[0])
+        cost = float(self.base.start @ self._tails.first.cost)
+        typical = cost / max(goal, 1e-300) / self.base.unit
+        return self._settled_layers() + int(min(_TYPICAL * typical, 1e15)) + self.base.width
+
+    @cached_property
+    def _tails(self) -> Tails:
+        at, moments = self.base.quotient.least_over_members, self._moments
+        first: ReachPolicy | MomentReach = self._safest if moments is None else moments
+        last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None
+        if self.safest_only:
+            least_goal = at(self.greatest.goal) * (1.0 - _LEAST)
+            least_cost = at(self._safest.cost_bound)
+        elif self.ratio:  # else an arrival is never worse than failing
+            least, last = self._riskiest
+            least_goal = at(least.bound)
+        both = (first, last)
+        return Tails(
+            decisions=np.stack([p.decision for p in both]).astype(np.int32),
+            values=TailValues.stacked([p.values for p in both], at),
+            greatest_goal=-at(-self.greatest.bound),
+            least_goal=least_goal,
+            least_cost=least_cost,
+            greatest_moment=None if moments is None else -at(-moments.bound),
+        )
+
+    @property
+    def lowest(self) -> float:
+        """No objective is less."""
+        return self.charge.lowest
+
+    def least_failure(self) -> LeastFailure:
+        """The least charged of the policies that fail least, which may remember the cost."""
+        pricing = self.safest().pricing()
+        best = pricing.minimise(0.0)
+        policy = pricing.policy(best)
+        bound = pricing.prove(0.0, best).bound
+        greatest = min(float(self.start @ self.greatest.bound), 1.0)
+        if self.ratio:
+            bound = bound / greatest if greatest > 0.0 else 0.0
+        return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
+
+    def lossless_layers(self, price: float) -> int:
+        """Layers beyond which it is best to fail at this price of failure, with some room.
+
+        As many as the charge needs to settle where it grows no more from there.
+        """
+        charge, unit = self.charge, self.base.exact_unit
+        settled = self._settled_layers()
+        if charge.slope == 0.0:
+            return settled
+        failing_pays = (price - charge.offset) / charge.slope / float(unit)
+        return max(settled, int(min(np.ceil(_MARGIN * failing_pays), 1e15)) + 1)
+
+    def refined(self, price: float) -> CompiledArrivalCost | None:
+        """More layers: as the price asks where the charge grows, else twice as many."""
+        here, charge = self.process.cap, self.charge
+        wanted = 2 * here
+        if charge.settled(self.base.exact_unit) is None:
+            wanted = min(wanted, _MOST_LAYERS)
+        elif charge.slope == 0.0 or self.safest_only:
+            return None
+        else:
+            lossless = self.lossless_layers(price)
+            wanted = lossless if here < lossless <= 4 * here else wanted
+        too_large = (wanted + self.base.width) * self.base.n_nodes > MOST_ENTRIES
+        if too_large or wanted <= here:
+            return None
+        return self.charging(charge, wanted)
+
+    def charging(self, charge: Charge, cap: int | None = None) -> CompiledArrivalCost:
+        """The same process with another charge and cap; what charges share is worked out once.
+
+        An exponential reward has tails of its own.
+        """
+        kept: tuple[str, ...] = ("base",)
+        exponential = (isinstance(c, ExponentialReward) for c in (charge, self.charge))
+        if charge == self.charge or not any(exponential):
+            vars(self)["_tails"] = self._tails
+            kept = ("base", "_tails", "_moments", "cost_horizon")
+        return self._handing_on(replace(self, charge=charge, cap=cap), kept)
+
+    def _handing_on(self, other: CompiledArrivalCost, kept: tuple[str, ...]) -> CompiledArrivalCost:
+        """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
+        names = ("greatest", "_safest", "_riskiest", *kept)
+        vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
+        return other
+
+    def safest(self) -> CompiledArrivalCost:
+        """The same among the policies of least failure."""
+        return self._handing_on(replace(self, safest_only=True, cap=None), ())
+
+    def for_program(self) -> CompiledArrivalCost:
+        """The compiled itself: its tails are optimal beyond it."""
+        return self
+
+    def matching(self, values: FloatArray) -> CompiledArrivalCost:
+        """The same problem with as many layers as the value function, [layers, nodes].
+
+        Raises:
+            ModelError: the array has fewer layers than the charge needs to settle.
+        """
+        least = self._settled_layers()
+        if values.ndim != 2 or values.shape[0] < least:
+            raise ModelError(f"a value function of {least} or more layers is needed")
+        return self.charging(self.charge, values.shape[0])

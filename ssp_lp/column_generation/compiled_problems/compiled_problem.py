@@ -1,0 +1,143 @@
+"""An compiled: a problem's augmented process together with everything that engines ask of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
+from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
+from ssp_lp.errors import InfeasibleError
+from ssp_lp.model import SSP
+from ssp_lp.policies.policy import Policy
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.goal_reach import greatest_goal_reach
+
+
+@dataclass(frozen=True, eq=False)
+class LeastFailure:
+    """The cheapest policy among those that fail least (DESIGN, section 4: two stages)."""
+
+    policy: Policy
+    column: Column  # its cost and failure, both discounted under a discount
+    objective_bound: float  # certified lower bound of the objective of every such policy
+
+
+class CompiledProblem(Protocol):
+    """What an engine asks of a problem; a user's own formulation may bring its own."""
+
+    @property
+    def model(self) -> SSP:
+        """The model."""
+        ...
+
+    @property
+    def start(self) -> FloatArray:
+        """The distribution in which an episode begins, [states]."""
+        ...
+
+    @property
+    def discount(self) -> float | None:
+        """The discount; None: exact."""
+        ...
+
+    @property
+    def ratio(self) -> bool:
+        """Whether the objective is cost / (1 - failure) (case S) rather than cost (case M)."""
+        ...
+
+    @property
+    def lowest(self) -> float:
+        """No objective is less; at most 0, and 0 where every cost is at least 0."""
+        ...
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether this compiled is only to learn the price, from which its size will follow."""
+        ...
+
+    def least_failure(self) -> LeastFailure:
+        """The first column: feasibility is decided by it, never by the status of an LP."""
+        ...
+
+    def pricing(self) -> PricingProblem:
+        """The pricing problem of the process as it stands."""
+        ...
+
+    def for_program(self) -> CompiledProblem:
+        """The compiled whose written-out process has the optimum of the problem, up to its size."""
+        ...
+
+    def explicit(self) -> ExplicitProcess:
+        """The process written out, for the linear program."""
+        ...
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The pair of ``explicit()`` that a column takes in each state, [states].
+
+        Raises:
+            ModelError: the pricing did not make the column.
+        """
+        ...
+
+    def refined(self, price: float) -> CompiledProblem | None:
+        """A larger compiled with a smaller truncation error, or None where there is none.
+
+        Args:
+            price: price of failure at the optimum of this compiled.
+        """
+        ...
+
+    def matching(self, values: FloatArray) -> CompiledProblem:
+        """The compiled whose value functions have the shape of this one.
+
+        Raises:
+            ModelError: no compiled of the problem has such value functions.
+        """
+        ...
+
+    def tail_loss(self, price: float, *, slack: bool = False) -> float:
+        """How much of a bound at this price is lost to truncation; 0 where nothing is."""
+        ...
+
+
+def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> LeastFailure:
+    """The policy of least failure, which keeps to the budget.
+
+    Args:
+        compiled: the problem.
+        budget: failure budget; None: whatever is least.
+
+    Raises:
+        InfeasibleError: it does not, or no cost given success exists.
+    """
+    least = compiled.least_failure()
+    failure, discounted = least.column.failure, compiled.discount is not None
+    if compiled.ratio and least.column.goal <= 0.0:
+        raise InfeasibleError(
+            "the goal cannot be reached from the start: no cost given success exists",
+            failure_budget=budget,
+            least_failure=1.0,
+            least_discounted_failure=1.0 if discounted else None,
+        )
+    if budget is None or failure <= budget + LEAST_BUDGET:
+        return least
+    if not discounted:
+        raise InfeasibleError(
+            f"every policy fails with probability at least {failure:.12g}, above the budget "
+            f"{budget:g}; failure_budget=None asks for the least",
+            failure_budget=budget,
+            least_failure=failure,
+            conflicting_rows=("failure",),
+        )
+    greatest = float(compiled.start @ greatest_goal_reach(compiled.model).goal)
+    real = max(1.0 - greatest, 0.0)
+    raise InfeasibleError(
+        f"the discounted failure of every policy is at least {failure:.12g}, above the budget "
+        f"{budget:g}; the least real failure probability is {real:.12g}"
+        + ("; discount=None or a discount nearer to 1 is feasible" if real <= budget else ""),
+        failure_budget=budget,
+        least_failure=real,
+        least_discounted_failure=failure,
+        conflicting_rows=("failure",),
+    )

@@ -1,0 +1,140 @@
+"""How a search begins: columns on both sides of the budget, found by pricing alone.
+
+The cheapest policy of least failure takes two stages to find. A search does not need it: any
+policy that keeps to the budget will do to begin with, and one is found at a steep price of
+failure, if not at the first guess then at a steeper one. Only where that fails, because the budget
+is near the least failure or below it, is the least failure itself worked out.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    CompiledProblem,
+    LeastFailure,
+)
+from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
+from ssp_lp.column_generation.secant_search import Bracket
+from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
+from ssp_lp.dynamic_programming.work import Work
+
+_STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
+_STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until both sides are known
+_LEAST_FACTOR = 1.5  # by which the price moves at least while it is a guess
+_HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # the same from a guess, in units of the guess's uncertainty
+
+
+@dataclass(frozen=True)
+class DualGuess:
+    """A price to begin with, such as the dual of a linear program or of a coarser compiled."""
+
+    price: float
+    spread: float  # relative uncertainty
+    slack: bool = False  # whether the budget was slack there, so that one side is all there is
+
+
+@dataclass(frozen=True, eq=False)
+class InitialColumns:
+    """An bracket to begin with; its inside column keeps to the budget."""
+
+    bracket: Bracket
+    last: Column  # the last one found: a warm start
+    calls: int = 0
+    work: Work = field(default_factory=Work)
+    least: LeastFailure | None = None  # where it had to be worked out
+
+
+def columns_at(least: LeastFailure, row: Row) -> InitialColumns:
+    """An initial from the policy of least failure; the budget is raised to it by rounding."""
+    row = replace(row, budget=max(row.budget, least.column.failure))
+    return InitialColumns(Bracket(row, least.column), least.column, least=least)
+
+
+def columns_by_pricing(
+    compiled: CompiledProblem,
+    row: Row,
+    guess: DualGuess | None,
+    deadline: float,
+    report: Callable[[int, float, float], None] | None,
+) -> InitialColumns | None:
+    """Price failure up and down until the columns found lie on both sides of the budget.
+
+    Args:
+        compiled: says the process and the pricing.
+        row: budget and form of the objective.
+        guess: a price to begin with; None: a multiple of what a run costs.
+        deadline: on the clock of ``time.perf_counter``.
+        report: called after each pricing call with (calls, price, objective).
+
+    Raises:
+        OutOfTimeError: the deadline passed before a column that keeps to the budget was found.
+
+    Returns:
+        None where no column that keeps to the budget was found.
+    """
+    pricing = compiled.pricing()
+    last, price = _beginning(pricing, row, guess)
+    if price is None:
+        return None
+    steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
+    one_sided = price == 0.0 or (guess is not None and guess.slack)
+    inside: Column | None = None
+    outside: Column | None = None
+    work = Work()
+    for calls, step in enumerate((*steps, None), start=1):
+        try:
+            last = pricing.minimise(price, last, inside, outside, deadline=Deadline(deadline))
+        except OutOfTimeError:
+            if last is None or (inside is None and last.failure > row.budget):
+                raise
+            inside = last if inside is None else inside
+            break
+        work, value = work + last.work, row.objective(last.cost, last.goal)
+        if last.failure > row.budget:
+            outside = last
+        elif value < np.inf:
+            inside = last
+        if report is not None:
+            report(calls, price, value if last is inside else np.inf)
+        enough = one_sided or outside is not None or time.perf_counter() > deadline
+        if step is None or (inside is not None and enough):
+            break
+        price = _moved(price, step, last.failure, row.budget, is_hinted=guess is not None)
+    if inside is None or last is None:
+        return None
+    return InitialColumns(Bracket(row, inside, outside), last, calls, work)
+
+
+def _moved(price: float, step: float, failure: float, budget: float, *, is_hinted: bool) -> float:
+    """A price towards the other side of the budget, at most the factor 1 + step away.
+
+    Failure falls about as fast as the price rises; the square of their ratio overshoots, so that
+    the columns found lie on both sides and not far apart.
+    """
+    most = 1.0 + step
+    if is_hinted or budget <= 0.0 or failure <= 0.0:
+        return price / most if failure <= budget else price * most
+    factor = (failure / budget) ** 2
+    least = min(_LEAST_FACTOR, most)
+    if failure <= budget:
+        return price * float(np.clip(factor, 1.0 / most, 1.0 / least))
+    return price * float(np.clip(factor, least, most))
+
+
+def _beginning(
+    pricing: PricingProblem, row: Row, guess: DualGuess | None
+) -> tuple[Column | None, float | None]:
+    """A policy to start from and the first price; None where the goal seems out of reach."""
+    if guess is not None:
+        return None, guess.price
+    first = pricing.first()
+    if first.goal <= 0.0:
+        return first, None
+    typical = row.objective(first.cost, first.goal)
+    return first, _STEEP * typical if typical > 0.0 else 1.0

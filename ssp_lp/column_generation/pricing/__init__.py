@@ -1,0 +1,1 @@
+"""Pricing problems: a deterministic policy of least reduced cost, and the dual bound there."""

@@ -1,0 +1,117 @@
+"""What column generation asks of a process, whatever its form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Protocol, TypeVar
+
+import numpy.typing as npt
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
+from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.errors import ModelError
+from ssp_lp.policies.policy import Policy
+
+_Array = TypeVar("_Array", bound=npt.NDArray[Any])
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """A deterministic policy with its exact expected cost and failure from the start.
+
+    In case S ``cost`` is E[total cost; goal]; under discounting both are discounted.
+    """
+
+    cost: float
+    failure: float
+    goal: float  # 1 - failure, measured by itself: each is exact where it is small
+    choice: IntArray | None  # the pricing problem's own form of the policy
+    tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
+    policy: Policy | None = None  # the policy on the model, where it did not come from pricing
+    totals: FloatArray | None = None  # expected cost and failure from each state, a warm start
+    found_at: float | None = None  # a price at which no policy of its process is worth less
+    work: Work = field(default_factory=Work)  # what finding it took
+
+
+def excess_failure(risky: Column, safe: Column) -> float:
+    """How much more ``risky`` fails than ``safe``, without cancellation."""
+    if max(risky.goal, safe.goal) < 0.5 and safe.goal > risky.goal:
+        return safe.goal - risky.goal
+    return risky.failure - safe.failure
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """A certified lower bound of the value of every policy at a price of failure.
+
+    A policy's value is ``cost + failing * failure - (price - failing) * goal``. With ``failing``
+    equal to the price this is ``cost + price * failure``; with 0 it is ``cost - price * goal``,
+    which is exact where it is best to fail and serves in case S where the budget is slack.
+    """
+
+    price: float
+    failing: float
+    bound: float  # at the start
+    values: FloatArray  # the checked sub-solution behind it, in the pricing problem's own shape
+    work: Work = field(default_factory=Work)
+
+
+def required(part: _Array | None) -> _Array:
+    """The choice or the totals of a column that a pricing problem made.
+
+    Raises:
+        ModelError: the column came from elsewhere.
+    """
+    if part is None:
+        raise ModelError("this column was not made by the pricing and carries no choice")
+    return part
+
+
+class PricingProblem(Protocol):
+    """Minimises ``cost + failure_price * failure`` and measures what it found.
+
+    Nothing here assumes that the states of the process fit into one array: an implementation may
+    be explicit, layered or distributed.
+    """
+
+    def first(self) -> Column:
+        """A policy from which the goal is reached if it can be; cheap to find."""
+        ...
+
+    def minimise(
+        self, failure_price: float, *warm: Column | None, deadline: Deadline = NEVER
+    ) -> Column:
+        """A policy of least priced cost, measured exactly.
+
+        Args:
+            failure_price: price of failure.
+            warm: policies to start from, the one that is thought to be nearest first; None: none.
+            deadline: looked at inside every loop.
+
+        Raises:
+            OutOfTimeError: the deadline passed.
+        """
+        ...
+
+    def aligned(self, column: Column, price: float) -> Column:
+        """The column with its tails, where it has any, chosen by this price; measured again."""
+        ...
+
+    def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
+        """Prove a lower bound of the value of every policy.
+
+        Args:
+            price: of failure.
+            best: a policy of least value at this price.
+            slack: count failing as 0 and success as minus the price.
+        """
+        ...
+
+    def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower any values as far as is needed to make them a checked sub-solution."""
+        ...
+
+    def policy(self, column: Column) -> Policy:
+        """The column's policy on the original states."""
+        ...

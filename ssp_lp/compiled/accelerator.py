@@ -1,0 +1,86 @@
+"""Whether inner loops run compiled by numba (extra ``fast``) or as numpy expressions.
+
+Every compiled loop has a numpy twin of the same shape; results agree to rounding. The modules of
+``ssp_lp.compiled`` import numba and are imported only when a loop is long enough to be worth it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+from ssp_lp.errors import ModelError
+
+SWITCH: Final = "SSP_LP_ACCELERATOR"
+"""Environment variable: "numba", "none", or unset: numba where it is installed."""
+
+_CACHED: Final = 60_000
+"""Entries of a loop that are worth loading compiled loops from numba's cache: about a second."""
+
+_COLD: Final = 1_500_000
+"""Entries of a loop that are worth compiling loops for the first time: some ten seconds."""
+
+_CALL: Final = 3_000
+"""Entries that take as long as the calls around a short loop of numpy expressions."""
+
+_LOOPS: Final = 300
+"""Loops as long as is worth loading, or compiling, for one: many short ones are worth it too."""
+
+_INDEX: Final = "**/bellman.back_up*.nbi"  # numba's index of the loop that every solve needs
+
+
+@cache
+def has_accelerator() -> bool:
+    """Whether compiled loops are available and not switched off.
+
+    Raises:
+        ModelError: the environment variable holds another word.
+    """
+    wish = os.environ.get(SWITCH, "")
+    if wish not in ("", "numba", "none"):
+        raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
+    return wish != "none" and importlib.util.find_spec("numba") is not None
+
+
+def accelerated(entries: int) -> bool:
+    """Whether a loop over so many entries is to run compiled.
+
+    Once compiled loops are loaded every loop is: they cost less than a numpy expression. Before
+    that, what short loops have taken adds up, as it does for a just-in-time compiler: a process
+    that goes on solving small models loads them in the end, one that solves a few never does.
+    """
+    if entries >= least_entries():
+        return has_accelerator()
+    _interpreted.entries += entries + _CALL
+    return False
+
+
+def least_entries() -> int:
+    """Entries from which a loop is run compiled, the start of compiled code counted."""
+    worth = _CACHED if _is_compiled_before() else _COLD
+    is_loaded = worth == _CACHED and "ssp_lp.compiled.loops" in sys.modules
+    return 0 if is_loaded or _interpreted.entries > _LOOPS * worth else worth
+
+
+class _Interpreted:
+    """What this process has passed over in numpy expressions; it decides on speed only."""
+
+    entries = 0
+
+
+_interpreted: Final = _Interpreted()
+
+
+@cache
+def _is_compiled_before() -> bool:
+    """Whether numba's cache holds the compiled loops of this version of the library."""
+    sources = Path(__file__).parent
+    changed = (sources / "bellman.py").stat().st_mtime
+    wished = os.environ.get("NUMBA_CACHE_DIR")
+    places = [Path(wished)] if wished else [sources / "__pycache__", Path.home() / ".cache/numba"]
+    found = (index for place in places for index in place.glob(_INDEX))
+    return any(index.stat().st_mtime >= changed for index in found)

@@ -1,0 +1,1 @@
+"""Compiled solution of the equations of chains."""

@@ -1,0 +1,229 @@
+"""Bellman backups and policy products on sparse state-action pairs, compiled where that pays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from ssp_lp.arrays import (
+    MACHINE_EPSILON,
+    FloatArray,
+    IntArray,
+    first_minimisers,
+    segment_minima,
+)
+from ssp_lp.compiled.accelerator import accelerated
+
+_FEW_ENTRIES = 20_000
+_NONE = np.zeros(0)
+_NOBODY = np.zeros(0, dtype=np.uint32)
+
+
+@dataclass(frozen=True, eq=False)
+class Backup:
+    """One application of the Bellman operator."""
+
+    minima: FloatArray  # [states] infinite where a state has no pairs
+    choice: IntArray  # [states] the first pair that attains the minimum
+    here: FloatArray  # [states] value of the held pair; empty if none was given
+
+
+@dataclass(frozen=True)
+class PairCost:
+    """Costs of pairs that may grow linearly: ``fixed + factor * slope``."""
+
+    fixed: FloatArray  # [pairs]
+    slope: FloatArray | None = None  # [pairs]
+    factor: float = 0.0
+
+    @property
+    def total(self) -> FloatArray:
+        """The cost of each pair, [pairs]."""
+        if self.slope is None or self.factor == 0.0:
+            return self.fixed
+        return self.fixed + self.factor * self.slope
+
+    @property
+    def parts(self) -> tuple[FloatArray, FloatArray, float]:
+        """(fixed, slope, factor) with an array in place of a missing slope."""
+        return self.fixed, _NONE if self.slope is None else self.slope, float(self.factor)
+
+
+def best_pairs(
+    pair_offsets: IntArray,
+    transitions: sp.csr_array,
+    pair_cost: FloatArray | PairCost,
+    values: FloatArray,
+    held: IntArray | None = None,
+) -> Backup:
+    """Minimise ``pair_cost + transitions @ values`` over the pairs of each state.
+
+    Args:
+        pair_offsets: [states + 1].
+        transitions: [pairs, columns].
+        pair_cost: [pairs].
+        values: [columns].
+        held: a pair of each state whose value is wanted beside the least one, [states].
+    """
+    cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
+    n = len(pair_offsets) - 1
+    if not accelerated(transitions.nnz):
+        ahead = cost.total + transitions @ values
+        minima = segment_minima(ahead, pair_offsets)
+        choice = np.array(pair_offsets[:-1], dtype=np.int32)
+        choice[np.diff(pair_offsets) > 0] = first_minimisers(ahead, minima, pair_offsets)
+        return Backup(minima, choice, _NONE if held is None else ahead[held])
+    from ssp_lp.compiled import bellman as compiled
+
+    minima, choice = np.empty(n), np.empty(n, dtype=np.int32)
+    here = np.empty(0 if held is None else n)
+    own = _NOBODY if held is None else unsigned(held)
+    compiled.back_up(transitions.nnz)(
+        *unsigned_parts(pair_offsets, transitions), *cost.parts, values, own,
+        minima, choice.view(np.uint32), here,
+    )  # fmt: skip
+    return Backup(minima, choice, here)
+
+
+def safe_minima(
+    pair_offsets: IntArray,
+    transitions: sp.csr_array,
+    pair_cost: PairCost,
+    magnitude: FloatArray,
+    alone: FloatArray,
+    values: FloatArray,
+) -> FloatArray:
+    """Lower bounds of the least backups: the rounding of each pair's sum counts against it.
+
+    Args:
+        pair_offsets: [states + 1].
+        transitions: [pairs, columns].
+        pair_cost: costs, positive or negative.
+        magnitude: sum of the sizes of the parts of the fixed cost, [pairs].
+        alone: size of a sum that is a single number, of which nothing was rounded, [pairs].
+        values: [columns].
+
+    Returns:
+        [states], infinite where a state has no pairs.
+    """
+    if not accelerated(transitions.nnz):
+        growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
+        size = (magnitude + growth) + transitions @ np.abs(values)
+        ahead = (pair_cost.fixed + growth) + transitions @ values
+        ahead = np.where(size == alone, ahead, ahead - backup_rounding(transitions) * size)
+        return segment_minima(ahead, pair_offsets)
+    from ssp_lp.compiled import bellman as compiled
+
+    minima = np.empty(len(pair_offsets) - 1)
+    fixed, slope, factor = pair_cost.parts
+    compiled.back_up_safely(transitions.nnz)(
+        *unsigned_parts(pair_offsets, transitions), fixed, magnitude, slope, factor, alone,
+        MACHINE_EPSILON, values, minima,
+    )  # fmt: skip
+    return minima
+
+
+def backup_rounding(transitions: sp.csr_array) -> FloatArray:
+    """Rounding of a backup relative to the sum of its terms' magnitudes, per pair, [pairs]."""
+    return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
+
+
+def chosen_product(transitions: sp.csr_array, choice: IntArray, x: FloatArray) -> FloatArray:
+    """``transitions[choice] @ x``, once; picking rows costs more than products of few entries."""
+    if transitions.nnz <= _FEW_ENTRIES:
+        return np.asarray((transitions @ x)[choice])
+    return ChosenRows(transitions, choice) @ x
+
+
+class ChosenRows:
+    """The rows of one pair per state, ``transitions[choice]``: an operator that counts its uses."""
+
+    def __init__(
+        self, transitions: sp.csr_array, choice: IntArray, is_compiled: bool | None = None
+    ) -> None:
+        """Choose rows.
+
+        Args:
+            transitions: [pairs, columns].
+            choice: [states].
+            is_compiled: run compiled loops; None: where there are many entries.
+        """
+        self._transitions, self._choice = transitions, choice
+        self._is_compiled = accelerated(transitions.nnz) if is_compiled is None else is_compiled
+        self._is_gathered = False
+        self.shape = (len(choice), int(transitions.shape[1]))
+        self.products = 0  # how often all rows were multiplied by vectors
+
+    @property
+    def matrix(self) -> sp.csr_array:
+        """The rows as a matrix of their own, [states, columns]."""
+        return self._transitions if self._is_gathered else self._copied()
+
+    def gathered(self) -> ChosenRows:
+        """The same rows, copied one after the other for repeated use.
+
+        Reading them where they are, among the rows of all pairs, takes as long as copying them.
+        """
+        return self if self._is_gathered else all_rows(self._copied(), self._is_compiled)
+
+    def _copied(self) -> sp.csr_array:
+        if not self._is_compiled:
+            return sp.csr_array(self._transitions[self._choice])
+        from ssp_lp.compiled import bellman as compiled
+
+        begin = self._transitions.indptr
+        lengths = begin[self._choice + 1] - begin[self._choice]
+        indptr = np.append(0, np.cumsum(lengths)).astype(begin.dtype)
+        indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
+        data = np.empty(indices.size)
+        run = compiled.extract(indices.size)
+        run(*self._arrays, unsigned(indptr), unsigned(indices), data)
+        return sp.csr_array((data, indices, indptr), shape=self.shape)
+
+    def __matmul__(self, x: FloatArray) -> FloatArray:
+        """Product with one vector, [columns], or several, [columns, vectors]."""
+        self.products += 1
+        if not self._is_compiled:
+            return np.asarray(self.matrix @ x)
+        from ssp_lp.compiled import bellman as compiled
+
+        result = np.empty((self.shape[0], *x.shape[1:]))
+        run = compiled.product if x.ndim == 1 else compiled.products
+        run(self._entries)(*self._arrays, x, result)
+        return result
+
+    @property
+    def _arrays(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+        return unsigned_parts(self._choice, self._transitions)
+
+    @property
+    def _entries(self) -> int:
+        share = self.shape[0] / max(int(self._transitions.shape[0]), 1)
+        return int(share * self._transitions.nnz)
+
+
+def all_rows(chain: sp.csr_array, is_compiled: bool | None = None) -> ChosenRows:
+    """A chain given as a matrix of its own."""
+    rows = ChosenRows(chain, np.arange(chain.shape[0], dtype=np.int32), is_compiled)
+    rows._is_gathered = True
+    return rows
+
+
+def unsigned_parts(
+    offsets: IntArray, matrix: sp.csr_array
+) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+    """Offsets and the three arrays of a matrix as compiled loops take them."""
+    return unsigned(offsets), *_parts(matrix)
+
+
+def _parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:
+    return unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
+
+
+def unsigned(indices: IntArray) -> npt.NDArray[Any]:
+    """A view of non-negative whole numbers as unsigned ones."""
+    return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)

@@ -1,0 +1,1 @@
+"""Checked sub-solutions: lower bounds that hold for every policy."""

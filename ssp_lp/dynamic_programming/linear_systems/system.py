@@ -1,0 +1,277 @@
+"""The equations of a policy, ``x = reward + chain @ x``, solved along the structure of its chain.
+
+The chain's strong components are solved ends first, each by what suits it: by substitution where it
+is one state, by state reduction without subtractions where it is small or narrow, and where it is
+large by sweeps, then by a Krylov method on top of them, then by sparse factors. State reduction
+keeps the relative accuracy of every entry whatever the condition (Grassmann, Taksar and Heyman
+1985); what the other methods return is judged by ``evaluate_chain``.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import linalg
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.dynamic_programming.bellman import unsigned
+from ssp_lp.dynamic_programming.linear_systems.components import Components, strong_components
+from ssp_lp.dynamic_programming.linear_systems.equations import (
+    HOLDS_MASS,
+    Solver,
+    dense_solver,
+    equations,
+    factorised,
+    transposed_solve,
+)
+from ssp_lp.dynamic_programming.linear_systems.large_component import LargeComponent
+from ssp_lp.dynamic_programming.linear_systems.state_reduction import reduce_states
+from ssp_lp.errors import SolverError
+
+_DENSE_STATES = 40
+"""Up to here a dense solve costs less than setting up a sparse one."""
+
+DIRECT_STATES = 1_000
+"""Up to here one sparse factorisation costs less than looking at the structure."""
+
+_SMALL = 256
+"""States of a component up to which a compiled dense reduction costs no more than other ways."""
+
+_FACTORABLE = 20_000
+"""States of a component up to which visits are had from sparse factors."""
+
+_STEPS = 2_000  # of BiCGStab
+_LEAST_RESIDUAL = 1e-11  # relative; worse ones are refused
+
+EXACT = 4e-15  # relative residual: a few units in the last place of the totals
+
+_NOBODY = np.zeros(0, dtype=np.int64)
+
+
+class System:
+    """Equations of a substochastic chain whose exits are carried as data."""
+
+    def __init__(self, matrix: sp.csr_array, exits: FloatArray) -> None:
+        """State the equations.
+
+        Args:
+            matrix: probabilities of going on, [states, states].
+            exits: probabilities of leaving for good, [states].
+        """
+        self.matrix, self.exits = matrix, exits
+        self.products = 0  # passes over the matrix
+        self.kept_runs: FloatArray | None = None  # checked run lengths, see ``evaluate_chain``
+        self._large: dict[int, LargeComponent] = {}
+        self._transposed: tuple[IntArray, linalg.SuperLU] | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of states."""
+        return len(self.exits)
+
+    @cached_property
+    def components(self) -> Components:
+        """Strong components of the chain, ends first."""
+        return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
+
+    @property
+    def is_solved_exactly(self) -> bool:
+        """Whether totals are exact whatever accuracy is asked for: no component is large."""
+        return self.components.largest <= _SMALL
+
+    @cached_property
+    def home(self) -> IntArray:
+        """Each state's own row, [states]."""
+        return np.arange(self.size, dtype=np.int32)
+
+    @cached_property
+    def closed(self) -> IntArray:
+        """States from which the chain never leaves, [some states]."""
+        found, rows = self.components, self.matrix
+        left = np.zeros(found.n_components, dtype=np.bool_)
+        if accelerated(rows.nnz):
+            from ssp_lp.compiled.graphs.order import mark_left
+
+            arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
+            mark_left(*arrays, self.exits, found.label, left)
+        else:
+            entry = rows.tocoo()
+            onward = (found.label[entry.row] != found.label[entry.col]) & (entry.data > 0.0)
+            left[found.label[self.exits > 0.0]] = True
+            left[found.label[entry.row[onward]]] = True
+        return np.flatnonzero(~left[found.label]) if not left.all() else _NOBODY
+
+    def solve(
+        self, rewards: FloatArray, guess: FloatArray | None = None, accuracy: float = EXACT
+    ) -> FloatArray:
+        """Expected total rewards from each state.
+
+        Args:
+            rewards: [states] or [states, rewards].
+            guess: warm start of the iterative methods, like ``rewards``.
+            accuracy: relative residual of the iterative methods; the others are always exact.
+
+        Returns:
+            Totals, of the shape of ``rewards``.
+
+        Raises:
+            SolverError: the chain holds mass for ever, or no method gets anywhere.
+        """
+        if self.size == 0 or self.matrix.nnz == 0:
+            self._check_exits()
+            return rewards / (self.exits if rewards.ndim == 1 else self.exits[:, None])
+        columns = rewards.reshape(self.size, -1)
+        self.products += 1
+        if self.size <= DIRECT_STATES and not accelerated(self.matrix.nnz):
+            return self._factors(columns).reshape(rewards.shape)
+        x = np.zeros(columns.shape) if guess is None else guess.reshape(columns.shape).copy()
+        for first, last in self._runs:
+            if last - first == 1 and self.components.sizes[first] > _SMALL:
+                self._solve_large(first, columns, x, accuracy)
+            else:
+                self._solve_small(first, last, columns, x)
+        return x.reshape(rewards.shape)
+
+    def solve_by_reduction(self, rewards: FloatArray) -> FloatArray:
+        """The same without any subtraction, at any price: for chains that are hardly left.
+
+        Raises:
+            SolverError: the chain holds mass for ever.
+        """
+        columns = rewards.reshape(self.size, -1)
+        x, found = np.zeros(columns.shape), self.components
+        if accelerated(self.matrix.nnz):
+            for first, last in self._runs:
+                if last - first == 1 and found.sizes[first] > DIRECT_STATES:
+                    self._solve_large(first, columns, x, EXACT)
+                else:
+                    self._solve_compiled(first, last, columns, x)
+            return x.reshape(rewards.shape)
+        for c in range(found.n_components):
+            states = found.members(c)
+            if states.size > DIRECT_STATES:
+                self._solve_large(c, columns, x, EXACT)
+                continue
+            rows = self.matrix[states]
+            inner = rows[:, states].toarray()
+            beyond = np.ones(self.size)
+            beyond[states] = 0.0
+            x[states] = 0.0
+            leaving = self.exits[states] + rows @ beyond
+            x[states] = reduce_states(inner, leaving, columns[states] + rows @ x)
+        return x.reshape(rewards.shape)
+
+    def solve_transposed(self, inflow: FloatArray) -> FloatArray:
+        """Expected visits of each state, given what enters each from outside, [states].
+
+        Raises:
+            SolverError: the chain holds mass for ever.
+        """
+        if self.size == 0:
+            return inflow.copy()
+        if self.components.largest > _FACTORABLE:
+            return self._transposed_by_krylov(inflow)
+        if self._transposed is None:
+            order = self.components.order if self.components.largest <= _SMALL else None
+            factors = factorised(
+                equations(self.matrix, self.exits, order), in_order=order is not None
+            )
+            self._transposed = np.arange(self.size) if order is None else order, factors
+        order, factors = self._transposed
+        visits = np.empty_like(inflow)
+        visits[order] = transposed_solve(factors, inflow[order])
+        return visits
+
+    def _transposed_by_krylov(self, inflow: FloatArray) -> FloatArray:
+        """The same by BiCGStab, for components whose factors would fill in."""
+        system = equations(self.matrix, self.exits)
+        departs = system.diagonal()
+        onward = linalg.LinearOperator(
+            system.shape, matvec=lambda y: (system.T @ y) / departs, dtype=np.float64
+        )
+        target = EXACT * float(np.abs(inflow).max(initial=0.0))
+        right = inflow / departs
+        visits, state = linalg.bicgstab(onward, right, rtol=0.0, atol=target, maxiter=_STEPS)
+        missed = float(np.abs(inflow - system.T @ visits).max())
+        if state == 0 or missed <= _LEAST_RESIDUAL * float(np.abs(visits).max()):
+            return np.asarray(visits)
+        return transposed_solve(factorised(system), inflow)
+
+    @cached_property
+    def _runs(self) -> list[tuple[int, int]]:
+        """Ranges of components to be solved at once: small ones together, large ones alone."""
+        sizes = self.components.sizes
+        large = np.flatnonzero(sizes > _SMALL).tolist()
+        runs, begin = [], 0
+        for c in large:
+            if c > begin:
+                runs.append((begin, c))
+            runs.append((c, c + 1))
+            begin = c + 1
+        if begin < len(sizes):
+            runs.append((begin, len(sizes)))
+        return runs
+
+    def _check_exits(self) -> None:
+        if (self.exits <= 0.0).any():
+            raise SolverError(HOLDS_MASS)
+
+    @cached_property
+    def _factors(self) -> Solver:
+        """Solve all equations at once, by factors that are kept."""
+        if self.size <= _DENSE_STATES:
+            return dense_solver(self.matrix, self.exits)
+        system = equations(self.matrix, self.exits)
+        factors = factorised(system)
+
+        def solve(rewards: FloatArray) -> FloatArray:
+            x = factors.solve(rewards)
+            return np.asarray(x + factors.solve(rewards - system @ x))
+
+        return solve
+
+    def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
+        """Solve a run of small components, in place."""
+        if accelerated(self.matrix.nnz):
+            self._solve_compiled(first, last, rewards, x)
+            return
+        found = self.components
+        states = found.order[found.offsets[first] : found.offsets[last]]
+        rows = self.matrix[states]
+        x[states] = 0.0
+        beyond = rewards[states] + rows @ x
+        if (first, last) not in self._kept:
+            inside = np.ones(self.size)
+            inside[states] = 0.0
+            leaving = self.exits[states] + rows @ inside
+            own = sp.csr_array(rows[:, states])
+            self._kept[first, last] = factorised(equations(own, leaving), in_order=True).solve
+        x[states] = self._kept[first, last](beyond)
+
+    @cached_property
+    def _kept(self) -> dict[tuple[int, int], Solver]:
+        return {}
+
+    def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
+        from ssp_lp.compiled.linear_systems.elimination import solve_components
+
+        found, rows = self.components, self.matrix
+        stuck = solve_components(
+            unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
+            unsigned(self.home),
+            unsigned(found.order), found.offsets, first, last,
+            int(found.sizes[first:last].max(initial=1)), rewards, x,
+        )  # fmt: skip
+        if stuck >= 0:
+            raise SolverError(HOLDS_MASS)
+
+    def _solve_large(self, c: int, rewards: FloatArray, x: FloatArray, accuracy: float) -> None:
+        """Solve one large component, in place, given all that it leads to."""
+        if c not in self._large:
+            self._large[c] = LargeComponent(self.matrix, self.exits, self.components.members(c))
+        block = self._large[c]
+        block.solve(rewards, x, accuracy)
+        self.products += block.take_products()

@@ -1,0 +1,1 @@
+"""Policy iteration on substochastic processes."""

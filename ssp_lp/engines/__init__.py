@@ -1,1 +1,0 @@
-"""Engines: column generation with its oracles, and the full linear program."""

@@ -1,1 +1,0 @@
-"""Oracles: dynamic programming on a process at a given price of failure."""

@@ -1,0 +1,52 @@
+"""c* of the unapproximated game (paper, sections 3.2 to 3.4): the Bayes-adaptive construction.
+
+J_obj is undiscounted and J_cond discounted: the problem that sections 3.2 to 3.4 solve, and that
+section 3.5 approximates by discounting J_obj as well.
+"""
+
+from __future__ import annotations
+
+from ssp_lp.game.bayes_adaptive.accumulated_cost import BayesCostPlayer
+from ssp_lp.game.bayes_adaptive.failure_label import BayesLabelPlayer
+from ssp_lp.game.construction import construct
+from ssp_lp.game.models import LabelModels
+from ssp_lp.game.optimum import find_optimum
+from ssp_lp.game.setting import check_tolerance
+from ssp_lp.game.solution import GameSolution
+from ssp_lp.game.threshold import ENDLESS, Patience
+from ssp_lp.problem import Problem
+
+
+def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
+    """The operator T of section 3.3 in the problem's case.
+
+    Raises:
+        ModelError: no discount, or a budget that is not above 0.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    built = construct(problem)
+    return BayesLabelPlayer(built) if isinstance(built, LabelModels) else BayesCostPlayer(built)
+
+
+def bayes_adaptive(
+    problem: Problem, *, tolerance: float = 1e-7, patience: Patience = ENDLESS
+) -> GameSolution:
+    """Solve the game of section 3.2 over all policies, by the iteration of section 3.3.
+
+    Args:
+        problem: with a discount, which only J_cond sees, and a failure budget above 0.
+        tolerance: relative distance between c* and its lower bound to reach.
+        patience: when to stop before that, with the bounds as they are.
+
+    Returns:
+        c*: in case M J_obj, in case S J_obj / (1 - J_cond); its policies depend on time.
+
+    Raises:
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
+            decisions that would be too large; it grows with the length of runs.
+        InfeasibleError: the discounted failure of every policy exceeds the budget.
+    """
+    check_tolerance(tolerance)
+    player = bayes_player(problem)
+    optimum = find_optimum(problem, player, tolerance=tolerance, patience=patience)
+    return GameSolution(problem, player, optimum)

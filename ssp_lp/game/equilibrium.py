@@ -1,0 +1,213 @@
+"""The two-person zero-sum game at a fixed c (paper, section 3.2).
+
+The adversary mixes the objective MDP, with weight alpha, and the failure MDP; the player chooses a
+policy. The payoff ``alpha * J_obj + (1 - alpha) * (eta / epsilon) * J_cond`` is linear in alpha for
+each policy, so the least payoff ``J*(alpha)`` is concave and piecewise linear: its maximum lies
+where the line of a policy that fails less crosses that of a policy that costs less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.game.best_responses.best_response import BestResponse, Player
+
+_MOST_ROUNDS = 1_000
+_LEVEL = 1e-12
+"""Slopes this small, as a share of eta, are rounding: such a line is level and counts as rising,
+so that of all alpha that attain a flat maximum the greatest is found, which bounds c* best."""
+
+
+@dataclass(frozen=True)
+class Game:
+    """The game of eq. j_c_gamma_def with its two parameters."""
+
+    stake: float  # eta(epsilon; c): c in case M, c * (1 - epsilon) in case S
+    budget: float  # epsilon
+    room: float | None = None  # epsilon - origin, where that has digits that the budget has lost
+
+    @property
+    def scale(self) -> float:
+        """eta(epsilon; c) / epsilon, the worth of a unit of failure."""
+        return self.stake / self.budget
+
+    def payoff(self, alpha: float, response: BestResponse) -> float:
+        """J_{c,gamma,epsilon}(x', alpha, pi) of a policy, J_cond counted from its origin."""
+        return response.payoff(alpha, (1.0 - alpha) * self.scale)
+
+    def size(self, alpha: float, response: BestResponse) -> float:
+        """The size of the payoff's parts."""
+        return response.size(alpha, (1.0 - alpha) * self.scale)
+
+    def owed(self, alpha: float, origin: float) -> float:
+        """(1 - alpha) eta, what J_cond pays where the budget is spent, counted from its origin."""
+        if origin == 0.0:
+            return (1.0 - alpha) * self.stake
+        room = self.budget - origin if self.room is None else self.room
+        return (1.0 - alpha) * self.scale * room
+
+    def excess(self, response: BestResponse) -> float:
+        """Slope of a policy's payoff in alpha: J_obj less what failure is worth."""
+        return response.objective - self.scale * response.condition
+
+    def rises(self, response: BestResponse) -> bool:
+        """Whether a policy's payoff rises with alpha (or is level)."""
+        return self.excess(response) >= -_LEVEL * self.stake
+
+    def best_response(self, player: Player, alpha: float, accuracy: float) -> BestResponse:
+        """The player's best response to alpha; it bounds J*(x', alpha) from its origin."""
+        return player.response(alpha, (1.0 - alpha) * self.scale, accuracy)
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """The value of a game, between two bounds, and the two policies that meet there."""
+
+    game: Game
+    alpha: float  # alpha*: the adversary's weight of the objective MDP
+    least: float  # J*(alpha), J_cond counted from the origin, is at least this
+    most: float  # what the mixture of the two policies pays at most, counted likewise
+    minus: BestResponse  # optimal just below alpha*: it fails less and costs more
+    plus: BestResponse  # optimal just above alpha*
+    responses: tuple[BestResponse, ...]  # every policy met on the way
+
+    @property
+    def origin(self) -> float:
+        """From where the responses count J_cond."""
+        return self.minus.origin
+
+    @property
+    def lower(self) -> float:
+        """J*(alpha) is at least this: no policy, mixed or not, guarantees less."""
+        return self.least + self._shift
+
+    @property
+    def upper(self) -> float:
+        """What the mixture of the two policies pays at most."""
+        return self.most + self._shift
+
+    @property
+    def _shift(self) -> float:
+        return (1.0 - self.alpha) * self.game.scale * self.origin
+
+    @property
+    def weight(self) -> float:
+        """Weight of ``plus`` in the mixture."""
+        return matrix_game(self.game, self.minus, self.plus)
+
+
+def matrix_game(game: Game, minus: BestResponse, plus: BestResponse) -> float:
+    """The player's optimal weight of ``plus`` in the 2 x 2 game of section 3.4, in closed form.
+
+    Rows are the two policies, columns the two MDPs; the payoffs are J_obj and (eta / epsilon)
+    J_cond. The worse of the two payoffs is convex in the weight, with a kink where the payoffs are
+    equal: it is least there, or at one of the two policies alone.
+    """
+    low, high = game.excess(minus), game.excess(plus)
+    weights = [0.0, 1.0] + ([low / (low - high)] if low * high < 0.0 else [])
+
+    def worst(weight: float) -> float:
+        """What the mixture pays against the worse MDP for it."""
+        objective = (1.0 - weight) * minus.objective + weight * plus.objective
+        condition = (1.0 - weight) * minus.condition + weight * plus.condition
+        return max(objective, game.scale * condition)
+
+    return min(weights, key=worst)
+
+
+def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
+    """The alpha in [0, 1] at which two policies pay the same, or the end where they come nearest.
+
+    Two that differ by rounding alone may cross outside: one of them then dominates the other.
+    """
+    spared = minus.objective - plus.objective
+    risked = game.scale * (plus.failing - minus.failing)
+    return min(max(risked / (spared + risked), 0.0), 1.0)
+
+
+def play(
+    player: Player, game: Game, known: Sequence[BestResponse] = (), *, accuracy: float = 1e-11
+) -> Equilibrium:
+    """Solve the game: the adversary's alpha* and the policies that meet there.
+
+    Args:
+        player: finds best responses.
+        game: its parameters.
+        known: policies met before; they are strategies of every game, whatever c.
+        accuracy: relative distance between the two bounds of the value to reach.
+    """
+    responses = list(known)
+    minus, plus = _closest(game, responses)
+    if minus is None:
+        minus = game.best_response(player, 0.0, accuracy)
+        responses.append(minus)
+        if not game.rises(minus):
+            return _pure(game, 0.0, minus, responses)
+    if plus is None:
+        plus = game.best_response(player, 1.0, accuracy)
+        responses.append(plus)
+        if game.rises(plus):
+            return _pure(game, 1.0, plus, responses)
+    return _narrow(player, game, minus, plus, responses, accuracy)
+
+
+def _narrow(
+    player: Player,
+    game: Game,
+    minus: BestResponse,
+    plus: BestResponse,
+    responses: list[BestResponse],
+    accuracy: float,
+) -> Equilibrium:
+    """Cut off the peak between two lines until no response lies below it."""
+    while True:
+        alpha = crossing(game, minus, plus)
+        upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
+        size = min(game.size(alpha, minus), game.size(alpha, plus))
+        response = game.best_response(player, alpha, accuracy)
+        responses.append(response)
+        done = upper - response.bound <= accuracy * size
+        stalled = (
+            game.payoff(alpha, response) >= upper - 1e-15 * size or len(responses) > _MOST_ROUNDS
+        )
+        if done or stalled:
+            return Equilibrium(game, alpha, min(response.bound, upper), upper, minus, plus,
+                               tuple(responses))  # fmt: skip
+        if game.rises(response):
+            minus = response
+        else:
+            plus = response
+
+
+def _pure(
+    game: Game, alpha: float, response: BestResponse, responses: list[BestResponse]
+) -> Equilibrium:
+    """One policy is optimal and the adversary plays one MDP for sure."""
+    upper = game.payoff(alpha, response)
+    return Equilibrium(
+        game, alpha, min(response.bound, upper), upper, response, response, tuple(responses)
+    )
+
+
+def _closest(
+    game: Game, responses: Sequence[BestResponse]
+) -> tuple[BestResponse | None, BestResponse | None]:
+    """The policies on the two sides of the diagonal whose mixture pays least; None: no such side.
+
+    A point is (J_obj, (eta / epsilon) J_cond); the mixture that pays equally against both MDPs
+    lies where the segment between two points meets the diagonal.
+    """
+    excess = np.array([game.excess(r) for r in responses])
+    rising = np.array([game.rises(r) for r in responses], dtype=np.bool_)
+    left, right = np.flatnonzero(rising), np.flatnonzero(~rising)
+    if not left.size or not right.size:
+        at = responses[left[0]] if left.size else None
+        return at, (responses[right[0]] if right.size else None)
+    objective = np.array([r.objective for r in responses])
+    share = excess[left][:, None] / (excess[left][:, None] - excess[right][None, :])
+    pays = (1.0 - share) * objective[left][:, None] + share * objective[right][None, :]
+    i, j = np.unravel_index(int(np.argmin(pays)), pays.shape)
+    return responses[left[i]], responses[right[j]]

@@ -1,0 +1,71 @@
+"""What a problem must bring so that the paper's game can be played on it."""
+
+from __future__ import annotations
+
+from ssp_lp.analysis.goal_probability import max_goal_probability
+from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.problem import Problem
+from ssp_lp.processes.failure_semantics import start_distribution
+
+
+def checked_setting(problem: Problem) -> tuple[float, float]:
+    """The failure budget and the discount.
+
+    Raises:
+        ModelError: the paper's construction needs a discount and a budget above 0.
+    """
+    budget, discount = problem.failure_budget, problem.discount
+    if not problem.semantics.counts_cost_alone:
+        raise ModelError(
+            f"the game is about cost and a failure budget, {type(problem).__name__} is not: leave "
+            "engine='game' out"
+        )
+    if discount is None:
+        raise ModelError(
+            "the game needs a discount (paper, section 2.5): give discount=0.999, or solve the "
+            "exact problem with engine='columns'"
+        )
+    if budget is None or budget <= 0.0:
+        raise ModelError(
+            f"the game needs a failure_budget above 0, not {budget!r}: its stakes are divided by "
+            "it (paper, eq. j_c_gamma_def)"
+        )
+    return budget, discount
+
+
+def check_tolerance(tolerance: float) -> None:
+    """Raise :class:`ModelError` unless a tolerance lies strictly between 0 and 1."""
+    if not 0.0 < tolerance < 1.0:
+        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
+
+
+def infeasible(problem: Problem, budget: float, discounted: float) -> InfeasibleError:
+    """No policy's discounted failure keeps to the budget; says whether the real one could."""
+    start = start_distribution(problem.model, problem.start)
+    real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
+    nearer = "; a discount nearer to 1 is feasible" if real < budget else ""
+    return InfeasibleError(
+        f"the discounted failure of every policy is at least {discounted:.12g}, above the budget "
+        f"{budget:g}; the least real failure probability is {real:.12g}{nearer}",
+        failure_budget=budget,
+        least_failure=real,
+        least_discounted_failure=discounted,
+    )
+
+
+def check_reachable(problem: Problem) -> None:
+    """Check that a cost given success exists.
+
+    Raises:
+        InfeasibleError: the goal cannot be reached from the start.
+    """
+    start = start_distribution(problem.model, problem.start)
+    if (start[~dead_ends(problem.model)] > 0.0).any():
+        return
+    raise InfeasibleError(
+        "the goal cannot be reached from the start: no cost given success exists",
+        failure_budget=problem.failure_budget,
+        least_failure=1.0,
+        least_discounted_failure=1.0,
+    )

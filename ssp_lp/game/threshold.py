@@ -1,0 +1,218 @@
+"""The least c whose game the player can hold at eta: c* of eq. def_c* and c-hat of section 3.5."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
+from ssp_lp.game.best_responses.best_response import BestResponse, Player
+from ssp_lp.game.equilibrium import Equilibrium, Game, play
+
+_STEEP = (1e3, 1e6, 1e9)
+"""Prices of failure at which cheap policies among those of least failure are looked for, as
+multiples of what the goal costs under one of them."""
+
+_LEAST_SUCCESS = 1e-6
+"""Success that a price of failing is related to, where success is what failing leaves over."""
+
+_ROOM = 1.0 + 1e-6
+"""A budget below the least failure times this counts as tight."""
+
+_CANCELLED = 4.0 * MACHINE_EPSILON
+"""Relative rounding of the difference in which a steep price cancels."""
+
+_LEAST_ACCURACY = 1e-9
+"""Relative accuracy of the least failure, on which feasibility hangs, however coarse the search."""
+
+_SAME = 1e-13
+"""Failures this near to the least are the least, computed twice: the cheaper policy may be used.
+Relative to the success where that is what is counted."""
+
+_MOST_GAMES = 100
+
+_STALLED = 0.75
+"""Two games, one of them halfway, halve the bracket, unless rounding has the last word."""
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a search may take and whom it tells."""
+
+    deadline: float = np.inf  # on the clock of time.perf_counter
+    progress: Callable[[int, float, float], None] | None = None  # responses, price, upper end
+
+
+ENDLESS = Patience()
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One game of the search: whether its value exceeds eta decides on which side c* lies."""
+
+    c: float
+    alpha: float
+    value: float  # of the game at c
+    eta: float
+
+
+@dataclass(frozen=True, eq=False)
+class Threshold:
+    """c* of one epsilon between two bounds, and the mixed policy that attains the upper one."""
+
+    budget: float  # epsilon
+    low: float  # no policy within the budget is cheaper
+    high: float  # what the mixture costs
+    game: Equilibrium  # the last game, at c = high where the search was not cut short
+    members: tuple[BestResponse, ...]  # one or two policies
+    weights: tuple[float, ...]
+    trials: tuple[Trial, ...]
+    responses: tuple[BestResponse, ...]
+    in_time: bool = True  # whether the search ended by itself, not by its deadline
+
+    @property
+    def failure_price(self) -> float:
+        """What a unit of failure is worth in units of J_obj: (eta / epsilon) (1 - alpha) / alpha.
+
+        lambda in case M, kappa in case S.
+        """
+        alpha = self.game.alpha
+        return self.game.game.scale * (1.0 - alpha) / alpha if alpha > 0.0 else float("inf")
+
+    @property
+    def condition(self) -> float:
+        """J_cond of the mixture."""
+        return sum(w * r.condition for w, r in zip(self.weights, self.members, strict=True))
+
+
+def find_threshold(
+    player: Player,
+    budget: float,
+    share: float,
+    known: Sequence[BestResponse],
+    *,
+    room: float | None = None,
+    tolerance: float,
+    patience: Patience = ENDLESS,
+) -> Threshold:
+    """Bracket ``min{c : game value <= eta(epsilon; c) = share * c}`` and close the bracket.
+
+    Each game moves an end of the bracket. Its value at alpha*, a bound for every policy, gives
+    ``J_obj >= (value - (1 - alpha*) eta) / alpha*`` for all that keep to the budget: the lower end.
+    Its policies, mixed so as to spend the budget, give the upper end. The next game is played at
+    the upper end, every second one halfway, so that the bracket shrinks whatever happens.
+
+    Args:
+        player: finds best responses.
+        budget: epsilon.
+        share: 1 in case M, 1 - epsilon in case S.
+        known: responses met before, ``extremes`` at least. A budget that none of them keeps to is
+            the least failure but for their accuracy, and counts as equal to it.
+        room: the budget counted from the responses' origin, where that has more digits.
+        tolerance: relative width of the bracket to reach.
+        patience: when to stop before that, with the bracket as it is.
+    """
+    accuracy = 0.1 * tolerance
+    responses = [*known, *_near_least(player, budget, known, accuracy)]
+    room = _attainable(responses, budget - responses[0].origin if room is None else room)
+    budget = responses[0].origin + room
+    low, high = 0.0, cheapest_mixture(responses, room)[2] / share
+    trials: list[Trial] = []
+    width = np.inf  # of the bracket after the last game at its upper end
+    while True:
+        at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
+        found = play(player, Game(share * at, budget, room), responses, accuracy=accuracy)
+        responses = list(found.responses)
+        trials.append(Trial(at, found.alpha, found.upper, share * at))
+        low = max(low, _implied(found) / share)
+        members, weights, cost = cheapest_mixture(responses, room)
+        high = cost / share
+        late = time.perf_counter() > patience.deadline
+        answer = Threshold(
+            budget, min(low, high), high, found, members, weights, tuple(trials), tuple(responses),
+            not late,
+        )  # fmt: skip
+        if patience.progress is not None:
+            patience.progress(len(responses), answer.failure_price, high)
+        late = late or len(trials) >= _MOST_GAMES
+        if late or (high - low <= tolerance * high and at == high):
+            return answer
+        if len(trials) % 2 == 1:
+            if high - low > _STALLED * width:
+                return answer
+            width = high - low
+
+
+def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
+    """The policy that fails least and the cheapest one."""
+    safest = player.response(0.0, 1.0, min(accuracy, _LEAST_ACCURACY))
+    return safest, player.response(1.0, 0.0, accuracy)
+
+
+def _attainable(responses: Sequence[BestResponse], room: float) -> float:
+    """The budget, counted like the responses' failing, or the least of that but for rounding."""
+    least = min(r.failing for r in responses)
+    same = _SAME * (abs(least) if responses[0].origin else 1.0)
+    return max([room, *(r.failing for r in responses if r.failing <= least + same)])
+
+
+def _near_least(
+    player: Player, budget: float, known: Sequence[BestResponse], accuracy: float
+) -> Iterator[BestResponse]:
+    """Cheap policies among those that fail (almost) least, if the budget leaves no room.
+
+    The least failure alone does not ask what its policy costs.
+    """
+    safest = min(known, key=lambda r: r.failing)
+    if budget > safest.condition * _ROOM + LEAST_BUDGET:
+        return
+    worth = safest.objective / max(safest.success, 0.0 if safest.origin else _LEAST_SUCCESS)
+    for price in _STEEP:
+        response = player.response(1.0, price * (worth or 1.0), accuracy)
+        yield response
+        if response.failing <= safest.failing:
+            return
+
+
+def _implied(found: Equilibrium) -> float:
+    """What the value of a game at alpha* says about the cost of policies within the budget."""
+    if found.alpha == 0.0:
+        return 0.0
+    owed = found.game.owed(found.alpha, found.origin)
+    rounding = _CANCELLED * (abs(found.least) + abs(owed))
+    return (found.least - owed - rounding) / found.alpha
+
+
+def cheapest_mixture(
+    responses: Sequence[BestResponse], room: float
+) -> tuple[tuple[BestResponse, ...], tuple[float, ...], float]:
+    """The cheapest lottery over one or two policies whose failure keeps to the budget.
+
+    Args:
+        responses: some of which keep to it.
+        room: the budget, counted from the responses' origin.
+
+    Returns:
+        The members, their weights, and the lottery's J_obj.
+    """
+    failing = np.array([r.failing for r in responses])
+    objective = np.array([r.objective for r in responses])
+    safe = np.flatnonzero(failing <= room)
+    risky = np.flatnonzero(failing > room)
+    alone = safe[np.argmin(objective[safe])]
+    best: tuple[tuple[BestResponse, ...], tuple[float, ...], float] = (
+        (responses[alone],), (1.0,), float(objective[alone]),
+    )  # fmt: skip
+    if not risky.size:
+        return best
+    left = room - failing[safe][:, None]
+    weight = left / (failing[risky][None, :] - failing[safe][:, None])
+    cost = (1.0 - weight) * objective[safe][:, None] + weight * objective[risky][None, :]
+    i, j = np.unravel_index(int(np.argmin(cost)), cost.shape)
+    if not cost[i, j] < best[2]:
+        return best
+    share = float(weight[i, j])
+    return (responses[safe[i]], responses[risky[j]]), (1.0 - share, share), float(cost[i, j])

@@ -1,0 +1,1 @@
+"""The best single deterministic policy, by mixed-integer programs."""

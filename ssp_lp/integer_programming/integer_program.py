@@ -1,0 +1,146 @@
+"""The mixed-integer program of a single deterministic policy, by HiGHS.
+
+    minimise    <cost, x>
+    subject to  outflow(x) - inflow(x) = start,   <failure, x> <= budget,   x >= 0
+                x_pair <= visits_state * y_pair,  sum over a state's pairs of y = 1,  y binary
+
+A state without a choice, and one that is left free, has no y.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.errors import SolverError
+from ssp_lp.linear_programming.highs import highs_lp
+from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.programs.compiling import occupation_program
+
+_LEAST_GAP = 1e-10
+
+_OPTIONS: dict[str, bool | int | float] = {
+    "output_flag": False,
+    "threads": 1,
+    "mip_rel_gap": _LEAST_GAP,
+    "mip_abs_gap": _LEAST_GAP,
+    "mip_feasibility_tolerance": 1e-9,
+    "primal_feasibility_tolerance": 1e-9,
+    "dual_feasibility_tolerance": 1e-9,
+}
+
+_OVER = {
+    highspy.HighsModelStatus.kInfeasible,
+    highspy.HighsModelStatus.kUnboundedOrInfeasible,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class IntegerAnswer:
+    """What HiGHS says; nothing in it is trusted but the bound."""
+
+    x: FloatArray | None  # [pairs] None: no policy was found
+    choice: IntArray | None  # [states]
+    bound: float  # of <cost, x>; infinite where there is no policy
+    finished: bool
+
+
+class IntegerProgram:
+    """The program of a process, to which policies that must not come again are told."""
+
+    def __init__(
+        self, process: ExplicitProcess, budget: float, visits: FloatArray, free: BoolArray
+    ) -> None:
+        """State the program.
+
+        Args:
+            process: the process.
+            budget: failure budget.
+            visits: upper bounds of the expected visits, [states]; 0: out of reach.
+            free: states that may randomise, [states].
+        """
+        self.process = process
+        decided = (np.diff(process.pair_offsets) > 1) & (visits > 0.0) & ~free
+        self.pairs = np.flatnonzero(decided[process.pair_state])
+        self._solver = highspy.Highs()  # type: ignore[no-untyped-call]
+        for name, value in _OPTIONS.items():
+            if self._solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
+                raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+        lp = highs_lp(self._stated(budget, visits))
+        upper = np.where(visits > 0.0, highspy.kHighsInf, 0.0)[process.pair_state]
+        lp.col_upper_ = np.append(upper, np.ones(self.pairs.size))
+        lp.integrality_ = [highspy.HighsVarType.kContinuous] * process.n_pairs + [
+            highspy.HighsVarType.kInteger
+        ] * self.pairs.size
+        if self._solver.passModel(lp) == highspy.HighsStatus.kError:
+            raise SolverError("HiGHS refuses the mixed-integer program")
+
+    def _stated(self, budget: float, visits: FloatArray) -> LinearProgram:
+        """The occupation-measure program with the rows of y below it."""
+        process, n_y = self.process, self.pairs.size
+        base = occupation_program(process, budget, ratio=False)
+        state = process.pair_state[self.pairs]
+        picks, group = np.unique(state, return_inverse=True)
+        each, one = np.arange(n_y), np.ones(n_y)
+        taken = sp.csr_array((one, (each, self.pairs)), shape=(n_y, process.n_pairs))
+        linked = sp.csr_array((-visits[state], (each, each)), shape=(n_y, n_y))
+        single = sp.csr_array((one, (group, each)), shape=(picks.size, n_y))
+        left = sp.vstack([base.matrix, taken, sp.csr_array((picks.size, process.n_pairs))])
+        right = sp.vstack([sp.csr_array((base.matrix.shape[0], n_y)), linked, single])
+        return LinearProgram(
+            cost=np.append(process.cost, np.zeros(n_y)),
+            matrix=sp.csc_array(sp.hstack([left, right])),
+            lower=np.concatenate([base.lower, np.full(n_y, -np.inf), np.ones(picks.size)]),
+            upper=np.concatenate([base.upper, np.zeros(n_y), np.ones(picks.size)]),
+            rows=base.rows,
+        )
+
+    def forbid(self, choice: IntArray, reached: BoolArray) -> None:
+        """Exclude all policies that agree with a choice in the states that it reaches."""
+        position = np.flatnonzero(np.isin(self.pairs, choice[reached]))
+        columns = (self.process.n_pairs + position).astype(np.int32)
+        most = float(position.size) - 1.0
+        self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
+
+    def stop_at(self, tolerance: float) -> None:
+        """Stop at a relative gap."""
+        self._solver.setOptionValue("mip_rel_gap", max(tolerance, _LEAST_GAP))
+
+    def start_at(self, x: FloatArray, choice: IntArray) -> None:
+        """Tell HiGHS of a policy with which to begin."""
+        given = highspy.HighsSolution()
+        given.col_value = np.append(x, np.isin(self.pairs, choice)).tolist()
+        self._solver.setSolution(given)
+
+    def solve(self, cost: FloatArray, deadline: float) -> IntegerAnswer:
+        """Minimise a cost of the pairs, [pairs], until the deadline of ``time.perf_counter``."""
+        left = deadline - time.perf_counter()
+        if left <= 0.0:
+            return IntegerAnswer(None, None, -np.inf, finished=False)
+        solver, n = self._solver, self.process.n_pairs
+        solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
+        solver.changeColsCost(n, np.arange(n, dtype=np.int32), cost)
+        solver.run()
+        status, info = solver.getModelStatus(), solver.getInfo()
+        if status in _OVER:
+            return IntegerAnswer(None, None, np.inf, finished=True)
+        finished = status == highspy.HighsModelStatus.kOptimal
+        bound = float(info.mip_dual_bound)
+        if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
+            return IntegerAnswer(None, None, bound, finished=False)
+        values = np.asarray(solver.getSolution().col_value, dtype=np.float64)
+        return IntegerAnswer(values[:n], self._choice(values), bound, finished)
+
+    def _choice(self, values: FloatArray) -> IntArray:
+        """The pair of greatest y, or of greatest x where there is no y, [states]."""
+        n = self.process.n_pairs
+        weight = values[:n].copy()
+        weight[self.pairs] = values[n:]
+        order = np.lexsort((weight, self.process.pair_state))
+        return order[self.process.pair_offsets[1:] - 1]

@@ -1,0 +1,137 @@
+"""A process written out for the search for one deterministic policy, and the way back from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.column_generation.pricing.pricing_problem import Column
+from ssp_lp.errors import ModelError
+from ssp_lp.integer_programming.visit_bounds import steps_between, within_reach
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.quotient import Quotient
+
+_MOST_PAIRS = 500_000
+_ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, by which no tail fails at will
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessView:
+    """The process that policies live on, and one of which they are special cases.
+
+    A deterministic policy may leave a collapsed component by a way that depends on where it came
+    in, and may go on beyond the cap of case S by other policies than the tails. In ``outer`` this
+    is allowed for: states that are ``free`` randomise, and beyond the cap success costs no more
+    than what had been paid at its border, with any probability that some policy attains.
+    """
+
+    compiled: CompiledProblem
+    process: ExplicitProcess
+    outer: ExplicitProcess
+    free: BoolArray  # [states] those within reach of the start
+    safe: IntArray  # [states] pairs of a policy that leaves from every state
+    measure: Callable[[IntArray], list[Column]]  # a choice to policies, each measured exactly
+
+
+def process_view(compiled: CompiledProblem, price: float) -> ProcessView:
+    """Write a process out.
+
+    Args:
+        compiled: of case M or S.
+        price: of failure at the best lottery.
+
+    Raises:
+        ModelError: a problem of another kind, or one with too many pairs.
+    """
+    here = compiled.for_program()
+    if isinstance(here, CompiledFailureLabel):
+        return _of_case_m(here, price)
+    if isinstance(here, CompiledAccumulatedCost):
+        return _of_case_s(here, price)
+    raise ModelError(f"policy_class='deterministic' does not know {type(compiled).__name__}")
+
+
+def _of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
+    pricing = compiled.pricing()
+    process = pricing.process
+    _check_size(process.n_pairs)
+    best = pricing.minimise(price)
+    free = np.zeros(process.n_states, dtype=np.bool_)
+    merged = _merged_nodes(pricing.labelled.quotient)
+    free[: len(merged)] = merged
+    return ProcessView(
+        compiled=compiled,
+        process=process,
+        outer=process,
+        free=free & within_reach(steps_between(process), process.start > 0),
+        safe=compiled.explicit_choice(best),
+        measure=lambda choice: [pricing.measure(choice.astype(np.int32))],
+    )
+
+
+def _of_case_s(compiled: CompiledAccumulatedCost, price: float) -> ProcessView:
+    layered, pricing = compiled.process, compiled.pricing()
+    base, cap = layered.base, layered.cap
+    _check_size(cap * len(base.gain))
+    process = compiled.explicit()
+    beyond = np.arange((base.width - 1) * base.n_nodes) + cap * base.n_nodes
+    free = np.zeros(process.n_states, dtype=np.bool_)
+    free[: cap * base.n_nodes] = np.tile(_merged_nodes(base.quotient), cap)
+    free[beyond] = True
+    prices = (price, 0.0, _ENDLESS * (1.0 + price))
+
+    def measure(choice: IntArray) -> list[Column]:
+        """A choice followed by the tails of each price, measured."""
+        within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
+        shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
+        return [pricing.measure((within - shift).astype(np.int32), tail) for tail in prices]
+
+    return ProcessView(
+        compiled=compiled,
+        process=process,
+        outer=_with_loose_tails(process, layered, beyond),
+        free=free & within_reach(steps_between(process), process.start > 0),
+        safe=compiled.explicit_choice(pricing.minimise(price)),
+        measure=measure,
+    )
+
+
+def _with_loose_tails(
+    process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
+) -> ExplicitProcess:
+    """Replace the tails by the greatest and the least success, which cost what has been paid.
+
+    Every success from accumulated cost r on costs at least ``r * E[gamma^(T-1); goal]``, and its
+    probability lies between the two: their mixtures are no dearer than any policy.
+    """
+    base, tails = layered.base, layered.tails
+    n_layers = base.width - 1
+    first = process.pair_offsets[beyond]
+    last = process.pair_offsets[beyond + 1] - 1
+    paid = np.repeat(layered.cap + np.arange(n_layers), base.n_nodes) * base.unit / base.survival
+    cost, goal, failure = process.cost.copy(), process.goal.copy(), process.failure.copy()
+    for pairs, success in ((first, tails.greatest_goal), (last, tails.least_goal)):
+        share = np.tile(np.clip(success, 0.0, 1.0), n_layers)
+        cost[pairs], goal[pairs], failure[pairs] = paid * share, share, 1.0 - share
+    return replace(process, cost=cost, goal=goal, failure=failure)
+
+
+def _merged_nodes(quotient: Quotient) -> BoolArray:
+    """Nodes that stand for a collapsed component of several states, [nodes]."""
+    members = np.bincount(quotient.node_of[quotient.merged], minlength=quotient.n_nodes)
+    return np.asarray(members > 1)
+
+
+def _check_size(n_pairs: int) -> None:
+    if n_pairs > _MOST_PAIRS:
+        raise ModelError(
+            f"policy_class='deterministic': a mixed-integer program of {n_pairs:,} pairs is too "
+            f"large (at most {_MOST_PAIRS:,}); a coarser grid of costs or a cost_cap makes it less"
+        )

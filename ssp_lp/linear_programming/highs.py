@@ -1,0 +1,110 @@
+"""HiGHS, called directly through highspy with CSC arrays."""
+
+from __future__ import annotations
+
+import time
+
+import highspy
+import numpy as np
+
+from ssp_lp.errors import SolverError
+from ssp_lp.linear_programming.answer import LPAnswer
+from ssp_lp.linear_programming.basis import PolicyBasis
+from ssp_lp.linear_programming.linear_program import LinearProgram
+
+_SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx", "highs-warm": "simplex"}
+
+
+def solve_with_highs(
+    program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
+) -> LPAnswer:
+    """Solve with HiGHS' dual simplex or its interior point IPX (with crossover).
+
+    "highs-warm" is the simplex method started at a given basis: at an optimal one it takes no
+    iteration and says so, after a factorisation and its own test of feasibility.
+
+    IPX ignores the time limit. The name ``ipm`` is avoided: it means another solver where
+    ``highspy-extras`` is installed.
+
+    Args:
+        backend: "highs-simplex", "highs-ipx" or "highs-warm".
+        time_limit: seconds.
+        basis: where the simplex method starts, without presolving, in "highs-warm".
+
+    Raises:
+        SolverError: HiGHS refuses an option, the model or the basis.
+    """
+    began = time.perf_counter()
+    solver = _solver(backend, time_limit, basis)
+    if solver.passModel(highs_lp(program)) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the linear program")
+    if basis is not None:
+        _start_at(solver, highs_basis(program, basis))
+    solver.run()
+    solution = solver.getSolution()
+    return LPAnswer(
+        backend=backend,
+        x=np.asarray(solution.col_value, dtype=np.float64),
+        dual=np.asarray(solution.row_dual, dtype=np.float64),
+        status=solver.modelStatusToString(solver.getModelStatus()),
+        seconds=time.perf_counter() - began,
+        iterations=None if basis is None else int(solver.getInfo().simplex_iteration_count),
+    )
+
+
+def highs_basis(program: LinearProgram, basis: PolicyBasis) -> highspy.HighsBasis:
+    """A basis in HiGHS' own form; what is not basic lies at the bound that holds it."""
+    n_rows, n_columns = program.matrix.shape
+    basic, lower = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kLower
+    columns, rows = [lower] * n_columns, [lower] * n_rows
+    for pair in basis.pairs.tolist():
+        columns[pair] = basic
+    if "normaliser" in program.rows:
+        columns[-1] = basic  # the scale t
+    failure = program.rows["failure"].start
+    rows[failure] = basic if basis.slack else highspy.HighsBasisStatus.kUpper
+    given = highspy.HighsBasis()
+    given.col_status, given.row_status, given.valid = columns, rows, True
+    return given
+
+
+def _solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highspy.Highs:
+    """A solver with its options set."""
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    options: dict[str, bool | int | float | str] = {
+        "output_flag": False,
+        "solver": _SOLVERS[backend],
+        "primal_feasibility_tolerance": 1e-9,
+        "dual_feasibility_tolerance": 1e-9,
+        "threads": 1,
+    }
+    if basis is not None:
+        options |= {"presolve": "off", "factor_pivot_threshold": basis.pivot_threshold}
+    if np.isfinite(time_limit):
+        options["time_limit"] = max(time_limit, 1e-3)
+    for name, value in options.items():
+        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
+            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    return solver
+
+
+def _start_at(solver: highspy.Highs, basis: highspy.HighsBasis) -> None:
+    if solver.setBasis(basis) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the basis")
+
+
+def highs_lp(program: LinearProgram) -> highspy.HighsLp:
+    """A program in HiGHS' own form."""
+    n_rows, n_columns = program.matrix.shape
+    lp = highspy.HighsLp()
+    lp.num_col_, lp.num_row_ = n_columns, n_rows
+    lp.col_cost_ = program.cost
+    lp.col_lower_ = np.zeros(n_columns)
+    lp.col_upper_ = np.full(n_columns, highspy.kHighsInf)
+    lp.row_lower_ = np.maximum(program.lower, -highspy.kHighsInf)
+    lp.row_upper_ = np.minimum(program.upper, highspy.kHighsInf)
+    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
+    lp.a_matrix_.start_ = program.matrix.indptr
+    lp.a_matrix_.index_ = program.matrix.indices
+    lp.a_matrix_.value_ = program.matrix.data
+    return lp

@@ -1,0 +1,1 @@
+"""Methods: each solves a problem to a certified solution."""

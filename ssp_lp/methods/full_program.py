@@ -1,0 +1,108 @@
+"""The full linear program of a problem, solved and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.errors import SolverError
+from ssp_lp.linear_programming.answer import LPAnswer
+from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.linear_programming.solving import cold_attempts, first_accepted
+from ssp_lp.methods.policy_basis import policy_basis
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.programs.compiling import occupation_program, rows_program
+
+_AGREEMENT = 1e-6
+
+
+@dataclass(frozen=True)
+class ProgramOptimum:
+    """A checked optimum of the linear program."""
+
+    objective: float  # c*
+    price: float  # kappa: the price of failure at which the optimal policies are priced
+    report: str  # one line: backend, size, residuals, seconds
+    prices: Mapping[str, float] = field(default_factory=dict)  # of all limited rows, by name
+
+
+def solve_program(
+    compiled: CompiledProblem, row: Row, backend: str | None, deadline: float
+) -> ProgramOptimum:
+    """Solve a problem's linear program, falling back once to another backend if need be.
+
+    "highs-warm" checks rather than solves: the simplex method starts at the policies that column
+    generation found, and reports how many iterations it took from there (0: it agrees at once).
+    Where the residuals are large it starts there a second time, with larger pivots.
+
+    Args:
+        compiled: brings the process.
+        row: the failure budget and the form of the objective.
+        backend: one of BACKENDS, or None to choose by size.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Raises:
+        ModelError: unknown backend.
+        SolverError: no backend's answer passes the check of its residuals.
+    """
+    process = compiled.explicit()
+    program = occupation_program(process, row.budget, row.ratio)
+    attempts = cold_attempts(program, backend)
+    if backend == "highs-warm":
+        start = policy_basis(compiled, process, row, deadline)
+        attempts = [(backend, start), (backend, start.stabler), attempts[1]]
+    answer, worst = first_accepted(program, attempts, deadline)
+    ratio = float(answer.dual[program.rows["normaliser"]][0]) if row.ratio else 0.0
+    return _optimum(program, answer, worst, ratio)
+
+
+def solve_rows_program(
+    process: ExplicitProcess,
+    limits: Mapping[str, tuple[FloatArray, float]],
+    backend: str | None,
+    deadline: float,
+) -> ProgramOptimum:
+    """Solve the linear program of a process with any named rows, case M; all duals by name.
+
+    Args:
+        process: the process.
+        limits: name -> (coefficient of each pair, [pairs], and bound).
+        backend: one of BACKENDS but "highs-warm", or None to choose by size.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Raises:
+        SolverError: no backend's answer passes the check of its residuals.
+    """
+    program = rows_program(process, limits, ratio=False)
+    return _optimum(
+        program, *first_accepted(program, cold_attempts(program, backend), deadline), 0.0
+    )
+
+
+def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
+    """Raise :class:`SolverError` if the LP's optimum and its recovered policy's value differ."""
+    if abs(optimum.objective - objective) > _AGREEMENT * max(abs(objective), 1.0):
+        raise SolverError(
+            f"the linear program says {optimum.objective!r} ({optimum.report}) but the policies "
+            f"priced at its dual attain {objective!r}"
+        )
+
+
+def _optimum(
+    program: LinearProgram, answer: LPAnswer, worst: float, ratio: float
+) -> ProgramOptimum:
+    named = set(program.rows) - {"balance", "normaliser"}
+    prices = {name: max(-float(answer.dual[program.rows[name]][0]), 0.0) for name in named}
+    objective = float(program.cost @ answer.x)
+    n_rows, n_columns = program.matrix.shape
+    moved = "" if answer.iterations is None else f"{answer.iterations:,} simplex iterations, "
+    return ProgramOptimum(
+        objective=objective,
+        price=prices.get("failure", 0.0) + ratio,
+        report=f"{answer.backend}: {objective:.10g}, {n_rows:,} rows x {n_columns:,} columns, "
+        f"residual {worst:.0e}, {moved}{answer.seconds:.2g} s",
+        prices=prices,
+    )

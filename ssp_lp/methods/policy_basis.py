@@ -1,0 +1,144 @@
+"""A basis of the linear program from the policies that column generation found.
+
+A deterministic policy is a basis of the occupation-measure program: the columns of its pairs, one
+per state, make the matrix (I - P_pi)^T, which is regular because the policy leaves the process
+(and triangular, but for the order, where layers only lead on). The failure row needs one more
+basic variable: its slack where one policy suffices; otherwise a pair of a second policy that
+differs from the first in a single state and breaks the budget, which the first keeps. Case S adds
+the scale t for the normaliser.
+
+Such a basis is optimal if column generation was right. So a simplex method started at it does not
+solve the program anew: it checks, by its own factorisation of the whole program and its own primal
+and dual feasibility, that the answer is optimal, and moves on if it is not. The number of its
+iterations says which of the two happened.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.initial_columns import columns_at, columns_by_pricing
+from ssp_lp.column_generation.pricing.pricing_problem import Column
+from ssp_lp.column_generation.secant_search import SearchResult, search
+from ssp_lp.linear_programming.basis import PolicyBasis
+from ssp_lp.processes.explicit import ExplicitProcess
+
+_TOLERANCE = 1e-12
+"""Relative gap of the search: tight, so that its price is the program's dual up to rounding."""
+
+_TIE = 1e-10
+"""Excess, relative to the greatest value, up to which a pair counts as one of the best."""
+
+_NEARBY = (1.0 - 1e-6, 1.0 + 1e-6)
+"""Relative prices at which a policy on the other side of the budget is sought."""
+
+
+def policy_basis(
+    compiled: CompiledProblem, process: ExplicitProcess, row: Row, deadline: float
+) -> PolicyBasis:
+    """Search for the optimal policies and make a basis of them.
+
+    A policy's pairs that are not best at the price found, in states that it does not or hardly
+    ever reach, make way for pairs that are.
+
+    Args:
+        compiled: brings the pricing.
+        process: the problem's, written out.
+        row: failure budget, above the least failure, and the form of the objective.
+        deadline: on the clock of ``time.perf_counter``; the basis of a search that was cut short
+            is a poorer start.
+
+    Raises:
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    found, pricing = _searched(compiled, row, deadline), compiled.pricing()
+    best = pricing.minimise(found.price, found.columns[0])
+    columns = [column for column in (*found.columns, best) if column.choice is not None]
+    if found.price > (found.objective if row.ratio else 0.0) and _are_together(columns, row.budget):
+        columns += [pricing.minimise(found.price * factor, best) for factor in _NEARBY]
+    elsewhere = compiled.explicit_choice(best)
+    is_best = _best_pairs(process, found.price, elsewhere)
+    inside, outside = (
+        [
+            _mixed(elsewhere, choice, np.flatnonzero(is_best[choice]))
+            for choice in map(compiled.explicit_choice, side)
+        ]
+        for side in _parted(columns, row.budget)
+    )
+    if inside and outside and not np.array_equal(inside[0], outside[0]):
+        return _between(process, row.budget, inside[0], outside[0])
+    return PolicyBasis((inside + outside)[0], slack=True)
+
+
+def _parted(columns: list[Column], budget: float) -> tuple[list[Column], list[Column]]:
+    """The columns that keep to the budget, and those that do not."""
+    inside = [column for column in columns if column.failure <= budget]
+    return inside, [column for column in columns if column.failure > budget]
+
+
+def _are_together(columns: list[Column], budget: float) -> bool:
+    """Whether all lie on one side of the budget: it is the failure of a policy, up to rounding."""
+    return not all(_parted(columns, budget))
+
+
+def _searched(compiled: CompiledProblem, row: Row, deadline: float) -> SearchResult:
+    """Column generation on the compiled problem as it stands."""
+    initial = columns_by_pricing(compiled, row, None, deadline, None)
+    if initial is None:
+        initial = columns_at(compiled.least_failure(), row)
+    return search(
+        compiled.pricing(),
+        initial.bracket,
+        tolerance=_TOLERANCE,
+        last=initial.last,
+        deadline=deadline,
+    )
+
+
+def _best_pairs(process: ExplicitProcess, price: float, choice: IntArray) -> BoolArray:
+    """Pairs that are as good as those of the best policy at a price of failure, [pairs]."""
+    priced = process.cost + price * process.failure
+    values = process.dynamics.chain(choice.astype(np.int32)).solve(priced[choice])
+    excess = priced + process.transitions @ values - values[process.pair_state]
+    return np.asarray(excess <= _TIE * float(np.abs(values).max(initial=0.0)))
+
+
+def _between(
+    process: ExplicitProcess, budget: float, inside: IntArray, outside: IntArray
+) -> PolicyBasis:
+    """The basis of two policies on either side of the budget that differ in one state only.
+
+    On the way from one policy to the other, a state at a time, failure passes the budget; where
+    is found by bisection. If both are optimal at one price, so is every policy on the way.
+
+    Args:
+        process: the process.
+        budget: failure budget.
+        inside: pairs of a policy that keeps to it, [states].
+        outside: pairs of a policy that does not, [states].
+    """
+    differing = np.flatnonzero(inside != outside)
+    kept, broken = 0, differing.size  # states changed so far
+    while broken - kept > 1:
+        middle = (kept + broken) // 2
+        if _failure(process, _mixed(inside, outside, differing[:middle])) <= budget:
+            kept = middle
+        else:
+            broken = middle
+    first = _mixed(inside, outside, differing[:kept])
+    return PolicyBasis(np.append(first, outside[differing[kept]]), slack=False)
+
+
+def _mixed(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
+    """The first policy's pairs, in some states the second's, [states]."""
+    mixed = first.copy()
+    mixed[states] = second[states]
+    return mixed
+
+
+def _failure(process: ExplicitProcess, choice: IntArray) -> float:
+    chain = process.dynamics.chain(choice.astype(np.int32))
+    return float(process.start @ chain.solve(process.failure[choice]))

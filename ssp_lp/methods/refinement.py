@@ -1,0 +1,188 @@
+"""Search, and refine what was truncated until the certified gap meets the tolerance."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    CompiledProblem,
+    LeastFailure,
+    checked_least_failure,
+)
+from ssp_lp.column_generation.failure_constraint import Row, relative_gap
+from ssp_lp.column_generation.initial_columns import (
+    DualGuess,
+    InitialColumns,
+    columns_at,
+    columns_by_pricing,
+)
+from ssp_lp.column_generation.secant_search import SearchResult, search
+from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.methods.full_program import check_agreement, solve_program
+from ssp_lp.policies import MixedPolicy
+
+_PATIENCE = 3
+
+_TRIAL_TOLERANCE = 1e-2
+"""A trial only learns the price, from which the next one's size follows."""
+
+_NEAR = 1e-9  # of the budget: then it may be the least failure, whose own bound is exact
+_SPREAD = 1e-6  # relative uncertainty of a price that a search or a program ended with
+
+
+@dataclass(frozen=True)
+class SolveOptions:
+    """How to search and for how long."""
+
+    engine: str  # "columns" or "lp"
+    backend: str | None
+    tolerance: float
+    deadline: float  # on the clock of time.perf_counter
+    progress: Callable[[int, float, float], None] | None
+
+    def after(self, calls: int) -> SolveOptions:
+        """The same, where so many pricing calls have been made before."""
+        progress = self.progress
+        if progress is None:
+            return self
+        return replace(self, progress=lambda more, *rest: progress(calls + more, *rest))
+
+
+CERTIFYING = SolveOptions("columns", None, RELATIVE_GAP, float("inf"), None)
+"""The options of a certificate that has to search for its bound."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """The last search, the compiled problem that it ran on, and the work done in all."""
+
+    found: SearchResult
+    compiled: CompiledProblem
+    row: Row
+    least: LeastFailure | None = None  # where it had to be worked out
+    calls: int = 0
+    work: Work = field(default_factory=Work)
+    program: str = ""  # report of the last linear program
+
+    @property
+    def lottery(self) -> MixedPolicy:
+        """The lottery on the model that the search ended with."""
+        pricing = self.compiled.pricing()
+        return MixedPolicy(tuple(pricing.policy(c) for c in self.found.columns), self.found.weights)
+
+    def followed_by(self, other: Outcome) -> Outcome:
+        """The other, with the work of both."""
+        return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
+
+
+def optimise(compiled: CompiledProblem, budget: float, options: SolveOptions) -> Outcome:
+    """Search on finer and finer compiled problems until the gap is met, or refining does not help.
+
+    Args:
+        compiled: the problem to begin with.
+        budget: failure budget.
+        options: engine, tolerance and limits.
+
+    Raises:
+        InfeasibleError: no policy keeps to the budget.
+        SolverError: the linear program's answer fails its check.
+    """
+    gaps: list[float] = []
+    compiled = compiled.for_program() if options.engine == "lp" else compiled
+    row = Row(budget, compiled.ratio, compiled.lowest)
+    outcome = _attempt(compiled, row, None, options, None)
+    while True:
+        found, here = outcome.found, outcome.compiled
+        gaps.append(relative_gap(found.objective, found.lower_bound))
+        if gaps[-1] <= options.tolerance:
+            return outcome
+        if time.perf_counter() > options.deadline:
+            return replace(outcome, found=replace(found, finished=False))
+        if outcome.least is None and found.columns[0].failure >= outcome.row.budget - _NEAR:
+            outcome = _at_the_edge(outcome, options)
+            if outcome.found is not found:
+                continue
+        if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
+            return outcome
+        finer = here.refined(found.price)
+        if finer is None:
+            return outcome
+        spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
+        guess = DualGuess(found.price, spread, slack=len(found.columns) == 1)
+        later = options.after(outcome.calls)
+        outcome = outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
+
+
+def _at_the_edge(outcome: Outcome, options: SolveOptions) -> Outcome:
+    """Work out the least failure; where the budget is equal to it, its policy is the answer."""
+    least = checked_least_failure(outcome.compiled, outcome.row.budget)
+    if outcome.row.spare(least.column) > outcome.row.rounding:
+        return replace(outcome, least=least)
+    row = replace(outcome.row, budget=least.column.failure)
+    later = options.after(outcome.calls)
+    return outcome.followed_by(_attempt(outcome.compiled, row, least, later, None))
+
+
+def _attempt(
+    compiled: CompiledProblem,
+    row: Row,
+    least: LeastFailure | None,
+    options: SolveOptions,
+    guess: DualGuess | None,
+) -> Outcome:
+    """One search, started from the dual of the linear program where that is the engine.
+
+    A budget equal to the least failure needs no program, whose feasibility would hang on rounding:
+    the first column is the answer, and its own bound holds.
+    """
+    optimum = None
+    if options.engine == "lp":
+        least = checked_least_failure(compiled, row.budget) if least is None else least
+        row = replace(row, budget=max(row.budget, least.column.failure))
+        if row.budget > least.column.failure + LEAST_BUDGET:
+            optimum = solve_program(compiled, row, options.backend, options.deadline)
+            guess = DualGuess(optimum.price, _SPREAD)
+    if guess is None and row.budget >= 1.0 and not row.ratio:
+        guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
+    initial = _opening(compiled, row, least, options, guess)
+    options = options.after(initial.calls)
+    row, least = initial.bracket.row, initial.least
+    found = search(
+        compiled.pricing(),
+        initial.bracket,
+        tolerance=_TRIAL_TOLERANCE if compiled.is_trial else options.tolerance,
+        last=initial.last,
+        deadline=options.deadline,
+        report=options.progress,
+    )
+    if optimum is not None and found.finished:
+        check_agreement(optimum, found.objective)
+    if least is not None and row.budget <= least.column.failure < 1.0:
+        found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
+    calls, work = initial.calls + found.rounds, initial.work + found.work
+    report = "" if optimum is None else optimum.report
+    return Outcome(found, compiled, row, least, calls, work, report)
+
+
+def _opening(
+    compiled: CompiledProblem,
+    row: Row,
+    least: LeastFailure | None,
+    options: SolveOptions,
+    guess: DualGuess | None,
+) -> InitialColumns:
+    """Columns to begin with, by pricing if that finds one that keeps to the budget."""
+    if least is None or row.budget > least.column.failure:
+        initial = columns_by_pricing(compiled, row, guess, options.deadline, options.progress)
+        if initial is not None:
+            return replace(initial, least=least)
+    least = checked_least_failure(compiled, row.budget) if least is None else least
+    return columns_at(least, row)
+
+
+def _is_stagnant(gaps: list[float]) -> bool:
+    """Whether the last refinements did not even halve the gap: perhaps it is rounding."""
+    return len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]

@@ -1,0 +1,84 @@
+"""The least quantile of the total cost given success, by bisection.
+
+With a charge of 1 for every arrival beyond B the least E[charge | goal] is the least Pr(C > B |
+goal), which falls as B grows. The least B at which it keeps to 1 - level is the answer; its policy
+is the one that keeps to B most often.
+"""
+
+from __future__ import annotations
+
+import time
+
+from ssp_lp.analysis.total_cost.cost_law import success_costs
+from ssp_lp.arrays import QUANTILE
+from ssp_lp.methods.refinement import SolveOptions
+from ssp_lp.methods.risk.trial import Question, Trial, attempt
+from ssp_lp.problem import Problem
+from ssp_lp.processes.layered.arrival_cost import Late
+from ssp_lp.solution import Run, Solution
+
+
+def least_quantile(
+    problem: Problem, question: Question, level: float, options: SolveOptions
+) -> Solution:
+    """Gallop up to a bound that some policy keeps, then bisect.
+
+    Args:
+        problem: the problem.
+        question: the policies that count.
+        level: in (0, 1).
+        options: engine, tolerance and limits.
+
+    Raises:
+        ModelError: the quantile lies beyond the largest table of costs.
+    """
+    low, refuted, high, calls, late = -1, -1, 0, 0, False  # layers: too low, proved so, kept
+    kept: Trial | None = None
+    while kept is None or (high - low > 1 and not late):
+        middle = high if kept is None else (low + high) // 2
+        trial = attempt(question, Late(question.cost_of(middle)), options)
+        calls += trial.calls
+        if trial.value <= allowed(level):
+            kept, high = trial, middle
+        else:
+            low, refuted = middle, middle if is_refuted(trial, level) else refuted
+            high = 2 * middle + 1 if kept is None else high
+        late = time.perf_counter() > options.deadline
+    law = success_costs(kept.policy, problem)
+    objective = law.quantile(level)
+    return Solution(
+        problem=problem,
+        policy=kept.policy,
+        objective=objective,
+        lower_bound=min(question.cost_of(refuted + 1), objective),
+        failure_price=None,
+        value_function=None,
+        budget_used=1.0 - law.goal,
+        run=Run(options.engine, f"bisection over cost bounds, {calls} pricing calls", calls, 0.0),
+        note=question.remarks(in_time=high - low <= 1),
+    )
+
+
+def quantile_bound(
+    question: Question, level: float, quantile: float, options: SolveOptions
+) -> float:
+    """Prove afresh that no policy has a lower quantile than this one; 0 if that fails."""
+    below = question.layer_of(quantile) - 1
+    if below < 0 or not is_refuted(
+        attempt(question, Late(question.cost_of(below)), options), level
+    ):
+        return 0.0
+    return question.cost_of(below + 1)
+
+
+def allowed(level: float) -> float:
+    """The share of the successes that may lie beyond the quantile, with the slack of its law.
+
+    Below 1, however low the level: some success must be in time, beyond what may be rounding.
+    """
+    return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
+
+
+def is_refuted(trial: Trial, level: float) -> bool:
+    """Whether a proof says that no policy has its quantile at the trial's bound."""
+    return trial.lower_bound > allowed(level)

@@ -1,0 +1,103 @@
+"""The greatest expected worth of arriving: bounded reach and expected utility."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ssp_lp.arrays import read_only
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    CompiledProblem,
+    checked_least_failure,
+)
+from ssp_lp.column_generation.failure_constraint import relative_gap
+from ssp_lp.methods.refinement import Outcome, SolveOptions, optimise
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.problem import Problem
+from ssp_lp.solution import Run, Solution, remarks
+
+_LEAST_TOLERANCE = 1e-15
+_UNSETTLED = "the utility has not come near its limit within the table of costs: a gap is left"
+
+
+def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveOptions) -> Solution:
+    """Maximise what arriving is worth beyond failing.
+
+    Args:
+        problem: its measure is an expectation that is to be large.
+        compiled: charges minus what an arrival is worth beyond failing.
+        options: engine, tolerance and limits.
+
+    Raises:
+        InfeasibleError: the budget is below the least failure probability.
+        SolverError: the linear program's answer fails its check.
+    """
+    if problem.failure_budget is None:
+        return _at_least_failure(problem, compiled)
+    failing = problem.semantics.failing_worth
+    outcome = optimise(compiled, problem.failure_budget, options)
+    gained, worth = -outcome.found.objective, failing - outcome.found.objective
+    if failing != 0.0 and 0.0 < abs(worth) < gained and not _is_met(outcome, failing, options):
+        finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
+        outcome = outcome.followed_by(
+            optimise(outcome.compiled, problem.failure_budget, replace(options, tolerance=finer))
+        )
+    found = outcome.found
+    return Solution(
+        problem=problem,
+        policy=outcome.lottery,
+        objective=failing - found.objective,
+        lower_bound=failing - found.objective,
+        failure_price=found.price,
+        value_function=read_only(found.proof.values),
+        budget_used=found.failure,
+        run=_run(outcome, options),
+        note=_note(problem, outcome, options),
+        upper_bound=failing - found.lower_bound,
+    )
+
+
+def _is_met(outcome: Outcome, failing: float, options: SolveOptions) -> bool:
+    worth, bound = failing - outcome.found.objective, failing - outcome.found.lower_bound
+    return relative_gap(bound, worth) <= options.tolerance
+
+
+def _at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
+    least = checked_least_failure(compiled, None)
+    failing = problem.semantics.failing_worth
+    worth = failing - least.column.cost
+    return Solution(
+        problem=problem,
+        policy=MixedPolicy((least.policy,), np.ones(1)),
+        objective=worth,
+        lower_bound=worth,
+        failure_price=None,
+        value_function=None,
+        budget_used=least.column.failure,
+        run=Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0),
+        upper_bound=max(failing - least.objective_bound, worth),
+    )
+
+
+def _run(outcome: Outcome, options: SolveOptions) -> Run:
+    layers = ""
+    if isinstance(outcome.compiled, CompiledArrivalCost):
+        process, horizon = outcome.compiled.process, outcome.compiled.cost_horizon
+        layers = f"{process.cap:,} layers of accumulated cost"
+        layers += f", exact from cost {horizon:.6g} on" if horizon > 0.0 else ""
+    reason = f"backward sweeps over {layers}, {outcome.calls} pricing calls"
+    return Run(options.engine, reason, outcome.calls, 0.0, outcome.work, outcome.program)
+
+
+def _note(problem: Problem, outcome: Outcome, options: SolveOptions) -> str:
+    """What a reader should know."""
+    found, here = outcome.found, outcome.compiled
+    told = remarks(problem, outcome.row.budget, found.finished)
+    unsettled = isinstance(here, CompiledArrivalCost) and (
+        here.charge.settled(here.base.exact_unit) is None
+    )
+    if unsettled and relative_gap(found.objective, found.lower_bound) > options.tolerance:
+        told = f"{told}; {_UNSETTLED}" if told else _UNSETTLED
+    return told

@@ -1,0 +1,105 @@
+"""Maximal end components of a model."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph
+
+from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.model.chunks import pieces
+from ssp_lp.model.graph.draining import close_pairs, drain
+from ssp_lp.model.graph.predecessors import narrow, possible_steps
+from ssp_lp.model.graph.reachability import edges
+from ssp_lp.model.ssp import SSP
+
+
+def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
+    """Maximal end components of the model restricted to the allowed pairs.
+
+    An end component is a set of states and of pairs whose successors all stay in the set, that is
+    strongly connected by these pairs. In rounds: what cannot stay among the allowed pairs is
+    dropped, then what leaves its strong component, and components that lost a pair come again.
+
+    Args:
+        allowed: pairs that may be part of a component, [pairs].
+
+    Returns:
+        The component of each state, numbered from 0 in the order of their first states, and -1
+        outside of all, [states]; and the pairs that lie inside a component, [pairs].
+    """
+    inside = allowed.copy()
+    component = np.full(model.n_states, -1, dtype=np.int64)
+    if not inside.any():
+        return component, inside
+    counts = np.bincount(model.pair_state[inside], minlength=model.n_states)
+    label = np.full(model.n_states, -1, dtype=np.int32)
+    closed: IntArray = np.flatnonzero(counts == 0)
+    pending = np.ones(model.n_states, dtype=np.bool_)
+    while True:
+        drain(model, inside, counts, closed)
+        label[counts == 0] = -1
+        pending &= counts > 0
+        if not pending.any():
+            break
+        _label_components(model, inside, pending, label)
+        leaving = np.flatnonzero(_crossing(model, inside, pending, label))
+        torn = np.zeros_like(pending)
+        torn[label[model.pair_state[leaving]]] = True
+        closed = close_pairs(model, inside, counts, leaving)
+        pending &= torn[label]
+    members = counts > 0
+    component[members] = np.unique(label[members], return_inverse=True)[1]
+    return component, inside
+
+
+def _label_components(model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray) -> None:
+    """Label each pending state, in place, by the first state of its strong component.
+
+    Args:
+        inside: the pairs that link states; those of pending states lead to pending states, [pairs].
+        pending: [states].
+        label: [states].
+    """
+    if accelerated(model.n_outcomes):
+        from ssp_lp.compiled.graphs.components import label_components
+
+        arrays = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
+        label_components(*arrays, inside, np.flatnonzero(pending), label)
+        return
+    ends, columns = possible_steps(
+        model.outcome_offsets,
+        model.successors,
+        model.probabilities,
+        inside & pending[model.pair_state],
+    )
+    found = _strong_components(columns, ends[model.pair_offsets])
+    _, first, back = np.unique(found, return_index=True, return_inverse=True)
+    label[pending] = first[back[pending]]
+
+
+def _strong_components(columns: IntArray, offsets: IntArray) -> IntArray:
+    """The strong component of each state by scipy, which never ends if an edge comes twice."""
+    shape = len(offsets) - 1, len(offsets) - 1
+    present = np.ones(columns.size, dtype=np.bool_)
+    once = sp.csr_array((present, columns.copy(), narrow(offsets)), shape=shape)
+    once.sum_duplicates()
+    graph = edges(once.indices, once.indptr)
+    return np.asarray(csgraph.connected_components(graph, connection="strong")[1])
+
+
+def _crossing(model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray) -> BoolArray:
+    """Inside pairs of pending states that may lead to a state of another label, [pairs]."""
+    candidates = inside & pending[model.pair_state]
+    if accelerated(model.n_outcomes):
+        from ssp_lp.compiled.graphs.components import crossing
+
+        arrays = model.outcome_offsets, model.successors, model.probabilities, model.pair_state
+        return crossing(*arrays, candidates, label)
+    for piece in pieces(model.outcome_offsets):
+        successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
+        here = np.repeat(label[model.pair_state[piece.segments]], piece.lengths)
+        other = (label[successors] != here) & (chances > 0)
+        candidates[piece.segments] &= np.logical_or.reduceat(other, piece.firsts)
+    return candidates

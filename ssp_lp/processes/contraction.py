@@ -1,0 +1,144 @@
+"""Contraction of a process at a vector of prices: components that are free there become one state.
+
+At prices some of which are 0 a process may hold end components that cost nothing though they cost
+something in an unpriced row. They are free in the pricing problem (DESIGN, section 4): every state
+of such a component is worth the same. So a value function on the contracted process proves as much
+as one on the process, a policy on it is one on the process that goes to the pair chosen, and
+rounding has no cycle to go round in. Nobody may stay in one for ever by that: of the process only
+pairs that stay are taken away, and none is added.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.model.graph.approach import nearer_pairs
+from ssp_lp.model.graph.predecessors import find_predecessors
+from ssp_lp.processes.explicit import ExplicitProcess
+
+
+@dataclass(frozen=True, eq=False)
+class Contraction:
+    """The pairs of a process that leave its free components, sorted by node."""
+
+    dynamics: Dynamics  # of the nodes
+    pairs: IntArray  # [kept pairs] pair of the process
+    node_of: IntArray  # [states]
+    inside: BoolArray  # [pairs] of the process: pairs that stay in a component
+
+    def least(self, values: FloatArray) -> FloatArray:
+        """Least value over the states of each node, [nodes]."""
+        result = np.full(self.dynamics.n_states, np.inf)
+        np.minimum.at(result, self.node_of, values)
+        return result
+
+    def begun(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
+        """A policy that leaves the contracted process, from one that leaves the process, [nodes].
+
+        Each node takes the pair of its state that is nearest to leaving, in number of steps: that
+        pair leads out of the node, to a node that is nearer.
+
+        Args:
+            process: the process.
+            choice: pair of the process, [states].
+        """
+        order = _nearest_first(process, choice)
+        _, first = np.unique(self.node_of[order], return_index=True)
+        place = np.full(process.n_pairs, -1)
+        place[self.pairs] = np.arange(len(self.pairs))
+        return place[choice[order[first]]]
+
+    def expanded(self, process: ExplicitProcess, choice: IntArray) -> IntArray:
+        """The policy on the process that moves about for free to the pairs chosen, [states].
+
+        Args:
+            process: the process.
+            choice: pair of the contracted process, [nodes].
+        """
+        chosen = np.zeros(process.n_pairs, dtype=np.bool_)
+        chosen[self.pairs[choice]] = True
+        rows = process.transitions
+        before = find_predecessors(process.n_states, rows.indptr, rows.indices, rows.data)
+        usable = self.inside | chosen
+        home = segment_ids(process.pair_offsets)
+        found = nearer_pairs(before, process.pair_offsets, home, chosen, usable)
+        return found.astype(np.int32)
+
+
+def _nearest_first(process: ExplicitProcess, choice: IntArray) -> IntArray:
+    """States in the order of their distance from leaving under a policy, [states]."""
+    n = process.n_states
+    leaks = np.flatnonzero((process.goal + process.failure)[choice] > 0)
+    entry = sp.csr_array(process.transitions[choice]).tocoo()
+    possible = entry.data > 0
+    source = np.concatenate([entry.row[possible], leaks])
+    target = np.concatenate([entry.col[possible], np.full(leaks.size, n)])
+    backward = sp.csr_array((np.ones(source.size), (target, source)), shape=(n + 1, n + 1))
+    order = csgraph.breadth_first_order(backward, n, return_predecessors=False)
+    return np.asarray(order[1:])
+
+
+def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
+    """Contract the end components of pairs that cost nothing.
+
+    Args:
+        process: the process.
+        free: pairs that cost nothing at the prices, [pairs].
+
+    Returns:
+        None where there are no such components.
+    """
+    free = free & (process.goal == 0.0) & (process.failure == 0.0)
+    if not free.any():
+        return None
+    inside, component = _end_components(process, free)
+    if not inside.any():
+        return None
+    _, node_of = np.unique(component, return_inverse=True)
+    kept = np.flatnonzero(~inside)
+    kept = kept[np.argsort(node_of[process.pair_state[kept]], kind="stable")]
+    n_states, n_nodes = process.n_states, int(node_of.max()) + 1
+    members = sp.csr_array(
+        (np.ones(n_states), (np.arange(n_states), node_of)), shape=(n_states, n_nodes)
+    )
+    counts = np.bincount(node_of[process.pair_state[kept]], minlength=n_nodes)
+    return Contraction(
+        dynamics=Dynamics(
+            pair_offsets=np.append(0, np.cumsum(counts)).astype(process.pair_offsets.dtype),
+            transitions=sp.csr_array(process.transitions[kept] @ members),
+            exits=process.dynamics.exits[kept],
+        ),
+        pairs=kept,
+        node_of=node_of,
+        inside=inside,
+    )
+
+
+def _end_components(process: ExplicitProcess, free: BoolArray) -> tuple[BoolArray, IntArray]:
+    """Free pairs that stay in an end component of such pairs, and a label of each state's.
+
+    Strongly connected components of the free pairs' graph, without the pairs that may leave
+    theirs, until none does.
+    """
+    entry = process.transitions.tocoo()
+    possible = entry.data > 0
+    pair, successor = entry.row[possible], entry.col[possible]
+    source, n = process.pair_state[pair], process.n_states
+    inside = free
+    while True:
+        step = inside[pair]
+        graph = sp.csr_array(
+            (np.ones(int(step.sum())), (source[step], successor[step])), shape=(n, n)
+        )
+        _, label = csgraph.connected_components(graph, directed=True, connection="strong")
+        escapes = np.zeros(process.n_pairs, dtype=np.bool_)
+        escapes[pair[step & (label[source] != label[successor])]] = True
+        if not escapes.any():
+            return inside, label
+        inside = inside & ~escapes

@@ -1,0 +1,200 @@
+"""The failure label {s, f} of case M (paper, section 3.1.2) as a substochastic process.
+
+States labelled f cost nothing more and never reach the goal, so they are not kept: a pair that
+gives up takes its mass out as failure. What is left are the states labelled s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import attention_states, goal_pairs, surely_reaching
+from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    GiveUp,
+    dead_end_charges,
+    give_up_charges,
+    survival_of,
+)
+from ssp_lp.processes.quotient import Quotient, build_quotient
+
+
+@dataclass(frozen=True, eq=False)
+class FailureLabelled:
+    """The process of case M together with the way back to the model."""
+
+    process: ExplicitProcess
+    quotient: Quotient
+    departs: FloatArray  # [quotient pairs] what rows were divided by, see ``live_rows``
+
+    def policy(self, choice: IntArray) -> DeterministicPolicy:
+        """Pull a choice back to the model.
+
+        Args:
+            choice: one pair of the process per state of the process, [states].
+        """
+        decision = self.quotient.pull_back(choice[: self.quotient.n_nodes])
+        return DeterministicPolicy(self.quotient.model, decision)
+
+    def nearer_goal(self) -> IntArray | None:
+        """A pair of each state by which it may come nearer to the goal; -1: none, [states].
+
+        None where it has to be found on the process itself (see ``Quotient.nearer``).
+        """
+        model = self.quotient.model
+        found = self.quotient.nearer(goal_pairs(model))
+        if found is None or self.process.n_states == len(found):
+            return found
+        return np.append(found, self.process.n_pairs - 1)  # the source state's only pair
+
+
+def label_failure(
+    model: SSP,
+    start: FloatArray,
+    semantics: FailureSemantics,
+    discount: float | None = None,
+    usable: BoolArray | None = None,
+    also_free: BoolArray | None = None,
+) -> FailureLabelled:
+    """Build the process of case M.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        semantics: where giving up is allowed, what failing costs and what is counted as cost;
+            where failing is forbidden, only what keeps the goal sure is left of the model.
+        discount: None keeps real probabilities; a number scales every transition by it, so that
+            what leaks out of a non-goal state counts as failure (paper, section 3.5).
+        usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
+            the second stage of a least-failure problem (DESIGN, section 4).
+        also_free: pairs that are free in every secondary cost, too, [pairs]; None: there is none.
+    """
+    free = None if discount is not None else _free_pairs(model, semantics.aim)
+    if free is not None and also_free is not None:
+        free = free & also_free
+    attention, unsure = attention_states(model), None
+    if semantics.forbids_failing:
+        sure, keeping = surely_reaching(model)
+        usable, unsure = keeping if usable is None else usable & keeping, ~sure
+    exits = ~model.goal_mask & (attention | (semantics.give_up is GiveUp.ANYWHERE))
+    if semantics.give_up is GiveUp.DEAD_ENDS or usable is not None:
+        exits = np.zeros(model.n_states, dtype=np.bool_)
+    quotient = build_quotient(
+        model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure
+    )
+    charges = give_up_charges(model, attention, quotient.merged, semantics)
+    entering = dead_end_charges(model, quotient.dead, semantics)
+    process, departs = _fill(model, quotient, charges, entering, survival_of(discount))
+    process = _with_start(process, quotient, start, entering)
+    counted = replace(process, cost=_counted(process, semantics))
+    return FailureLabelled(counted, quotient, departs)
+
+
+def secondary_cost(
+    labelled: FailureLabelled,
+    model: SSP,
+    start: FloatArray,
+    semantics: FailureSemantics,
+    discount: float | None = None,
+) -> FloatArray:
+    """Another cost of the same model at the pairs of its process, charged as its own is, [pairs].
+
+    Args:
+        labelled: the process, in which only what is free in the other cost too is collapsed.
+        model: the model with the other costs.
+        start: distribution over states, [states].
+        semantics: as of the process.
+        discount: as of the process.
+    """
+    quotient = labelled.quotient
+    charges = give_up_charges(model, attention_states(model), quotient.merged, semantics)
+    entering = dead_end_charges(model, quotient.dead, semantics)
+    cost = _stage(model, quotient, charges, entering, survival_of(discount)) / labelled.departs
+    if labelled.process.n_pairs == len(cost):
+        return cost
+    return np.append(cost, float(start @ entering))  # the source state's only pair
+
+
+def _free_pairs(model: SSP, aim: Aim) -> BoolArray:
+    """Pairs that add nothing to what is counted, [pairs]: moving among them for ever is free."""
+    if aim is Aim.GREATEST_GOAL:
+        return np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
+    if aim is Aim.LEAST_GOAL:
+        return ~goal_pairs(model)
+    return costless_pairs(model)
+
+
+def _counted(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArray:
+    """What the aim counts at each pair, [pairs]: cost and penalty, failing, or the goal."""
+    if semantics.aim is Aim.GREATEST_GOAL:
+        return process.failure
+    if semantics.aim is Aim.LEAST_GOAL:
+        return process.goal
+    if semantics.penalty == 0.0 or semantics.forbids_failing:
+        return process.cost
+    return np.asarray(process.cost + semantics.penalty * process.failure)
+
+
+def _stage(
+    model: SSP, quotient: Quotient, charges: FloatArray, entering: FloatArray, survival: float
+) -> FloatArray:
+    """Expected cost of each pair, charges included, [quotient pairs]."""
+    stage = quotient.at_pairs(cost_means(model), quotient.least_over_members(charges))
+    if entering.any():
+        stage = stage + survival * quotient.at_pairs(successor_means(model, entering))
+    return stage
+
+
+def _fill(
+    model: SSP, quotient: Quotient, charges: FloatArray, entering: FloatArray, survival: float
+) -> tuple[ExplicitProcess, FloatArray]:
+    """The process without its start, and what its rows were divided by, [pairs]."""
+    stage = _stage(model, quotient, charges, entering, survival)
+    to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
+    to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))
+    leaks = np.where(quotient.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)
+    rows = quotient.transitions(survival, departing=survival == 1.0)
+    departs = rows.departs
+    process = ExplicitProcess(
+        pair_offsets=quotient.pair_offsets,
+        transitions=rows.matrix,
+        start=np.zeros(quotient.n_nodes),
+        cost=stage / departs,
+        failure=leaks / departs,
+        goal=survival * to_goal / departs,
+    )
+    return process, departs
+
+
+def _with_start(
+    process: ExplicitProcess, quotient: Quotient, start: FloatArray, entering: FloatArray
+) -> ExplicitProcess:
+    """Set the start; mass on goals or dead-ends enters through a source state, the last one."""
+    model, live_start = quotient.model, quotient.gather(start)
+    at_goal = float(start[model.goal_mask].sum())
+    at_dead = float(start[quotient.dead].sum())
+    if at_goal + at_dead == 0.0:
+        return replace(process, start=live_start)
+    n = quotient.n_nodes
+    source_row = sp.csr_array(np.concatenate([live_start, [0.0]])[None, :])
+    wider = sp.csr_array(
+        (process.transitions.data, process.transitions.indices, process.transitions.indptr),
+        shape=(process.n_pairs, n + 1),
+    )
+    return ExplicitProcess(
+        pair_offsets=np.append(process.pair_offsets, process.n_pairs + 1),
+        transitions=sp.csr_array(sp.vstack([wider, source_row])),
+        start=np.concatenate([np.zeros(n), [1.0]]),
+        cost=np.append(process.cost, float(start @ entering)),
+        failure=np.append(process.failure, at_dead),
+        goal=np.append(process.goal, at_goal),
+    )

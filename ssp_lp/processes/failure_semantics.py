@@ -1,0 +1,140 @@
+"""What is counted, who may give up where, what failing costs, and where an episode starts."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, segment_minima
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import staying_pairs
+from ssp_lp.processes.expectations import cost_means
+from ssp_lp.processes.layered.law_measure import Measure
+
+
+class GiveUp(enum.StrEnum):
+    """Where a policy of case M may give up (DESIGN, section 3).
+
+    ``ANYWHERE`` is the linear program of Trevizan et al. (2017); ``ATTENTION`` is the paper's
+    stopping time of section 2.4, which may only fall where the goal can be avoided for sure;
+    ``DEAD_ENDS`` pays until a dead-end is entered, as Storm does.
+    """
+
+    ANYWHERE = "anywhere"
+    ATTENTION = "attention"
+    DEAD_ENDS = "dead_ends"
+
+
+class Aim(enum.StrEnum):
+    """What a criterion asks for: little cost, or much or little of the goal."""
+
+    LEAST_COST = "least_cost"
+    GREATEST_GOAL = "greatest_goal"
+    LEAST_GOAL = "least_goal"
+
+
+@dataclass(frozen=True)
+class FailureSemantics:
+    """The choices that decide what an episode is worth.
+
+    A penalty is paid for failing, on top of the cost until then; under a discount it is paid for
+    the discounted failure. An infinite one forbids failing: only policies that reach the goal
+    surely are left. Where a measure is named, it is what counts of the total cost of a success.
+    """
+
+    give_up: GiveUp
+    charge_failing_step: bool
+    penalty: float = 0.0
+    aim: Aim = Aim.LEAST_COST
+    measure: Measure | None = None
+
+    @property
+    def forbids_failing(self) -> bool:
+        """Whether a policy that may fail is worth nothing."""
+        return self.penalty == np.inf
+
+    @property
+    def failing_worth(self) -> float:
+        """What a run that fails is worth by the measure; 0 without one."""
+        return 0.0 if self.measure is None else self.measure.failing
+
+    @property
+    def counts_cost_alone(self) -> bool:
+        """Whether only a budget can keep a policy from failing: no penalty, aim or measure."""
+        return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None
+
+
+def survival_of(discount: float | None) -> float:
+    """Factor of every transition: the discount, 1 in the exact setting."""
+    return 1.0 if discount is None else discount
+
+
+def parse_give_up(value: str | GiveUp) -> GiveUp:
+    """Turn a word into a :class:`GiveUp`; raises :class:`ModelError` naming the choices."""
+    try:
+        return GiveUp(value)
+    except ValueError as error:
+        choices = ", ".join(repr(str(g)) for g in GiveUp)
+        raise ModelError(f"give_up must be one of {choices}, not {value!r}") from error
+
+
+def dead_end_charges(model: SSP, dead: BoolArray, semantics: FailureSemantics) -> FloatArray:
+    """What entering each dead-end costs once: its least expected stage cost, [states].
+
+    Zero for other states, for dead-ends without actions and without ``charge_failing_step``.
+    """
+    if not semantics.charge_failing_step:
+        return np.zeros(model.n_states)
+    least = segment_minima(cost_means(model), model.pair_offsets)
+    return np.where(dead & np.isfinite(least), least, 0.0)
+
+
+def give_up_charges(
+    model: SSP, attention: BoolArray, wandering: BoolArray, semantics: FailureSemantics
+) -> FloatArray:
+    """What giving up in each state costs, infinite where it is not allowed, [states].
+
+    Args:
+        attention: attention states, [states].
+        wandering: states of zero-cost end components, where staying for ever is free, [states].
+        semantics: where giving up is allowed and whether it is charged.
+    """
+    charge = np.full(model.n_states, np.inf)
+    if semantics.give_up is not GiveUp.DEAD_ENDS:
+        anywhere = semantics.give_up is GiveUp.ANYWHERE
+        allowed = ~model.goal_mask & (anywhere | attention)
+        charge[allowed] = 0.0
+        if semantics.charge_failing_step:
+            costs = cost_means(model)
+            if not anywhere:
+                costs = np.where(staying_pairs(model, attention), costs, np.inf)
+            charge[allowed] = segment_minima(costs, model.pair_offsets)[allowed]
+    charge[wandering] = 0.0
+    return charge
+
+
+def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -> FloatArray:
+    """The distribution over states in which an episode begins, [states].
+
+    Args:
+        start: the label of a state, or ``{label: probability}``.
+
+    Raises:
+        ModelError: unknown state, negative probability, or a sum that is not one.
+    """
+    if isinstance(start, (list, set)):
+        raise ModelError(f"start must be a state or {{state: probability}}, not {start!r}")
+    weights = start if isinstance(start, Mapping) else {start: 1.0}
+    distribution = np.zeros(model.n_states)
+    for state, probability in weights.items():
+        if not 0.0 <= float(probability) <= 1.0 + 1e-12:
+            raise ModelError(f"start probability of state {state!r} is {probability!r}")
+        distribution[model.index_of(state)] += float(probability)
+    total = float(distribution.sum())
+    if abs(total - 1.0) > 1e-9:
+        raise ModelError(f"start probabilities sum to {total:.12g}, not to 1")
+    return distribution / total

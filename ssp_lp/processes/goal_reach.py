@@ -1,0 +1,231 @@
+"""Greatest and least probability of reaching the goal, and the cheapest policies that attain it.
+
+MAXPROB and MINPROB of section 2.3 of the paper, exact or discounted (E[gamma^T]), followed by a
+second stage that minimises a cost over the policies that attain the first (DESIGN, section 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.dynamic_programming.dual_bounds.dual_bound import dual_bound
+from ssp_lp.dynamic_programming.dual_bounds.extreme_reach import Exits, extreme_reach
+from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.policy_iteration.approach import approach
+from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import (
+    approach_pairs,
+    attention_states,
+    dead_ends,
+    goal_pairs,
+    reaching_states,
+    surely_reaching,
+)
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
+from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
+from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.layered.arrival_cost import TailValues
+from ssp_lp.processes.live_rows import RowChoice, live_rows
+from ssp_lp.processes.quotient import Quotient, build_quotient
+
+
+@dataclass(frozen=True, eq=False)
+class GoalReach:
+    """An extreme probability of reaching the goal, with the pairs that attain it."""
+
+    goal: FloatArray  # [states] E[gamma^T; goal]; 1 at goals, 0 at dead-ends
+    bound: FloatArray  # [states] checked: an upper bound of the greatest, a lower of the least
+    usable: BoolArray  # [model pairs] pairs that attain the extreme
+    decision: IntArray  # [states] one policy that attains it
+
+
+@dataclass(frozen=True, eq=False)
+class ReachPolicy:
+    """A stationary policy of extreme goal probability, the cheapest in E[cost; goal]."""
+
+    decision: IntArray  # [states]
+    goal: FloatArray  # [states] E[gamma^T; goal]
+    failure: FloatArray  # [states] 1 - goal, summed by itself
+    early: FloatArray  # [states] E[gamma^(T - 1); goal], 0 at goals
+    cost: FloatArray  # [states] E[gamma^(T - 1) * cost; goal]
+    cost_bound: FloatArray  # [states] checked lower bound of it
+
+    @property
+    def values(self) -> TailValues:
+        """What following the policy from each state on attains, [states] each."""
+        nothing = np.zeros_like(self.goal)
+        return TailValues(self.goal, self.failure, self.early, self.cost, nothing)
+
+
+def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
+    """MAXPROB: the greatest E[survival^T; goal] from every state.
+
+    Where the goal is reached for sure, and where it never is, is decided on the graph.
+
+    Args:
+        model: the model.
+        survival: the discount; 1 for probabilities.
+    """
+    exact = survival == 1.0
+    sure, keeping = surely_reaching(model) if exact else (model.goal_mask, _no_pairs(model))
+    into_goal = goal_pairs(model)
+    if exact and not (~sure & ~dead_ends(model)).any():  # the graph decides it all
+        nearer = approach_pairs(model, into_goal & keeping, keeping)
+        reached = sure.astype(np.float64)
+        usable = keeping & (sure & ~model.goal_mask)[model.pair_state]
+        return GoalReach(reached, reached, usable, np.where(nearer < 0, UNDECIDED, nearer))
+    everything = np.ones(model.n_pairs, dtype=np.bool_) if exact else None
+    # moving about in a component risks nothing
+    quotient = build_quotient(model, free=everything, ended=sure)
+    found = _extreme(quotient, sure, survival, greatest=True)
+    nearer = approach_pairs(model, into_goal & keeping, keeping) if exact else found.decision
+    inside = sure & ~model.goal_mask
+    return replace(
+        found,
+        usable=np.where(inside[model.pair_state], keeping, found.usable),
+        decision=np.where(inside, nearer, found.decision),
+    )
+
+
+def extreme_goal_reach(model: SSP, aim: Aim) -> GoalReach:
+    """MAXPROB or MINPROB, exact, as the aim says."""
+    return greatest_goal_reach(model) if aim is Aim.GREATEST_GOAL else least_goal_reach(model)
+
+
+def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
+    """MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
+
+    Only states that cannot avoid the goal for sure need to be solved for, and of those only the
+    ones that can come to an attention state: from the others it is reached for sure.
+    """
+    attention = attention_states(model)
+    bound_to = model.goal_mask
+    if survival == 1.0:
+        bound_to = ~reaching_states(model, attention)
+    quotient = build_quotient(model, ended=attention | bound_to)
+    found = _extreme(quotient, bound_to, survival, greatest=False)
+    inside = bound_to & ~model.goal_mask
+    decision = np.where(attention & ~quotient.dead, GIVE_UP_CODE, found.decision)
+    return replace(
+        found,
+        usable=found.usable | inside[model.pair_state],
+        decision=np.where(inside, model.pair_offsets[:-1], decision),
+    )
+
+
+def _extreme(
+    quotient: Quotient, hit_states: BoolArray, survival: float, *, greatest: bool
+) -> GoalReach:
+    """The greatest or the least E[survival^T; hit] over the live states.
+
+    Args:
+        quotient: the live states.
+        hit_states: where episodes that count end, [states]; all others that end do not count.
+        survival: the discount.
+        greatest: or least.
+    """
+    model = quotient.model
+    dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
+    hit = survival * quotient.at_pairs(successor_means(model, hit_states)) / departs
+    missing = (quotient.node_of < 0) & ~hit_states
+    miss = survival * quotient.at_pairs(successor_means(model, missing)) / departs
+    if survival < 1.0:
+        miss = miss + (1.0 - survival)
+    reach = extreme_reach(Exits(dynamics, hit, miss), greatest=greatest)
+    usable = quotient.inside.copy()
+    usable[quotient.pair_at[reach.tied & (quotient.pair_at >= 0)]] = True
+    return GoalReach(
+        goal=np.where(hit_states, 1.0, quotient.lift(reach.hit)),
+        bound=np.where(hit_states, 1.0, quotient.lift(reach.bound)),
+        usable=usable,
+        decision=quotient.pull_back(reach.choice),
+    )
+
+
+def _no_pairs(model: SSP) -> BoolArray:
+    return np.zeros(model.n_pairs, dtype=np.bool_)
+
+
+def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
+    """Among the policies that attain the extreme, the least E[survival^(T-1) * cost; goal].
+
+    A transition to x' is priced g * reach(x'), reach taken one step early under discounting, so
+    the second stage is an ordinary problem without accumulated cost (paper, S3P; DESIGN,
+    section 4). Loops that cost nothing are collapsed: a policy must leave them.
+    """
+    early = np.where(model.goal_mask, 0.0, reach.goal / survival)
+    weight = np.where(model.goal_mask, 1.0, survival * early)
+    exits = reach.decision == GIVE_UP_CODE
+    free = costless_pairs(model, weight) & ~exits[model.pair_state] if survival == 1.0 else None
+    usable = reach.usable & ~exits[model.pair_state]
+    quotient = build_quotient(model, usable=usable, free=free, exits=exits)
+    dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
+    gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
+    pair_cost = quotient.at_pairs(cost_means(model, weight)) / departs
+    first = approach(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
+    missing = successor_means(model, (quotient.node_of < 0) & ~model.goal_mask)
+    miss = (1.0 - survival) + survival * quotient.at_pairs(missing, 1.0) / departs
+    rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
+    settled = improve(dynamics, rewards, only_cost, first)
+    bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
+    early_goal = np.clip(quotient.lift(settled.totals[:, 1]), 0.0, 1.0)
+    surely = reach.goal == 1.0  # decided on the graph
+    return ReachPolicy(
+        decision=quotient.pull_back(settled.choice),
+        goal=np.where(surely, 1.0, survival * early_goal),
+        failure=_failing(model, surely, quotient.node_of, settled.totals[:, 2]),
+        early=np.where(surely & ~model.goal_mask, 1.0, early_goal),
+        cost=quotient.lift(settled.totals[:, 0]),
+        cost_bound=quotient.lift(bound),
+    )
+
+
+def _failing(model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray) -> FloatArray:
+    """The probability of failing from each state; 1 where no node stands for it.
+
+    Args:
+        model: the model.
+        surely: states from which the goal is reached for sure but for rounding, [states].
+        node_of: the node of each live state, negative elsewhere, [states].
+        missed: of the nodes, [nodes].
+    """
+    failure = np.where(model.goal_mask | surely, 0.0, 1.0)
+    solved = np.flatnonzero((node_of >= 0) & ~model.goal_mask)
+    failure[solved] = np.clip(missed[node_of[solved]], 0.0, 1.0)
+    return failure
+
+
+def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
+    """A policy every step of which may come nearer to the goal, in number of steps.
+
+    It reaches the goal with positive probability from wherever that can be done, and is found and
+    evaluated without optimising anything; its cost bound is the trivial one.
+    """
+    decision = approach_pairs(model, goal_pairs(model))
+    live = np.flatnonzero(decision >= 0)
+    node_of = np.full(model.n_states, -1, dtype=np.int32)
+    node_of[live] = np.arange(live.size)
+    taken, exact = decision[live].astype(np.int32), survival == 1.0
+    home = node_of[live] if exact else None
+    rows = live_rows(RowChoice(model, node_of, live.size, taken, home), survival)
+    chain, departs = System(rows.matrix, rows.exits), rows.departs
+    hit = successor_means(model, model.goal_mask)[taken] / departs
+    early = np.zeros(model.n_states)
+    early[live] = chain.solve(hit)
+    goal = np.where(model.goal_mask, 1.0, survival * early)
+    missing = successor_means(model, (node_of < 0) & ~model.goal_mask)[taken]
+    missed = chain.solve((1.0 - survival) + survival * missing / departs)
+    cost = np.zeros(model.n_states)
+    cost[live] = chain.solve(cost_means(model, goal)[taken] / departs)
+    return ReachPolicy(
+        decision=np.where(decision >= 0, decision, UNDECIDED),
+        goal=goal,
+        failure=_failing(model, model.goal_mask, node_of, missed),
+        early=early,
+        cost=cost,
+        cost_bound=np.zeros(model.n_states),
+    )

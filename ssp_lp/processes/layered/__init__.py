@@ -1,0 +1,1 @@
+"""Processes over states and accumulated cost, one layer per total."""

@@ -1,0 +1,168 @@
+"""The accumulated cost of case S (paper, section 3.1.1) as a layered substochastic process.
+
+States are (node, layer), the layer being the cost paid so far in units of the cost lattice. Only
+one layer's structure is stored: it is the same in all of them. A failing episode costs nothing
+here, so where the goal can be avoided for sure (attention states) a policy may fail at once.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.linear_systems.departing import without_self_loops
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import attention_states
+from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means, uniform_cost
+from ssp_lp.processes.failure_semantics import survival_of
+from ssp_lp.processes.layered.lattice import Lattice, lattice_of
+from ssp_lp.processes.live_rows import RowChoice, live_rows
+from ssp_lp.processes.quotient import Quotient, build_quotient
+
+
+@dataclass(frozen=True, eq=False)
+class AccumulatedCost:
+    """One layer of the process, and how its pairs lead to the same and to later layers."""
+
+    quotient: Quotient
+    unit: float  # cost of one layer
+    width: int  # layers that one step can reach: 0 .. width - 1 ahead
+    survival: float  # the discount, 1 in the exact setting
+    instant: sp.csr_array  # [pairs, nodes] steps that cost nothing and stay in the layer
+    later: sp.csr_array  # [pairs, (width - 1) * nodes] column 0 is one layer ahead
+    gain: FloatArray  # [pairs] probability of stepping into the goal (weight gamma^t)
+    gain_cost: FloatArray  # [pairs] E[stage cost; step into the goal]
+    failure: FloatArray  # [pairs] mass that fails
+    start: FloatArray  # [nodes]
+    start_goal: float  # start mass on goals
+    start_failure: float  # start mass on dead-ends
+    exact_unit: Fraction  # the unit as the fraction that it is
+    arrivals: sp.csr_array | None = None  # [pairs, width] steps into the goal by layers ahead
+
+    @property
+    def n_nodes(self) -> int:
+        """States of one layer."""
+        return self.quotient.n_nodes
+
+    @property
+    def pair_offsets(self) -> IntArray:
+        """Pairs of each node, [nodes + 1]."""
+        return self.quotient.pair_offsets
+
+    @cached_property
+    def instant_dynamics(self) -> Dynamics:
+        """Steps that cost nothing; whatever goes on to a later layer leaves."""
+        onward = np.asarray(self.later.sum(axis=1)).ravel()
+        exits = onward + self.survival * self.gain + self.failure
+        return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
+
+    @property
+    def steps(self) -> sp.csr_array:
+        """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
+        return sp.csr_array(sp.hstack([self.instant, self.later]))
+
+
+def accumulate_cost(
+    model: SSP,
+    start: FloatArray,
+    discount: float | None,
+    *,
+    arrivals: bool = False,
+    usable: BoolArray | None = None,
+) -> AccumulatedCost:
+    """Build the process of case S.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        discount: None keeps real probabilities; a number scales every transition by it.
+        arrivals: place the costs of arriving at the goal on the lattice too, so that any function
+            of the total cost can be charged.
+        usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
+            the second stage of a least-failure problem (DESIGN, section 4).
+
+    Raises:
+        ModelError: the costs have no common unit that gives a sane number of layers.
+    """
+    survival = survival_of(discount)
+    free = costless_pairs(model) if discount is None else None
+    exits = attention_states(model) if usable is None else None
+    quotient = build_quotient(model, usable=usable, free=free, exits=exits)
+    going_on = quotient.node_of >= 0
+    lattice = lattice_of(model, going_on | model.goal_mask if arrivals else going_on)
+    instant, later = _steps(quotient, lattice, survival)
+    to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
+    acting = quotient.pair_at >= 0
+    base = AccumulatedCost(
+        quotient=quotient,
+        unit=float(lattice.unit),
+        width=lattice.width,
+        survival=survival,
+        instant=instant,
+        later=later,
+        gain=quotient.at_pairs(successor_means(model, model.goal_mask)),
+        gain_cost=quotient.at_pairs(cost_means(model, model.goal_mask)),
+        failure=np.where(acting, (1.0 - survival) + survival * to_dead, 1.0),
+        start=quotient.gather(start),
+        start_goal=float(start[model.goal_mask].sum()),
+        start_failure=float(start[quotient.dead].sum()),
+        exact_unit=lattice.unit,
+        arrivals=_arrivals(quotient, lattice) if arrivals else None,
+    )
+    return base if discount is not None or instant.nnz == 0 else _departing(base)
+
+
+def _departing(base: AccumulatedCost) -> AccumulatedCost:
+    """Pairs seen on departing only: waiting for free in place changes no total."""
+    leak = base.gain + base.failure + np.asarray(base.later.sum(axis=1)).ravel()
+    instant = base.instant.copy()
+    instant.sum_duplicates()
+    instant, departs = without_self_loops(instant, base.quotient.pair_node, leak)
+    if (departs == 1.0).all():
+        return base
+    arrivals, share = base.arrivals, 1.0 / departs
+    return replace(
+        base,
+        instant=instant,
+        later=_scaled(base.later, share),
+        gain=base.gain / departs,
+        gain_cost=base.gain_cost / departs,
+        failure=base.failure / departs,
+        arrivals=None if arrivals is None else _scaled(arrivals, share),
+    )
+
+
+def _scaled(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
+    """A matrix with each row multiplied by a factor, [rows]."""
+    data = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
+    return sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def _arrivals(quotient: Quotient, lattice: Lattice) -> sp.csr_array:
+    """Probability of stepping into the goal by the layers that the step passes, [pairs, width]."""
+    at_goal = np.where(quotient.model.goal_mask, 0, -1).astype(np.int32)
+    rows = RowChoice(
+        quotient.model, at_goal, 1, quotient.pair_at, ahead=lattice.ahead, width=lattice.width
+    )
+    return live_rows(rows).matrix
+
+
+def _steps(
+    quotient: Quotient, lattice: Lattice, survival: float
+) -> tuple[sp.csr_array, sp.csr_array]:
+    """Steps within the layer and steps to later layers; one of them is often empty."""
+    model, n = quotient.model, quotient.n_nodes
+    rows = RowChoice(model, quotient.node_of, n, quotient.pair_at)
+    uniform = uniform_cost(model)
+    if lattice.width == 2 and uniform is not None and uniform > 0.0:  # one layer a step
+        later = live_rows(rows, survival).matrix
+        return sp.csr_array(later.shape), later
+    rows = replace(rows, ahead=lattice.ahead, width=lattice.width)
+    steps = live_rows(rows, survival).matrix
+    return sp.csr_array(steps[:, :n]), sp.csr_array(steps[:, n:])

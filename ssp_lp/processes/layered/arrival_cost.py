@@ -1,0 +1,242 @@
+"""What arriving at the goal is charged for the total cost: one process, many criteria.
+
+On the accumulated-cost process (paper, section 3.1.1) a run that reaches the goal at total cost c
+is charged ``charge(c)``, one that fails nothing. The total cost itself gives S3P; a step, a kink
+or a utility in its place give bounded reach, the conditional value at risk, or GUBS. A negative
+charge is a reward. No charge falls as the total cost grows.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.processes.layered.lattice import last_layer
+from ssp_lp.processes.layered.law_measure import Utility, utilities
+
+
+@dataclass(frozen=True, eq=False)
+class TailValues:
+    """What a stationary policy attains from some nodes on, arrays of one shape."""
+
+    goal: FloatArray  # E[gamma^T; goal]
+    failure: FloatArray  # 1 - goal, summed by itself: each is exact where it is small
+    early: FloatArray  # E[gamma^(T - 1); goal]
+    cost: FloatArray  # E[gamma^(T - 1) * cost; goal]
+    moment: FloatArray  # E[exp(rate * cost); goal]; 0 where no charge needs it
+
+    @classmethod
+    def stacked(
+        cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
+    ) -> TailValues:
+        """Several policies' values, one row each, seen by some other index."""
+        return cls(
+            np.stack([seen(p.goal) for p in policies]),
+            np.stack([seen(p.failure) for p in policies]),
+            np.stack([seen(p.early) for p in policies]),
+            np.stack([seen(p.cost) for p in policies]),
+            np.stack([seen(p.moment) for p in policies]),
+        )
+
+    def row(self, number: int) -> TailValues:
+        """The values of one policy out of several, whose number is the first index."""
+        return TailValues(
+            self.goal[number],
+            self.failure[number],
+            self.early[number],
+            self.cost[number],
+            self.moment[number],
+        )
+
+    def chosen(self, last: BoolArray) -> TailValues:
+        """Those of the last policy where ``last``, of the first elsewhere, like ``last``."""
+        one, other = self.row(-1), self.row(0)
+        return TailValues(
+            np.where(last, one.goal, other.goal),
+            np.where(last, one.failure, other.failure),
+            np.where(last, one.early, other.early),
+            np.where(last, one.cost, other.cost),
+            np.where(last, one.moment, other.moment),
+        )
+
+
+class Charge(ABC):
+    """A non-decreasing function of the total cost, by default affine from some cost on."""
+
+    @property
+    def offset(self) -> float:
+        """``offset + slope * cost`` is the charge from ``settled`` on."""
+        return 0.0
+
+    @property
+    def slope(self) -> float:
+        """See ``offset``."""
+        return 0.0
+
+    @property
+    def lowest(self) -> float:
+        """No charge is less; at most 0."""
+        return 0.0
+
+    @abstractmethod
+    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+        """The charge of total costs ``layers * unit``, like ``layers``."""
+
+    def settled(self, unit: Fraction) -> int | None:
+        """Layer from which the charge is affine; None: never."""
+        return 0
+
+    def beyond(self, layers: IntArray, unit: float, tail: TailValues) -> FloatArray:
+        """E[charge; goal] of following a tail after ``layers * unit`` has been paid."""
+        paid = layers * unit
+        linear = self.slope * (tail.cost + paid * tail.early)
+        return np.asarray(linear + self.offset * tail.goal if self.offset else linear)
+
+
+@dataclass(frozen=True)
+class TotalCost(Charge):
+    """The total cost itself: case S."""
+
+    @property
+    def slope(self) -> float:
+        """1."""
+        return 1.0
+
+    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+        """The cost."""
+        return np.asarray(layers * float(unit))
+
+
+TOTAL_COST: Final = TotalCost()
+
+
+@dataclass(frozen=True)
+class Late(Charge):
+    """1 for arriving at a cost beyond the bound, 0 else; less 1 for every arrival if rewarded."""
+
+    bound: float | Fraction
+    rewarded: bool = False
+
+    @property
+    def offset(self) -> float:
+        """What an arrival beyond the bound is charged."""
+        return 0.0 if self.rewarded else 1.0
+
+    @property
+    def lowest(self) -> float:
+        """What an arrival in time is charged."""
+        return self.offset - 1.0
+
+    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+        """Whether ``layers * unit`` exceeds the bound, decided in whole numbers."""
+        return np.where(np.asarray(layers) < self.settled(unit), self.lowest, self.offset)
+
+    def settled(self, unit: Fraction) -> int:
+        """The first layer beyond the bound."""
+        return last_layer(self.bound, unit) + 1
+
+
+@dataclass(frozen=True)
+class Excess(Charge):
+    """``z + max(cost - z, 0) / share``: the integrand of Rockafellar and Uryasev's formula."""
+
+    threshold: int  # z in layers
+    share: float  # 1 - level
+    unit: Fraction
+
+    @property
+    def offset(self) -> float:
+        """Of the line beyond z."""
+        return float(self.threshold * self.unit) * (1.0 - self.slope)
+
+    @property
+    def slope(self) -> float:
+        """Of the line beyond z."""
+        return 1.0 / self.share
+
+    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+        """The integrand."""
+        late = np.maximum(np.asarray(layers) - self.threshold, 0)
+        return np.asarray((self.threshold + late * self.slope) * float(unit))
+
+    def settled(self, unit: Fraction) -> int:
+        """The threshold."""
+        return self.threshold
+
+
+@dataclass(frozen=True)
+class UtilityReward(Charge):
+    """Minus what arriving is worth more than failing, by any utility of the total cost (GUBS).
+
+    Beyond every table the utility is taken to be what it falls to, which understates it.
+    """
+
+    utility: Utility
+    at_infinity: float
+    bonus: float
+
+    @property
+    def offset(self) -> float:
+        """Minus the bonus."""
+        return -self.bonus
+
+    @property
+    def lowest(self) -> float:
+        """Minus what arriving at no cost is worth."""
+        return float(self.at(np.zeros(1, dtype=np.int64), Fraction(1))[0])
+
+    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+        """Minus (utility + bonus - utility of failing).
+
+        Raises:
+            ModelError: the utility is no non-increasing function with this limit.
+        """
+        cost = np.asarray(np.ravel(layers) * float(unit), dtype=np.float64)
+        worth = utilities(self.utility, cost) - self.at_infinity
+        wrong = (worth < 0.0) | np.append(np.diff(worth) > 0.0, False)
+        if wrong.any():
+            where = float(cost[int(np.argmax(wrong))])
+            raise ModelError(
+                f"utility must not increase with the cost nor fall below utility_at_infinity = "
+                f"{self.at_infinity:g}: it does at cost {where:g}"
+            )
+        return np.asarray(-(worth + self.bonus)).reshape(np.shape(layers))
+
+    def settled(self, unit: Fraction) -> None:
+        """Never, as far as is known."""
+        return
+
+
+@dataclass(frozen=True)
+class ExponentialReward(Charge):
+    """``-(exp(rate * cost) + bonus)``, rate < 0 (eGUBS); what a tail is worth factors exactly."""
+
+    rate: float
+    bonus: float
+
+    @property
+    def offset(self) -> float:
+        """Minus the bonus, which is what is left in the limit."""
+        return -self.bonus
+
+    @property
+    def lowest(self) -> float:
+        """Minus what arriving at no cost is worth."""
+        return -(1.0 + self.bonus)
+
+    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+        """Minus utility and bonus."""
+        return np.asarray(-(np.exp(self.rate * float(unit) * np.asarray(layers)) + self.bonus))
+
+    def beyond(self, layers: IntArray, unit: float, tail: TailValues) -> FloatArray:
+        """``-(exp(rate * paid) * E[exp(rate * cost); goal] + bonus * goal)``."""
+        return np.asarray(
+            -(np.exp(self.rate * unit * layers) * tail.moment + self.bonus * tail.goal)
+        )

@@ -1,0 +1,117 @@
+"""The lattice of accumulated costs (paper, Assumption 2-1): the common divisor of the costs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fractions import Fraction
+from math import gcd, lcm
+from numbers import Rational
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.chunks import chunks
+from ssp_lp.processes.expectations import uniform_cost
+
+_MOST_LAYERS_PER_STEP = 1_000_000
+
+
+def exact_cost(cost: float | Fraction) -> Fraction:
+    """The number that a cost stands for: a float means its shortest decimal (0.1 is 1/10)."""
+    return Fraction(cost) if isinstance(cost, Rational) else Fraction(repr(float(cost)))
+
+
+def last_layer(bound: float | Fraction, unit: Fraction) -> int:
+    """The last layer whose cost is at most a finite bound; negative where there is none.
+
+    A float means its shortest decimal (three steps of 0.1 are within 0.3), or the whole number of
+    layers of which it is the nearest float (2/3, where the unit is 1/3).
+    """
+    if not isinstance(bound, Rational):
+        nearest = round(Fraction(float(bound)) / unit)
+        if float(nearest * unit) == float(bound):
+            return nearest
+    return int(exact_cost(bound) // unit)
+
+
+def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
+    """The greatest number of which every cost is a whole multiple, found exactly.
+
+    A float means its shortest decimal (0.1 is 1/10) unless ``exact`` says which fraction it is.
+
+    Args:
+        costs: non-negative; zeros do not matter.
+        exact: float cost -> the fraction meant.
+
+    Returns:
+        The unit; 1 where every cost is zero.
+    """
+    fractions = [exact.get(c, Fraction(repr(c))) for c in np.unique(costs).tolist() if c > 0]
+    if not fractions:
+        return Fraction(1)
+    denominator = lcm(*(f.denominator for f in fractions))
+    return Fraction(gcd(*(int(f * denominator) for f in fractions)), denominator)
+
+
+def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]) -> IntArray:
+    """Whole number of units of each cost, like ``costs``.
+
+    Raises:
+        ModelError: a single step passes too many layers for a table over accumulated cost.
+    """
+    distinct, back = np.unique(costs, return_inverse=True)
+    counts = [
+        int(exact.get(c, Fraction(repr(c))) / unit) if c > 0 else 0 for c in distinct.tolist()
+    ]
+    if max(counts, default=0) > _MOST_LAYERS_PER_STEP:
+        raise ModelError(
+            f"the costs have the common unit {float(unit):g}, so the step of cost "
+            f"{float(distinct[-1]):g} passes {max(counts):,} layers of accumulated cost; round "
+            "the costs to a coarser grid (for instance to multiples of "
+            f"{float(distinct[-1]) / 100:g}) when building the model"
+        )
+    return np.array(counts, dtype=np.int64)[back].reshape(np.shape(costs))
+
+
+@dataclass(frozen=True, eq=False)
+class Lattice:
+    """The unit of accumulated cost, and how many units each outcome passes."""
+
+    unit: Fraction
+    ahead: IntArray  # [outcomes] layers ahead, of outcomes that go on
+    width: int  # layers that one step can reach: 0 .. width - 1 ahead
+
+
+def lattice_of(model: SSP, going_on: BoolArray) -> Lattice:
+    """Place a model's costs on their common lattice.
+
+    Args:
+        model: the model.
+        going_on: successors at which a run goes on, so that the cost of getting there must be
+            remembered, [states].
+
+    Raises:
+        ModelError: the costs have no common unit that gives a sane number of layers.
+    """
+    exact = model.exact_costs
+    same = uniform_cost(model)
+    if same is not None:
+        unit = common_unit(np.array([same]), exact)
+        layer = layers_of(np.array([same]), unit, exact).astype(np.int32)
+        return Lattice(unit, np.broadcast_to(layer, (model.n_outcomes,)), int(layer[0]) + 1)
+    found = [np.zeros(0)]
+    for some in chunks(model.n_outcomes):
+        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
+        found.append(np.unique(model.costs[some][moving]))
+    distinct = np.unique(np.concatenate(found))
+    unit = common_unit(distinct, exact)
+    layers = layers_of(distinct, unit, exact)
+    ahead = np.zeros(model.n_outcomes, dtype=np.int32)
+    for some in chunks(model.n_outcomes if distinct.size else 0):
+        place = np.minimum(np.searchsorted(distinct, model.costs[some]), distinct.size - 1)
+        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
+        ahead[some] = np.where(moving, layers[place], 0)
+    return Lattice(unit, ahead, int(ahead.max(initial=0)) + 1)

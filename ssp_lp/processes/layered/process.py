@@ -1,0 +1,180 @@
+"""The accumulated-cost process cut at a cap M, with the tail policies that take over there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.dynamic_programming.bellman import PairCost
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Charge, TailValues, TotalCost
+
+
+@dataclass(frozen=True, eq=False)
+class Tails:
+    """Stationary policies for accumulated costs beyond the cap, as values per node.
+
+    Row 0 goes for the goal, where ``exact`` with the least failure; the last row fails most (the
+    paper's pi'_or).
+    """
+
+    decisions: IntArray  # [tails, states]
+    values: TailValues  # [tails, nodes] each
+    greatest_goal: FloatArray  # [nodes] checked upper bound of E[gamma^T; goal]
+    least_goal: FloatArray  # [nodes] checked lower bound of it
+    exact: bool = True  # whether row 0 and the upper bound are those of the least failure
+    least_cost: FloatArray | None = None  # [nodes] checked: of E[cost; goal], none where it is 0
+    greatest_moment: FloatArray | None = None  # [nodes] checked: of E[exp(rate * cost); goal]
+
+    @property
+    def goal(self) -> FloatArray:
+        """E[gamma^T; goal], [tails, nodes]."""
+        return self.values.goal
+
+    def bounding(self, goal: FloatArray) -> TailValues:
+        """As if one policy had a goal probability and the greatest moment, like ``goal``."""
+        nothing = np.zeros_like(goal)
+        moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
+        return TailValues(goal, 1.0 - goal, nothing, nothing, moment)
+
+    @property
+    def first(self) -> TailValues:
+        """The values of row 0, [nodes] each."""
+        return self.values.row(0)
+
+    def threshold(self, unit: float, failure_price: float, charge: Charge) -> FloatArray:
+        """Layer from which the last tail is no worse than the first at this price, [nodes].
+
+        The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
+        cost_k) + offset * goal_k.
+        """
+        first, last = self.values.row(0), self.values.row(-1)
+        saved = charge.slope * (first.early - last.early)
+        owed = (failure_price - charge.offset) * (first.goal - last.goal)
+        owed = owed + charge.slope * (last.cost - first.cost)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            layer = np.ceil(owed / (saved * unit) - 1e-9)
+        return np.where(saved > 0, layer, np.where(owed < 0, -np.inf, np.inf))
+
+
+_TABLE = 1_000_000
+"""Charges, layers x pairs or x layers of a step, that are worked out together."""
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredProcess:
+    """States (node, layer) for layers below ``cap``; beyond it a policy follows a tail for good."""
+
+    base: AccumulatedCost
+    cap: int
+    tails: Tails
+    charge: Charge = TOTAL_COST
+
+    @cached_property
+    def _growth(self) -> FloatArray:
+        """What a layer adds to the charge of each pair in case S, [pairs]."""
+        return np.asarray(self.base.gain * self.base.unit)
+
+    @property
+    def grows_evenly(self) -> bool:
+        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
+        return isinstance(self.charge, TotalCost)
+
+    def charged(self, layer: int) -> PairCost:
+        """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
+        base = self.base
+        if self.grows_evenly or base.arrivals is None:
+            return PairCost(base.gain_cost, self._growth, float(layer))
+        size = max(_TABLE // max(*base.arrivals.shape, 1), 1)
+        block, place = divmod(layer, size)
+        if block not in self._charges:
+            width, layers = base.arrivals.shape[1], min(size, self.cap)
+            ahead = block * size + np.arange(layers + width - 1)
+            windows = sliding_window_view(self.charge.at(ahead, base.exact_unit), width)
+            self._charges.clear()
+            self._charges[block] = np.ascontiguousarray((base.arrivals @ windows.T).T)
+        return PairCost(self._charges[block][place])
+
+    @cached_property
+    def _charges(self) -> dict[int, FloatArray]:
+        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
+        return {}
+
+    @property
+    def start_charge(self) -> float:
+        """Charge of the start mass that lies on goals."""
+        base = self.base
+        at_once = float(self.charge.at(np.zeros(1, dtype=np.int64), base.exact_unit)[0])
+        return base.start_goal * at_once
+
+    def threshold(self, price: float) -> FloatArray:
+        """Layer from which the last tail is followed at a price of failure, [nodes].
+
+        -infinity where it is followed from the cap on, so that equal rules compare equal.
+        """
+        layer = self.tails.threshold(self.base.unit, price, self.charge)
+        return np.where(layer <= self.cap, -np.inf, layer)
+
+    def beyond(self, price: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(charge, failure, goal) of the tails that a price chooses at (node, cap + i).
+
+        Returns:
+            3 x [i, nodes].
+        """
+        layer = self.cap + np.arange(self.base.width - 1)[:, None]
+        last = layer >= self.threshold(price)[None, :]
+        chosen = self.tails.values.chosen(last)
+        return self.charge.beyond(layer, self.base.unit, chosen), chosen.failure, chosen.goal
+
+    def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
+        """Lower bound of every policy's value at (node, cap + i), [width - 1, nodes].
+
+        Every success is charged at least what it would be if it came at once: charge(r) * early +
+        price * (1 - goal) with early = goal / gamma (DESIGN, section 5: r + (kappa - r) F). It is
+        exact where it is best to fail and possible.
+
+        Args:
+            failure_price: kappa.
+            failing: what failing counts: kappa, or 0 with -kappa for success.
+        """
+        layer = self.cap + np.arange(self.base.width - 1)[:, None]
+        tails, unit = self.tails, self.base.exact_unit
+        paid = self.charge.at(layer, unit) / self.base.survival
+        goal = np.where(paid < failure_price, tails.greatest_goal, tails.least_goal)
+        rest = failing * (1.0 - goal) - (failure_price - failing) * goal
+        least = paid * goal
+        if tails.greatest_moment is not None:
+            least = self.charge.beyond(layer, self.base.unit, tails.bounding(goal))
+        if tails.least_cost is not None:
+            least = least + self.charge.slope * tails.least_cost
+        size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)
+        return np.asarray(rest + least - 8.0 * size)
+
+    def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
+        """Pull a choice back to the model.
+
+        Args:
+            choice: position among the pairs of its node, [cap, nodes].
+            tail_price: the price of failure by which tails are chosen beyond the cap.
+        """
+        quotient, model = self.base.quotient, self.base.quotient.model
+        threshold = np.full(model.n_states, np.inf)
+        live = quotient.node_of >= 0
+        threshold[live] = self.threshold(tail_price)[quotient.node_of[live]]
+        most = int(np.diff(model.pair_offsets).max(initial=1))
+        decision = np.empty((self.cap, model.n_states), dtype=least_integer_type(most))
+        for layer in range(self.cap):
+            pair = quotient.pull_back(self.base.pair_offsets[:-1] + choice[layer])
+            decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
+        return CostAwarePolicy(
+            model=model,
+            unit=self.base.unit,
+            decision=decision,
+            tails=self.tails.decisions,
+            tail_threshold=threshold,
+        )

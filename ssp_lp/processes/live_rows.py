@@ -1,0 +1,145 @@
+"""The rows of a process: a model's outcomes among live nodes, selected without large copies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, segment_ids
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.model import SSP
+from ssp_lp.model.chunks import segment_chunks
+
+_NOWHERE = np.zeros(0, dtype=np.int32)
+
+
+@dataclass(frozen=True, eq=False)
+class RowChoice:
+    """Which outcomes make up the rows of a process, and in which columns they go."""
+
+    model: SSP
+    node_of: IntArray  # [states] int32 node, -1 where the process ends
+    n_nodes: int
+    pair_at: IntArray  # [rows] int32 pair of the model; negative: an empty row
+    home: IntArray | None = None  # [rows] int32 node to be departed from; None: waiting is kept
+    ahead: IntArray | None = None  # [outcomes] blocks of columns ahead; None: none
+    width: int = 1  # blocks of columns
+
+
+class LiveRows(NamedTuple):
+    """Rows of a process, what they were divided by, and what leaves it."""
+
+    matrix: sp.csr_array  # [rows, width * nodes], possibly several entries for one column
+    departs: FloatArray  # [rows] probability of departing, 1 where nothing was divided
+    exits: FloatArray  # [rows] probability of going where the process ends, or being discounted
+
+
+def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
+    """Probabilities of going from each row's pair to each node.
+
+    Where a home is given, rows are seen on departing only: waiting in place changes no total but
+    divides everything else by the probability of departing. That is summed from what leaves,
+    never formed as 1 - p, which would cancel for slow loops. A row that never departs is kept.
+
+    Args:
+        rows: the rows.
+        survival: factor of every probability.
+    """
+    n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
+    counts, departs, leaks = _count(rows)
+    indptr = np.zeros(n_rows + 1, dtype=np.int64)
+    np.cumsum(counts, out=indptr[1:])
+    small = max(int(indptr[-1]), n_columns) < 2**31
+    indptr = indptr.astype(np.int32) if small else indptr
+    indices = np.empty(int(indptr[-1]), dtype=indptr.dtype)
+    data = np.empty(len(indices))
+    if accelerated(rows.model.n_outcomes):
+        from ssp_lp.compiled import rows as compiled
+
+        model = rows.model
+        compiled.fill(
+            model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
+            _array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at, _array(rows.home),
+            departs, survival,
+            indptr, indices, data,
+        )  # fmt: skip
+    else:
+        for some in _row_chunks(rows):
+            column, probability, row = _entries(rows, some, counts)
+            place = slice(indptr[some.start], indptr[some.stop])
+            indices[place] = column
+            data[place] = probability / departs[some][row] * survival
+    matrix = sp.csr_array((data, indices, indptr), shape=(n_rows, n_columns))
+    exits = leaks if survival == 1.0 else (1.0 - survival) + survival * leaks
+    return LiveRows(matrix, departs, exits / departs)
+
+
+def _count(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Entries of each row, its probability of departing, and what ends there, [rows] each."""
+    counts, departs = np.zeros(len(rows.pair_at), dtype=np.int32), np.ones(len(rows.pair_at))
+    leaks = np.ones(len(rows.pair_at))
+    model = rows.model
+    if accelerated(model.n_outcomes):
+        from ssp_lp.compiled import rows as compiled
+
+        compiled.count(
+            model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
+            rows.node_of, rows.pair_at, _array(rows.home), counts, departs, leaks,
+        )  # fmt: skip
+        return counts, departs, leaks
+    for some in _row_chunks(rows):
+        outcome, row, size = *_outcomes(rows, some), some.stop - some.start
+        probability = model.probabilities[outcome]
+        node = rows.node_of[model.successors[outcome]]
+        live = (node >= 0) & (probability > 0)
+        loop = np.zeros_like(live)
+        if rows.home is not None:
+            loop = live & (node == rows.home[some][row])
+        away = live & ~loop
+        leak = np.bincount(row[node < 0], probability[node < 0], size)
+        leaks[some] = np.where(rows.pair_at[some] < 0, 1.0, leak)
+        mass = leak + np.bincount(row[away], probability[away], size)
+        loops = np.bincount(row[loop], minlength=size)
+        entries = np.bincount(row[away], minlength=size)
+        counts[some] = np.where(mass == 0, entries + loops, entries)
+        departs[some] = np.where((loops > 0) & (mass > 0), mass, 1.0)
+    return counts, departs, leaks
+
+
+def _entries(
+    rows: RowChoice, some: slice, counts: IntArray
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Column, probability and row (within the chunk) of the entries that were counted."""
+    outcome, row = _outcomes(rows, some)
+    probability = rows.model.probabilities[outcome]
+    node = rows.node_of[rows.model.successors[outcome]].astype(np.int64)
+    kept = (node >= 0) & (probability > 0)
+    if rows.home is not None:
+        away = kept & (node != rows.home[some][row])
+        departing = np.bincount(row[away], minlength=some.stop - some.start) == counts[some]
+        kept = np.where(departing[row], away, kept)
+    column = node[kept]
+    if rows.ahead is not None:
+        column += rows.ahead[outcome[kept]].astype(np.int64) * rows.n_nodes
+    return column, probability[kept], row[kept]
+
+
+def _outcomes(rows: RowChoice, some: slice) -> tuple[IntArray, IntArray]:
+    """Outcomes of a chunk of rows, and the row within the chunk that each belongs to."""
+    offsets, pair = rows.model.outcome_offsets, rows.pair_at[some]
+    begin = np.where(pair < 0, 0, offsets[pair])
+    lengths = np.where(pair < 0, 0, offsets[pair + 1] - begin)
+    return concatenated_ranges(begin, lengths), segment_ids(np.append(0, np.cumsum(lengths)))
+
+
+def _array(given: IntArray | None) -> IntArray:
+    return _NOWHERE if given is None else given
+
+
+def _row_chunks(rows: RowChoice) -> list[slice]:
+    pair, offsets = rows.pair_at, rows.model.outcome_offsets
+    lengths = np.where(pair < 0, 0, offsets[pair + 1] - offsets[pair])
+    return list(segment_chunks(np.append(0, np.cumsum(lengths))))

@@ -1,0 +1,211 @@
+"""The live part of a model: states that are neither goals nor dead-ends, grouped into nodes.
+
+A node is one live state, or a maximal end component of pairs that cost nothing: moving about in
+such a component is free, so an exact process treats it as one place (DESIGN, section 4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.end_components import end_components
+from ssp_lp.model.graph.reachability import approach_pairs, dead_ends, pairs_into
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
+from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
+
+
+@dataclass(frozen=True, eq=False)
+class Quotient:
+    """Nodes and the pairs by which they can be left, in the order of the nodes."""
+
+    model: SSP
+    dead: BoolArray  # [states] dead-ends
+    node_of: IntArray  # [states] node, -1 at goals and dead-ends
+    n_nodes: int
+    inside: BoolArray  # [model pairs] pairs that stay in a collapsed component
+    merged: BoolArray  # [states] members of collapsed components
+    pair_at: IntArray  # [pairs] pair of the model, or GIVE_UP_CODE for giving up
+    pair_node: IntArray  # [pairs] increasing
+    pair_offsets: IntArray  # [nodes + 1]
+
+    def transitions(self, survival: float, *, departing: bool) -> LiveRows:
+        """Probability of going from each pair to each node, and of ending, [pairs, nodes].
+
+        Args:
+            survival: factor of every probability, the discount.
+            departing: see each node's outcomes on departing from it only (see ``live_rows``).
+        """
+        home = self.pair_node if departing else None
+        return live_rows(
+            RowChoice(self.model, self.node_of, self.n_nodes, self.pair_at, home), survival
+        )
+
+    def dynamics(self, survival: float, *, departing: bool) -> tuple[Dynamics, FloatArray]:
+        """The same as a process to be solved, and what its rows were divided by, [pairs]."""
+        rows = self.transitions(survival, departing=departing)
+        return Dynamics(self.pair_offsets, rows.matrix, rows.exits), rows.departs
+
+    def at_pairs(self, per_pair: FloatArray, give_up: float | FloatArray = 0.0) -> FloatArray:
+        """Values of the model's pairs, in the order of the pairs here, [pairs].
+
+        Args:
+            per_pair: [model pairs].
+            give_up: value of the pairs that give up: a number, or one per node.
+        """
+        if isinstance(give_up, float):
+            return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up)
+        return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up[self.pair_node])
+
+    def nearer(self, leaving: BoolArray) -> IntArray | None:
+        """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].
+
+        Found on the model's graph, which is turned round once for all searches; so there is no
+        answer (None) where components are merged, whose members need not be equally near.
+
+        Args:
+            leaving: [model pairs].
+        """
+        if self.merged.any():
+            return None
+        position = np.full(self.model.n_pairs, -1, dtype=np.int32)
+        acting = np.flatnonzero(self.pair_at >= 0)
+        position[self.pair_at[acting]] = acting
+        taken = approach_pairs(self.model, leaving, position >= 0)[self.node_of >= 0]
+        return np.where(taken >= 0, position[taken], -1)
+
+    def least_over_members(self, values: FloatArray) -> FloatArray:
+        """Minimum of state values over the members of each node, [nodes]."""
+        result = np.full(self.n_nodes, np.inf)
+        live = self.node_of >= 0
+        np.minimum.at(result, self.node_of[live], values[live])
+        return result
+
+    def lift(self, values: FloatArray) -> FloatArray:
+        """Values of nodes as values of states, 0 at goals and dead-ends, [states]."""
+        result = np.zeros(self.model.n_states)
+        live = self.node_of >= 0
+        result[live] = values[self.node_of[live]]
+        return result
+
+    def gather(self, distribution: FloatArray) -> FloatArray:
+        """Sum a distribution over states by node, [nodes]."""
+        live = self.node_of >= 0
+        return np.bincount(
+            self.node_of[live], weights=distribution[live], minlength=self.n_nodes
+        ).astype(np.float64)
+
+    def pull_back(self, choice: IntArray) -> IntArray:
+        """Decisions on states from one chosen pair per node.
+
+        Inside a component the other members move, for free, to the member whose pair is chosen.
+
+        Args:
+            choice: position among this quotient's pairs, [nodes].
+
+        Returns:
+            [states] pair of the model, GIVE_UP_CODE or UNDECIDED.
+        """
+        decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int32)
+        chosen = self.pair_at[choice]
+        live = np.flatnonzero(self.node_of >= 0)
+        decision[live[chosen[self.node_of[live]] == GIVE_UP_CODE]] = GIVE_UP_CODE
+        acting = chosen[chosen >= 0]
+        decision[self.model.pair_state[acting]] = acting
+        return self._routed(decision)
+
+    def _routed(self, decision: IntArray) -> IntArray:
+        lost = self.merged & (decision == UNDECIDED)
+        if not lost.any():
+            return decision
+        leading = self.inside & pairs_into(self.model, ~lost)
+        nearer = approach_pairs(self.model, leading & lost[self.model.pair_state], self.inside)
+        return np.where(lost, nearer, decision).astype(np.int32)
+
+
+def build_quotient(
+    model: SSP,
+    *,
+    usable: BoolArray | None = None,
+    free: BoolArray | None = None,
+    exits: BoolArray | None = None,
+    free_exits: bool = False,
+    ended: BoolArray | None = None,
+) -> Quotient:
+    """Group the live states into nodes and list the pairs by which each can be left.
+
+    Args:
+        usable: pairs of the model that may be used, [model pairs]; all if left out.
+        free: usable pairs that cost nothing; their end components are collapsed. None: no
+            collapsing (discounted processes leak mass everywhere and need none).
+        exits: states in which giving up is allowed, [states].
+        free_exits: also allow giving up in collapsed components, that is staying for ever.
+        ended: further states at which the process ends, [states].
+    """
+    dead = dead_ends(model)
+    live = ~dead & ~model.goal_mask
+    live = live if ended is None else live & ~ended
+    usable = live[model.pair_state] if usable is None else usable & live[model.pair_state]
+    component = np.full(model.n_states, -1)
+    inside = np.zeros(model.n_pairs, dtype=np.bool_)
+    if free is not None and (free & usable).any():
+        component, inside = end_components(model, free & usable)
+    merged = component >= 0
+    leaving = np.zeros(model.n_states, dtype=np.bool_) if exits is None else exits & live
+    if free_exits:
+        leaving = leaving | merged
+    node_of = _numbered(live, component)
+    return _with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
+
+
+def _numbered(live: BoolArray, component: IntArray) -> IntArray:
+    """Node of each state in the order of their first states, -1 where it is not live, [states]."""
+    group = np.where(component >= 0, component + live.size, np.arange(live.size))
+    first = np.arange(live.size)
+    members = np.flatnonzero(component >= 0)
+    if members.size:
+        _, begin, back = np.unique(group[members], return_index=True, return_inverse=True)
+        first[members] = members[begin[back]]
+    heads = live & (first == np.arange(live.size))
+    number = np.cumsum(heads, dtype=np.int32) - 1
+    return np.where(live, number[first], -1).astype(np.int32)
+
+
+def _with_pairs(
+    model: SSP,
+    dead: BoolArray,
+    node_of: IntArray,
+    inside: BoolArray,
+    merged: BoolArray,
+    kept: BoolArray,
+    leaving: BoolArray,
+) -> Quotient:
+    n_nodes = int(node_of.max(initial=-1)) + 1
+    pairs = np.flatnonzero(kept).astype(np.int32)
+    pair_node = node_of[model.pair_state[pairs]]
+    if merged.any():
+        order = np.argsort(pair_node, kind="stable")
+        pairs, pair_node = pairs[order], pair_node[order]
+    gives_up = np.zeros(n_nodes, dtype=np.int32)
+    gives_up[node_of[leaving]] = 1
+    counts = np.bincount(pair_node, minlength=n_nodes) + gives_up
+    offsets = np.append(0, np.cumsum(counts)).astype(np.int32)
+    pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
+    acting = np.ones(len(pair_at), dtype=np.bool_)
+    acting[offsets[:-1][gives_up > 0]] = False  # first in its node: among equals giving up wins
+    pair_at[acting] = pairs
+    return Quotient(
+        model=model,
+        dead=dead,
+        node_of=node_of,
+        n_nodes=n_nodes,
+        inside=inside,
+        merged=merged,
+        pair_at=pair_at,
+        pair_node=segment_ids(offsets),
+        pair_offsets=offsets,
+    )

@@ -1,0 +1,160 @@
+"""Secondary costs with upper bounds: the side rows of a constrained problem (C-SSP).
+
+A secondary cost is counted exactly as the model's own cost is: it is the own cost of the same
+model with other costs. So whatever measures the one measures the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from numbers import Real
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.arrays import BoolArray, FloatArray, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.processes.expectations import costless_pairs
+
+FAILURE_ROW = "failure"
+"""Name of the row of the failure budget; no secondary cost may bear it."""
+
+NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class CostLimit:
+    """An upper bound on the expected total of a secondary cost.
+
+    Args:
+        cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
+            [pairs], or [outcomes].
+        bound: the largest expected total, in the unit of the cost.
+    """
+
+    cost: NestedCosts | npt.ArrayLike
+    bound: float
+
+
+@dataclass(frozen=True, eq=False)
+class SideRow:
+    """A secondary cost of a model, checked, by outcome."""
+
+    name: str
+    model: SSP  # the model with the secondary cost in place of its own
+    bound: float
+
+    @property
+    def costs(self) -> FloatArray:
+        """The secondary cost, [outcomes]."""
+        return self.model.costs
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """Pairs that cost nothing in it, [pairs]."""
+        return costless_pairs(self.model)
+
+
+def side_rows(model: SSP, limits: Mapping[str, CostLimit]) -> tuple[SideRow, ...]:
+    """Check limits and spread their costs over the outcomes of a model.
+
+    Args:
+        model: the model.
+        limits: name -> limit.
+
+    Raises:
+        ModelError: a name that is no text or is reserved, a bound or a cost that is not a finite
+            number >= 0, an array of the wrong length, an unknown state or action.
+    """
+    if not isinstance(limits, Mapping):
+        raise ModelError(f"limits must be {{name: CostLimit(cost, bound)}}, not {limits!r}")
+    return tuple(_side_row(model, name, limit) for name, limit in limits.items())
+
+
+def _side_row(model: SSP, name: str, limit: CostLimit) -> SideRow:
+    if not isinstance(name, str) or not name:
+        raise ModelError(f"the name of a limit must be a word, not {name!r}")
+    if name == FAILURE_ROW:
+        raise ModelError(f"{name!r} names the failure budget: give the limit another name")
+    if not isinstance(limit, CostLimit):
+        raise ModelError(f"limit {name!r} must be CostLimit(cost, bound), not {limit!r}")
+    if not _is_amount(limit.bound):
+        raise ModelError(f"the bound of limit {name!r} must be finite and >= 0: {limit.bound!r}")
+    cost = limit.cost
+    if isinstance(cost, Mapping):
+        given = np.repeat(_listed(model, name, cost), np.diff(model.outcome_offsets))
+    else:
+        given = _spread(model, name, cost)
+    costs = read_only(given, np.float64)
+    wrong = ~(np.isfinite(costs) & (costs >= 0.0))
+    if wrong.any():
+        outcome = int(np.argmax(wrong))
+        pair = int(np.searchsorted(model.outcome_offsets, outcome, side="right")) - 1
+        raise ModelError(
+            f"limit {name!r}, {model.describe_pair(pair)}: the cost must be finite and >= 0, not "
+            f"{float(costs[outcome])!r}"
+        )
+    other = replace(model, costs=costs, exact_costs={})
+    return SideRow(name, other, float(limit.bound))
+
+
+def _is_amount(value: object) -> bool:
+    """Whether a value is a finite number >= 0, and no integer beyond all floats."""
+    if not isinstance(value, Real):
+        return False
+    try:
+        amount = float(value)
+    except OverflowError:
+        return False
+    return 0.0 <= amount < float("inf")
+
+
+def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
+    """Costs from nested dicts, 0 where nothing is listed, [pairs]."""
+    result = np.zeros(model.n_pairs)
+    for state, actions in cost.items():
+        try:
+            index = model.index_of(state)
+        except ModelError as error:
+            raise ModelError(f"limit {name!r}: {error}") from error
+        if not isinstance(actions, Mapping):
+            raise ModelError(f"limit {name!r}, state {state!r}: not {{action: cost}}: {actions!r}")
+        begin, end = model.pair_offsets[index : index + 2].tolist()
+        pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
+        for action, value in actions.items():
+            if action not in pair_of:
+                raise ModelError(f"limit {name!r}: state {state!r} has no action {action!r}")
+            if not _is_amount(value):
+                raise ModelError(
+                    f"limit {name!r}, action {action!r} of state {state!r}: the cost must be "
+                    f"finite and >= 0, not {value!r}"
+                )
+            result[pair_of[action]] = float(value)
+    return result
+
+
+def _spread(model: SSP, name: str, cost: npt.ArrayLike) -> FloatArray:
+    """Costs from an array of pairs or of outcomes, [outcomes]."""
+    try:
+        given = _numbers(cost)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
+    if given.shape == (model.n_outcomes,):
+        return given
+    if given.shape == (model.n_pairs,):
+        return np.repeat(given, np.diff(model.outcome_offsets))
+    raise ModelError(
+        f"limit {name!r}: the cost has shape {given.shape}; {model.n_pairs} pairs or "
+        f"{model.n_outcomes} outcomes are needed"
+    )
+
+
+def _numbers(cost: npt.ArrayLike) -> FloatArray:
+    """A copy as floats; complex numbers and texts, which numpy would convert, are refused."""
+    given = np.array(cost)
+    if given.dtype.kind not in "biufO":
+        raise TypeError(f"{given.dtype} is no type of real numbers")
+    return given.astype(np.float64)

@@ -1,0 +1,1 @@
+"""Occupation-measure linear programs."""

@@ -1,0 +1,74 @@
+"""The constrained occupation-measure program that every formulation compiles to.
+
+    minimise    <cost, x>                     (case S: <cost, x> / <goal, x>)
+    subject to  outflow(x) - inflow(x) = start
+                <failure, x> <= budget
+                <row_k, x> <= bound_k                 (any number of secondary costs, by name)
+                x >= 0
+
+x counts the expected visits of each pair of the process. The ratio of case S becomes linear by
+Charnes and Cooper's scaling: x and the start are scaled by t >= 0 so that <goal, x> = 1, and the
+failure row becomes <failure, x> - budget * t <= 0, every other one likewise. The normalising row
+then has the only nonzero right side, so that its dual is c*.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.processes.explicit import ExplicitProcess
+
+
+def occupation_program(process: ExplicitProcess, budget: float, ratio: bool) -> LinearProgram:
+    """Compile a process with a failure budget to its program.
+
+    Args:
+        process: the substochastic process.
+        budget: largest failure.
+        ratio: case S, the objective <cost, x> / <goal, x>; the last column is then t.
+    """
+    return rows_program(process, {"failure": (process.failure, budget)}, ratio)
+
+
+def rows_program(
+    process: ExplicitProcess, limits: Mapping[str, tuple[FloatArray, float]], ratio: bool
+) -> LinearProgram:
+    """Compile a process with any named rows to its program.
+
+    Args:
+        process: the substochastic process.
+        limits: name -> (coefficient of each pair, [pairs], and bound).
+        ratio: case S, the objective <cost, x> / <goal, x>; the last column is then t.
+    """
+    n_states, n_pairs, n_limits = process.n_states, process.n_pairs, len(limits)
+    outflow = sp.csr_array(
+        (np.ones(n_pairs), (process.pair_state, np.arange(n_pairs))), shape=(n_states, n_pairs)
+    )
+    body = [sp.csr_array(outflow - process.transitions.T)]
+    body += [sp.csr_array(row[None, :]) for row, _ in limits.values()]
+    bounds, free = np.array([bound for _, bound in limits.values()]), np.full(n_limits, -np.inf)
+    places = {name: slice(n_states + k, n_states + k + 1) for k, name in enumerate(limits)}
+    rows = {"balance": slice(0, n_states)} | places
+    if not ratio:
+        return LinearProgram(
+            cost=process.cost,
+            matrix=sp.csc_array(sp.vstack(body)),
+            lower=np.concatenate([process.start, free]),
+            upper=np.concatenate([process.start, bounds]),
+            rows=rows,
+        )
+    body.append(sp.csr_array(process.goal[None, :]))
+    scale = sp.csr_array(np.concatenate([-process.start, -bounds, [0.0]])[:, None])
+    zeros, last = np.zeros(n_states), n_states + n_limits
+    return LinearProgram(
+        cost=np.append(process.cost, 0.0),
+        matrix=sp.csc_array(sp.hstack([sp.vstack(body), scale])),
+        lower=np.concatenate([zeros, free, [1.0]]),
+        upper=np.concatenate([zeros, np.zeros(n_limits), [1.0]]),
+        rows=rows | {"normaliser": slice(last, last + 1)},
+    )

@@ -1,0 +1,1 @@
+"""Answers checked anew: certificates, and methods held against each other."""

@@ -1,0 +1,178 @@
+"""A method: one way to an answer, with all that its answer can be judged by."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError
+from ssp_lp.game.setting import checked_setting
+from ssp_lp.linear_programming.solving import BACKENDS
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.problem import Problem
+from ssp_lp.solution import Solution
+from ssp_lp.solve import solve
+
+METHODS = ("lp", "columns", "game")
+
+MOST_COLUMNS = 60_000
+"""Largest program that is solved from nothing. The paper's robot has 24,000 columns in case M,
+seconds for an interior point; case S has one to two millions, which take it many minutes."""
+
+_WARM = "highs-warm"
+
+
+@dataclass(frozen=True)
+class Member:
+    """A deterministic member of a method's lottery, evaluated on the model."""
+
+    weight: float
+    cost: float  # J_obj: case M E[r_tau], case S E[cost; goal]; discounted where the problem is
+    failure: float  # J_cond: what the budget limits
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """What one engine says. A method that gave no answer has a note and no numbers."""
+
+    name: str
+    note: str = ""
+    failed: bool = False  # it was asked and gave no answer
+    infeasible: InfeasibleError | None = None  # what it raised, where no policy keeps the budget
+    objective: float | None = None  # c*
+    lower_bound: float | None = None
+    gap: float | None = None
+    adversary_weight: float | None = None  # alpha*
+    failure_price: float | None = None
+    evaluated: float | None = None  # objective of the policy, evaluated on the model
+    failure_probability: float | None = None
+    discounted_failure: float | None = None
+    expected_cost: float | None = None
+    conditional_cost: float | None = None
+    members: tuple[Member, ...] = ()
+    seconds: float | None = None
+
+    @property
+    def answered(self) -> bool:
+        """Whether there is an answer to compare."""
+        return self.objective is not None
+
+    @property
+    def least_failure(self) -> float | None:
+        """The least failure, as limited by the budget, of a method that says infeasible."""
+        error = self.infeasible
+        if error is None:
+            return None
+        surrogate = error.least_discounted_failure
+        return error.least_failure if surrogate is None else surrogate
+
+    @property
+    def spent(self) -> float | None:
+        """The failure that the budget limits: discounted under a discount, else the real one."""
+        surrogate = self.discounted_failure
+        return self.failure_probability if surrogate is None else surrogate
+
+
+def result_of(name: str, solution: Solution) -> MethodResult:
+    """The row of a solution, its policy and each member evaluated on the model."""
+    found = evaluate(solution.policy, solution.problem)
+    return MethodResult(
+        name=name,
+        note="; ".join(part for part in (solution.note, solution.run.program) if part),
+        objective=solution.objective,
+        lower_bound=solution.lower_bound,
+        gap=solution.gap,
+        adversary_weight=solution.adversary_weight,
+        failure_price=solution.failure_price,
+        evaluated=found.objective,
+        failure_probability=found.failure_probability,
+        discounted_failure=found.discounted_failure,
+        expected_cost=found.expected_cost,
+        conditional_cost=found.conditional_cost,
+        members=_members(solution.policy, solution.problem),
+        seconds=solution.seconds,
+    )
+
+
+def result_by(
+    name: str, problem: Problem, lp_backend: str | None = None, time_limit: float | None = None
+) -> MethodResult:
+    """Ask one engine, unless it cannot be asked.
+
+    Args:
+        name: "lp", "columns" or "game".
+        problem: the problem.
+        lp_backend: the solver of the linear program, whatever its size; None: chosen by size.
+        time_limit: seconds for this method.
+    """
+    backend, reason = None, ""
+    if name == "lp":
+        backend, reason = _program_backend(problem, lp_backend)
+    elif name == "game":
+        reason = _game_reason(problem)
+    if reason:
+        return MethodResult(name, note=f"not asked: {reason}")
+    began = time.perf_counter()
+    try:
+        solution = solve(problem, name, backend=backend, time_limit=time_limit)
+    except InfeasibleError as error:
+        method = MethodResult(name, note=f"infeasible: {error}", failed=True, infeasible=error)
+    except SolverError as error:
+        method = MethodResult(name, note=f"failed: {error}", failed=True)
+    except ModelError as error:
+        if name != "game":  # the model is at fault, not the size of this method's table
+            raise
+        method = MethodResult(name, note=f"failed: {error}", failed=True)
+    else:
+        method = result_of(name, solution)
+    return replace(method, seconds=time.perf_counter() - began)
+
+
+def _members(policy: MixedPolicy, problem: Problem) -> tuple[Member, ...]:
+    """Each member of a lottery by itself."""
+    members = []
+    for one, weight in zip(policy.policies, policy.weights, strict=True):
+        found = evaluate(one, problem)
+        surrogate = found.discounted_failure
+        failure = found.failure_probability if surrogate is None else surrogate
+        cost = found.objective
+        if problem.ratio:
+            cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
+        members.append(Member(float(weight), cost, failure))
+    return tuple(members)
+
+
+def _game_reason(problem: Problem) -> str:
+    """Why the game cannot be asked; empty if it can."""
+    try:
+        checked_setting(problem)
+    except ModelError as error:
+        return str(error)
+    compiled = problem.compile()
+    if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
+        return "the game chooses its own cap M: leave cost_cap out"
+    return ""
+
+
+def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, str]:
+    """The backend for a problem's program, and why the program is not solved at all."""
+    if problem.failure_budget is None:
+        return None, "at least failure there is one method, the two stages of engine='columns'"
+    if asked is not None:
+        return asked, ""
+    columns = _columns(problem)
+    if columns <= MOST_COLUMNS:
+        return None, ""
+    if _WARM in BACKENDS:
+        return _WARM, ""
+    return None, f"{columns:,} columns are too many to solve from nothing"
+
+
+def _columns(problem: Problem) -> int:
+    """Columns of the first program that the LP engine would solve."""
+    compiled = problem.compile().for_program()
+    if isinstance(compiled, CompiledAccumulatedCost):
+        return compiled.process.cap * len(compiled.base.quotient.pair_at)
+    return compiled.explicit().n_pairs
