@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_setting
 from ssp_lp.processes.failure_semantics import (
@@ -19,7 +20,7 @@ from ssp_lp.processes.secondary_costs import CostLimit, SideRow, side_rows
 
 
 @dataclass(frozen=True, eq=False)
-class ConstrainedCost:
+class ConstrainedCost(Formulation):
     """Minimise ``E[r_tau]`` subject to ``E[secondary cost k] <= bound k`` and a failure budget.
 
     Problem:

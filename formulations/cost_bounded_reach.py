@@ -9,6 +9,7 @@ from fractions import Fraction
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import ModelError
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_numbers, check_setting
 from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
@@ -17,7 +18,7 @@ from ssp_lp.processes.layered.law_measure import WithinBound
 
 
 @dataclass(frozen=True, eq=False)
-class CostBoundedReach:
+class CostBoundedReach(Formulation):
     """Maximise ``Pr(goal, total cost <= cost_bound)`` subject to ``failure <= failure_budget``.
 
     Problem:

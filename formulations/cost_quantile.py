@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import ModelError
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_numbers, check_setting
 from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
@@ -16,7 +17,7 @@ from ssp_lp.processes.layered.law_measure import CostQuantileOf
 
 
 @dataclass(frozen=True, eq=False)
-class CostQuantile:
+class CostQuantile(Formulation):
     """Minimise the ``level``-quantile of the total cost given success.
 
     Problem:

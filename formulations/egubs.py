@@ -8,6 +8,7 @@ from math import isfinite
 
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.errors import ModelError
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.problem import check_numbers
 from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
@@ -16,7 +17,7 @@ from ssp_lp.processes.layered.law_measure import ExponentialUtility
 
 
 @dataclass(frozen=True, eq=False)
-class EGUBS:
+class EGUBS(Formulation):
     """Maximise ``E[exp(risk_factor * C); goal] + goal_bonus * Pr(goal)``, risk_factor < 0.
 
     Problem:

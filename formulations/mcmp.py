@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
 from ssp_lp.processes.failure_semantics import (
@@ -18,7 +19,7 @@ from ssp_lp.processes.failure_semantics import (
 
 
 @dataclass(frozen=True, eq=False)
-class MCMP:
+class MCMP(Formulation):
     """Minimise ``E[r_tau]`` subject to ``failure probability <= failure_budget`` (case M).
 
     Problem:

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
 
 
 @dataclass(frozen=True, eq=False)
-class MinCost:
+class MinCost(Formulation):
     """Minimise the expected cost of reaching the goal, which must be reached surely.
 
     Problem:

@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from ssp_lp.analysis.goal_probability import attention_labels
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, start_distribution
 
 
 @dataclass(frozen=True, eq=False)
-class MinProb:
+class MinProb(Formulation):
     """Minimise the probability of reaching the goal; costs do not count (MINPROB).
 
     Problem:

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import ModelError
+from ssp_lp.formulation import Formulation
 from ssp_lp.model import SSP
 from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
 from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
 
 
 @dataclass(frozen=True, eq=False)
-class S3P:
+class S3P(Formulation):
     """Minimise ``E[total cost | goal reached]`` subject to ``failure <= failure_budget`` (case S).
 
     Problem:

@@ -29,6 +29,9 @@ from ssp_lp.verification.certificate import Certificate, certify
 if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier, trace_frontier
     from ssp_lp.analysis.simulation import simulate
+    from ssp_lp.formulation import Formulation
+    from ssp_lp.programs.occupation_measure import OccupationMeasure
+    from ssp_lp.programs.occupation_program import OccupationProgram
     from ssp_lp.verification.cross_check import CrossCheck, cross_check
 
 __version__ = "0.1.0"
@@ -42,12 +45,15 @@ __all__ = [
     "CrossCheck",
     "DeterministicPolicy",
     "Evaluation",
+    "Formulation",
     "Frontier",
     "GiveUp",
     "InfeasibleError",
     "MissingDependencyError",
     "MixedPolicy",
     "ModelError",
+    "OccupationMeasure",
+    "OccupationProgram",
     "SSPError",
     "Solution",
     "SolverError",
@@ -63,6 +69,9 @@ __all__ = [
 ]
 
 _ON_DEMAND = {
+    "Formulation": "ssp_lp.formulation",
+    "OccupationMeasure": "ssp_lp.programs.occupation_measure",
+    "OccupationProgram": "ssp_lp.programs.occupation_program",
     "CrossCheck": "ssp_lp.verification.cross_check",
     "cross_check": "ssp_lp.verification.cross_check",
     "Frontier": "ssp_lp.analysis.frontier",

@@ -59,6 +59,11 @@ def least_integer_type(most: int) -> npt.DTypeLike:
     return np.min_scalar_type(-max(most, 2) - 1)
 
 
+def unsigned(indices: IntArray) -> npt.NDArray[Any]:
+    """A view of non-negative whole numbers as unsigned ones."""
+    return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)
+
+
 def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.int64]:
     """Concatenate ``arange(start, start + length)`` over all given ranges, without a loop."""
     lengths = np.asarray(lengths, dtype=np.int64)

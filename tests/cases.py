@@ -1,9 +1,6 @@
-"""The acceptance cases: models with exact fractions and the values expected of them.
+"""The published models in exact fractions, and the values expected of them (`tests/data`)."""
 
-They lie beside the repository in `../shared/cases`; tests that need them are skipped where that
-folder is absent.
-"""
-
+import gzip
 import json
 from dataclasses import dataclass
 from fractions import Fraction
@@ -11,13 +8,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import pytest
+FOLDER = Path(__file__).parent / "data"
 
-FOLDER = Path(__file__).resolve().parents[2] / "shared" / "cases"
-
-needs_cases = pytest.mark.skipif(
-    not (FOLDER / "expected.json").is_file(), reason=f"no acceptance cases in {FOLDER}"
-)
+NAMES = sorted(path.name.removesuffix(".json.gz") for path in (FOLDER / "models").iterdir())
 
 Transitions = dict[int, dict[str, list[tuple[Fraction, int, Fraction]]]]
 
@@ -42,10 +35,15 @@ class Case:
         }
 
 
+def raw_case(name: str) -> dict[str, Any]:
+    """One model as it is stored."""
+    return json.loads(gzip.decompress((FOLDER / "models" / f"{name}.json.gz").read_bytes()))
+
+
 @cache
 def load_case(name: str, cost: str) -> Case:
     """Read one model with the named cost ("unit": 1 for every choice of a non-goal state)."""
-    raw = json.loads((FOLDER / name).read_text())
+    raw = raw_case(name)
     goal = frozenset(raw["goal"])
     choices: Transitions = {
         state: {
@@ -66,9 +64,8 @@ def _outcomes(choice: dict[str, Any], cost: str) -> list[tuple[Fraction, int, Fr
 
 @cache
 def expected() -> dict[str, Any]:
-    """The table of expected values; empty where the cases are absent."""
-    path = FOLDER / "expected.json"
-    return json.loads(path.read_text()) if path.is_file() else {"cases": [], "hand_cases": []}
+    """The table of expected values."""
+    return json.loads((FOLDER / "expected.json").read_text())
 
 
 ROBOT_VALUES = [

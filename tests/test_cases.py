@@ -7,33 +7,31 @@ fSSPUDE and C-SSP belong to other criteria and are not read here (see test_crite
 import numpy as np
 import pytest
 
-from cases import FOLDER, ROBOT_VALUES, expected, load_case, needs_cases
+from cases import NAMES, ROBOT_VALUES, expected, load_case
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, solve
 from ssp_lp.analysis import goal_probability
-
-pytestmark = needs_cases
 
 CLOSE = {"rel": 1e-6, "abs": 1e-9}
 GAP = 1e-8
 TABLE = {"give_up": "anywhere", "charge_failing_step": False}
 
 each_row = pytest.mark.parametrize(
-    "row", expected()["cases"], ids=[row["model"][9:-5] for row in expected()["cases"]]
+    "row", expected()["cases"], ids=[row["model"] for row in expected()["cases"]]
 )
 each_engine = pytest.mark.parametrize("engine", ["auto", "lp", "columns"])
 
 
 def load(name, cost):
     """One case as a library model, with its start state."""
-    case = load_case(f"explicit/{name}.json", cost)
+    case = load_case(name, cost)
     model = SSP.from_transitions(case.choices, goal=case.goal, treat_actionless_as_dead_ends=True)
     return model, case.start
 
 
 def load_row(row):
     """The model and start of one row of the table."""
-    return load(row["model"][9:-5], row["cost"])
+    return load(row["model"], row["cost"])
 
 
 def solved(problem, engine="auto"):
@@ -181,6 +179,6 @@ def test_models_whose_value_is_not_given_away(name):
 
 def test_every_model_of_the_folder_is_tried():
     """Each file is a row of the table, a hand case, or one of the unlisted (H6 is a C-SSP)."""
-    listed = {row["model"][9:-5] for row in expected()["cases"]}
-    found = {path.stem for path in (FOLDER / "explicit").glob("*.json")}
+    listed = {row["model"] for row in expected()["cases"]}
+    found = set(NAMES)
     assert found - listed - set(UNLISTED) == {"prism_attacktree", "qcomp23_rov_B10"}

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from bisimulation import compare
-from cases import Case, load_case, needs_cases
+from cases import Case, load_case
 from domains.domain import Domain
 from domains.navigation import navigation
 from domains.rectangle_tireworld import rectangle_tireworld
@@ -19,12 +19,10 @@ from formulations import MCMP, S3P
 from ssp_lp import SSP, solve
 from ssp_lp.analysis.goal_probability import max_goal_probability
 
-pytestmark = needs_cases
-
 
 def published(name: str) -> tuple[Case, Domain]:
     """A published model, its states numbered breadth-first as the generators do."""
-    case = load_case(f"explicit/{name}.json", "unit")
+    case = load_case(name, "unit")
     model = SSP.from_successors(
         case.start, case.choices.__getitem__, case.goal, treat_actionless_as_dead_ends=True
     )

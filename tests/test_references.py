@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cases import ROBOT_VALUES, expected, load_case, needs_cases
+from cases import ROBOT_VALUES, expected, load_case
 from references import mcmp, s3p, s3p_program
 from references.chain import plain_model
 from references.frontier import (
@@ -18,7 +18,7 @@ EXACT = {"rel": 1e-12, "abs": 1e-12}
 
 
 def case_model(name, cost):
-    case = load_case(f"explicit/{name}.json", cost)
+    case = load_case(name, cost)
     return plain_model(case.floats(), case.goal), case.start
 
 
@@ -70,7 +70,6 @@ def test_charges_of_the_failing_step():
     assert mcmp.at_least_failure(model, "x", charge_failing_step=False) == (0.5, 1.0)
 
 
-@needs_cases
 @pytest.mark.parametrize(("give_up", "charge", "value"), ROBOT_VALUES)
 def test_four_numbers_of_the_robot(give_up, charge, value):
     """The robot of PRISM at P(goal) >= 1/4, under every meaning of giving up."""
@@ -80,7 +79,6 @@ def test_four_numbers_of_the_robot(give_up, charge, value):
     assert hull_value(points, 0.75) == pytest.approx(float(value), **EXACT)
 
 
-@needs_cases
 def test_hand_cases_of_the_two_move_domain():
     """H1 = 79/49 and H2 = 8/5 at P >= 0.98."""
     model, start = case_model("gubs_test_domain", "unit")
@@ -91,7 +89,6 @@ def test_hand_cases_of_the_two_move_domain():
     assert (low, high) == pytest.approx((79 / 49, 79 / 49), rel=1e-9)
 
 
-@needs_cases
 def test_hand_case_of_the_attack_tree():
     """H5: every successful run pays 15; the published MCMP of the same policies is 11.02."""
     model, start = case_model("prism_attacktree", "cost")
@@ -100,20 +97,18 @@ def test_hand_case_of_the_attack_tree():
     assert least.cost == pytest.approx(11.02, rel=1e-12)
 
 
-@needs_cases
 @pytest.mark.parametrize(
     "row",
     [
         row
         for row in expected()["cases"]
-        if row["model"].split("_")[-1]
-        in {"goal1.json", "goal2.json", "x1.json", "rewpoliter.json", "t1.json", "domain.json"}
+        if row["model"].split("_")[-1] in {"goal1", "goal2", "x1", "rewpoliter", "t1", "domain"}
     ],
     ids=lambda row: row["model"],
 )
 def test_enumeration_agrees_with_the_table(row):
     """The small models of the table, all columns that the references know."""
-    model, start = case_model(row["model"][9:-5], row["cost"])
+    model, start = case_model(row["model"], row["cost"])
     low, high = s3p.goal_probability_range(model, start)
     assert (low, high) == pytest.approx((row["minprob"], row["maxprob"]), rel=1e-9, abs=1e-9)
     least = mcmp.at_least_failure(model, start, charge_failing_step=False)

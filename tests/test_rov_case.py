@@ -5,21 +5,18 @@ the hurried and the slow way of one and the same task. Storm 2.0's multi-objecti
 46.857142857 at time 60, 45.142857143 at 70.
 """
 
-import json
 from fractions import Fraction
 
 import pytest
 
-from cases import FOLDER, needs_cases
+from cases import raw_case
 from formulations import ConstrainedCost, CostLimit, MinCost
 from ssp_lp import SSP, InfeasibleError, certify, solve
-
-pytestmark = needs_cases
 
 
 def read(cost, other):
     """The model with one of its rewards as cost, and another by state and action."""
-    raw = json.loads((FOLDER / "explicit" / "qcomp23_rov_B10.json").read_text())
+    raw = raw_case("qcomp23_rov_B10")
     (end,) = raw["labels"]["deadlock"]
     choices, spent = {}, {}
     for state, listed in enumerate(raw["choices"]):

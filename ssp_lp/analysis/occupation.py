@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
-from ssp_lp.arrays import FloatArray, IntArray, segment_sums
+from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
-from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
+from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.joint import common_memory
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution, survival_of
@@ -52,25 +52,6 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
         keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
         pairs.append(chain.branch_pair)
         flows.append(flow)
-    return _shares(
-        policy, memory, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows)
+    return StochasticPolicy.from_flows(
+        model, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows), memory
     )
-
-
-def _shares(
-    policy: MixedPolicy,
-    carrier: Policy | None,
-    keys: IntArray,
-    pairs: IntArray,
-    flows: FloatArray,
-) -> StochasticPolicy:
-    n_pairs = policy.model.n_pairs
-    joint, back = np.unique(keys * (n_pairs + 1) + pairs + 1, return_inverse=True)
-    flow = np.bincount(back, weights=flows).astype(np.float64)
-    key, pair = np.divmod(joint, n_pairs + 1)
-    situation, first = np.unique(key, return_index=True)
-    offsets = np.append(first, key.size)
-    total = np.repeat(segment_sums(flow, offsets), np.diff(offsets))
-    even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
-    share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
-    return StochasticPolicy(policy.model, situation, offsets, pair - 1, share, carrier)

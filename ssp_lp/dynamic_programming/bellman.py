@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 
 from ssp_lp.arrays import (
@@ -15,6 +13,7 @@ from ssp_lp.arrays import (
     IntArray,
     first_minimisers,
     segment_minima,
+    unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated
 
@@ -222,8 +221,3 @@ def unsigned_parts(
 
 def _parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:
     return unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
-
-
-def unsigned(indices: IntArray) -> npt.NDArray[Any]:
-    """A view of non-negative whole numbers as unsigned ones."""
-    return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)

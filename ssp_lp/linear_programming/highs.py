@@ -74,8 +74,8 @@ def _solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highs
     options: dict[str, bool | int | float | str] = {
         "output_flag": False,
         "solver": _SOLVERS[backend],
-        "primal_feasibility_tolerance": 1e-9,
-        "dual_feasibility_tolerance": 1e-9,
+        "primal_feasibility_tolerance": 1e-10,
+        "dual_feasibility_tolerance": 1e-10,
         "threads": 1,
     }
     if basis is not None:

@@ -50,7 +50,7 @@ def first_accepted(
     """
     tried = []
     for name, basis in attempts:
-        answer = _run(program, name, deadline - time.perf_counter(), basis)
+        answer = run(program, name, deadline - time.perf_counter(), basis)
         worst = residuals(program, answer).worst
         if worst <= RESIDUAL:
             return answer, worst
@@ -59,9 +59,17 @@ def first_accepted(
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
 
-def _run(
-    program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None
+def run(
+    program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
 ) -> LPAnswer:
+    """One backend's answer, unchecked.
+
+    Args:
+        program: the program.
+        backend: "highs-simplex", "highs-ipx", "highs-warm", "clarabel" or "cvxpy".
+        time_limit: seconds.
+        basis: where "highs-warm" starts.
+    """
     if backend == "clarabel":  # each backend is imported only when it is asked for
         from ssp_lp.linear_programming.clarabel import solve_with_clarabel
 

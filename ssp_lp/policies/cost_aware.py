@@ -23,7 +23,7 @@ class CostAwarePolicy(Policy, Playable):
     Costs are counted in layers of ``unit``. Memory below ``cap`` is the layer. At the cap the
     policy switches for good to one of its stationary tails: to the last one (which fails where it
     can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
-    state, else to the first; memory is then ``cap + tail``.
+    state, else to the first, or as ``tail_table`` says; memory is then ``cap + tail``.
     """
 
     model: SSP
@@ -31,10 +31,13 @@ class CostAwarePolicy(Policy, Playable):
     decision: IntArray  # [cap, states] position in the state's pairs, GIVE_UP_CODE or UNDECIDED
     tails: IntArray  # [tails, states] pair, GIVE_UP_CODE or UNDECIDED
     tail_threshold: FloatArray  # [states] layer from which the last tail is followed
+    tail_table: IntArray | None = None  # [layers from the cap on, states] tail, for any other rule
 
     def __post_init__(self) -> None:
         for name in ("decision", "tails", "tail_threshold"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+        if self.tail_table is not None:
+            object.__setattr__(self, "tail_table", read_only(self.tail_table))
         everywhere = np.arange(self.model.n_states)
         for layer in self.decision:
             check_decisions(self.model, self._pairs(layer, everywhere), everywhere)
@@ -84,7 +87,11 @@ class CostAwarePolicy(Policy, Playable):
 
     def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
         last = len(self.tails) - 1
-        tail = np.where(layer >= self.tail_threshold[states], last, 0)
+        if self.tail_table is None:
+            tail = np.where(layer >= self.tail_threshold[states], last, 0)
+        else:
+            beyond = np.clip(layer - self.cap, 0, len(self.tail_table) - 1)
+            tail = self.tail_table[beyond, states].astype(np.int64)
         return np.where(layer < self.cap, layer, self.cap + tail)
 
     def __repr__(self) -> str:

@@ -106,7 +106,8 @@ def meaning_of(policy: Policy) -> tuple[object, ...]:
         case TimedPolicy():
             return len(policy.stages), *meaning_of(policy.stages[0])
         case CostAwarePolicy():
-            return policy.cap, policy.unit, len(policy.tails), policy.tail_threshold.tobytes()
+            rule = policy.tail_threshold if policy.tail_table is None else policy.tail_table
+            return policy.cap, policy.unit, len(policy.tails), rule.tobytes()
         case JointMemory():
             return tuple(meaning_of(keeper) for keeper in policy.keepers)
         case StochasticPolicy(carrier=Policy() as carrier):

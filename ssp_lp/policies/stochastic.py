@@ -59,6 +59,34 @@ class StochasticPolicy(Policy, Playable):
             np.array([w for _, table in rows for w in table.values()], dtype=np.float64),
         )
 
+    @classmethod
+    def from_flows(
+        cls,
+        model: SSP,
+        keys: IntArray,
+        pairs: IntArray,
+        flows: FloatArray,
+        carrier: Policy | None = None,
+    ) -> StochasticPolicy:
+        """The policy that takes each decision with its share of its situation's flow.
+
+        Args:
+            model: the model.
+            keys: memory * n_states + state of each decision; any order, repetitions allowed.
+            pairs: pair of the model or GIVE_UP_CODE, like ``keys``.
+            flows: expected number of times that the decision is taken, like ``keys``.
+            carrier: the policy whose memory is meant; None: no memory.
+        """
+        joint, back = np.unique(keys * (model.n_pairs + 1) + pairs + 1, return_inverse=True)
+        flow = np.bincount(back, weights=flows).astype(np.float64)
+        key, pair = np.divmod(joint, model.n_pairs + 1)
+        situation, first = np.unique(key, return_index=True)
+        offsets = np.append(first, key.size)
+        total = np.repeat(segment_sums(flow, offsets), np.diff(offsets))
+        even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
+        share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
+        return cls(model, situation, offsets, pair - 1, share, carrier)
+
     def member(self, rng: np.random.Generator | None) -> Policy:
         """The policy itself."""
         return self

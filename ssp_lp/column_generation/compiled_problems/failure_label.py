@@ -75,11 +75,14 @@ class CompiledFailureLabel:
         """
         return self._oracle
 
+    def second_stage(self) -> ExplicitPricing:
+        """Pricing over the pairs that attain the greatest goal probability."""
+        usable = greatest_goal_reach(self.model, survival_of(self.discount)).usable
+        return self._restricted_to(usable)
+
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least cost among its actions."""
-        survival = survival_of(self.discount)
-        usable = greatest_goal_reach(self.model, survival).usable
-        second = self._restricted_to(usable)
+        second = self.second_stage()
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:

@@ -154,7 +154,8 @@ class LayeredPricing:
     ) -> Column:
         base, work = self.process.base, Work(backups, self.process.cap)
         cost, failure, goal = (base.start @ totals).tolist()
-        failure, goal = failure + base.start_failure, goal + base.start_goal
+        failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
+        goal = max(goal + base.start_goal, 0.0)
         cost += self.process.start_charge
         return Column(cost, failure, goal, choice, tail_price, work=work)
 

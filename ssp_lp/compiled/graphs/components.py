@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.compiled.graphs.searches import unsigned
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.loops import one_or_all_cores
 
 

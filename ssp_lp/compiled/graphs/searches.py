@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 
 
 def transposed(
@@ -262,11 +262,6 @@ def _leading_into(
             if states[successors[outcome]] and probabilities[outcome] > 0:
                 leads[pair] = True
                 break
-
-
-def unsigned(indices: IntArray) -> IntArray:
-    """The same non-negative 32-bit indices, unsigned."""
-    return indices.view(np.uint32)
 
 
 def _queue(first: IntArray, room: int) -> tuple[IntArray, int]:

@@ -9,9 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import unsigned
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph, linalg
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import unsigned
 from ssp_lp.dynamic_programming.linear_systems.direct import Band, Factors
 from ssp_lp.errors import SolverError
 

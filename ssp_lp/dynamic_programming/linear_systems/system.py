@@ -15,9 +15,8 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import linalg
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import unsigned
 from ssp_lp.dynamic_programming.linear_systems.components import Components, strong_components
 from ssp_lp.dynamic_programming.linear_systems.equations import (
     HOLDS_MASS,

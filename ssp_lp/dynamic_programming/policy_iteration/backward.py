@@ -11,9 +11,10 @@ from ssp_lp.arrays import (
     IntArray,
     first_minimisers,
     segment_minima,
+    unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import unsigned, unsigned_parts
+from ssp_lp.dynamic_programming.bellman import unsigned_parts
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.equations import HOLDS_MASS
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES

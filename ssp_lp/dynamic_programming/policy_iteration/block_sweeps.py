@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray
-from ssp_lp.dynamic_programming.bellman import unsigned, unsigned_parts
+from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray, unsigned
+from ssp_lp.dynamic_programming.bellman import unsigned_parts
 from ssp_lp.dynamic_programming.deadline import Deadline
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.components import Components, chosen_components

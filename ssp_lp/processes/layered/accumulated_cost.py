@@ -31,8 +31,7 @@ class AccumulatedCost:
     """One layer of the process, and how its pairs lead to the same and to later layers."""
 
     quotient: Quotient
-    unit: float  # cost of one layer
-    width: int  # layers that one step can reach: 0 .. width - 1 ahead
+    lattice: Lattice  # of the costs
     survival: float  # the discount, 1 in the exact setting
     instant: sp.csr_array  # [pairs, nodes] steps that cost nothing and stay in the layer
     later: sp.csr_array  # [pairs, (width - 1) * nodes] column 0 is one layer ahead
@@ -42,8 +41,23 @@ class AccumulatedCost:
     start: FloatArray  # [nodes]
     start_goal: float  # start mass on goals
     start_failure: float  # start mass on dead-ends
-    exact_unit: Fraction  # the unit as the fraction that it is
+    departs: FloatArray  # [pairs] what rows were divided by: they count departures from a node
     arrivals: sp.csr_array | None = None  # [pairs, width] steps into the goal by layers ahead
+
+    @property
+    def exact_unit(self) -> Fraction:
+        """Cost of one layer."""
+        return self.lattice.unit
+
+    @cached_property
+    def unit(self) -> float:
+        """The same as a float."""
+        return float(self.lattice.unit)
+
+    @property
+    def width(self) -> int:
+        """Layers that one step can reach: 0 .. width - 1 ahead."""
+        return self.lattice.width
 
     @property
     def n_nodes(self) -> int:
@@ -101,8 +115,7 @@ def accumulate_cost(
     acting = quotient.pair_at >= 0
     base = AccumulatedCost(
         quotient=quotient,
-        unit=float(lattice.unit),
-        width=lattice.width,
+        lattice=lattice,
         survival=survival,
         instant=instant,
         later=later,
@@ -112,7 +125,7 @@ def accumulate_cost(
         start=quotient.gather(start),
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[quotient.dead].sum()),
-        exact_unit=lattice.unit,
+        departs=np.ones(len(quotient.pair_at)),
         arrivals=_arrivals(quotient, lattice) if arrivals else None,
     )
     return base if discount is not None or instant.nnz == 0 else _departing(base)
@@ -134,6 +147,7 @@ def _departing(base: AccumulatedCost) -> AccumulatedCost:
         gain=base.gain / departs,
         gain_cost=base.gain_cost / departs,
         failure=base.failure / departs,
+        departs=departs,
         arrivals=None if arrivals is None else _scaled(arrivals, share),
     )
 

@@ -74,8 +74,10 @@ def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
     columns = np.tile(base.steps.indices.astype(np.int64), cap) + shift
     row_ends = np.tile(base.steps.indptr[1:].astype(np.int64), cap)
     row_ends += np.repeat(np.arange(cap, dtype=np.int64) * per_layer, n_pairs)
+    index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
+    indptr = np.concatenate([[0], row_ends]).astype(index)
     return sp.csr_array(
-        (np.tile(base.steps.data, cap), columns, np.concatenate([[0], row_ends])),
+        (np.tile(base.steps.data, cap), columns.astype(index), indptr),
         shape=(cap * n_pairs, n_states),
     )
 

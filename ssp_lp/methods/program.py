@@ -1,0 +1,123 @@
+"""From a problem to its occupation-measure program."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+
+from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    CompiledProblem,
+    checked_least_failure,
+)
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.column_generation.compiled_problems.layered import CompiledLayered
+from ssp_lp.errors import ModelError
+from ssp_lp.methods.refinement import CERTIFYING, optimise
+from ssp_lp.problem import LimitedProblem, Problem, WithLimits, compiled_constrained
+from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
+from ssp_lp.processes.layered.law_measure import CostQuantileOf, TailMeanOf
+from ssp_lp.processes.secondary_costs import FAILURE_ROW
+from ssp_lp.programs.accumulated_cost import LayeredModel
+from ssp_lp.programs.augmented import Augmented
+from ssp_lp.programs.failure_label import LabelledModel
+from ssp_lp.programs.occupation_program import Constraint, OccupationProgram
+
+
+def program_of(problem: Problem) -> OccupationProgram:
+    """The linear program over expected visits whose optimum is the problem's.
+
+    At least failure (``failure_budget=None``) it is the program of the second stage: over the
+    actions that attain the greatest goal probability, without a failure row (DESIGN, section 4). In
+    case S the cost up to which accumulated costs are told apart is the one at which column
+    generation proves the optimum, or the problem's ``cost_cap``.
+
+    Args:
+        problem: a formulation.
+
+    Returns:
+        The program: labelled, and open to every solver.
+
+    Raises:
+        ModelError: the criterion is no linear program (a quantile or a tail mean of the cost).
+        InfeasibleError: the budget is below the least failure.
+    """
+    if isinstance(problem.semantics.measure, CostQuantileOf | TailMeanOf):
+        raise ModelError(
+            f"{type(problem).__name__} is no linear program but a search over many: "
+            "CostBoundedReach(...).program() is the one at a fixed cost"
+        )
+    if isinstance(problem, WithLimits):
+        return _constrained(cast("LimitedProblem", problem))
+    compiled, budget = problem.compile(), problem.failure_budget
+    rows: tuple[Constraint, ...] = ()
+    if budget is None:
+        augmented = _at_least_failure(compiled)
+    else:
+        augmented, granted = _within(compiled, budget)
+        if budget < 1.0:
+            rows = (Constraint(FAILURE_ROW, augmented.process.failure, "<=", granted),)
+    objective, constant = _objective(problem)
+    return OccupationProgram(_title(problem), objective, augmented, rows, problem.ratio, constant)
+
+
+def _constrained(problem: LimitedProblem) -> OccupationProgram:
+    """Case M with a row for each secondary cost."""
+    compiled = compiled_constrained(problem).settled()
+    pricing = compiled.pricing
+    rows = tuple(
+        Constraint(name, np.ascontiguousarray(pricing.rewards[:, k]), "<=", float(bound))
+        for k, (name, bound) in enumerate(zip(compiled.names, compiled.bounds, strict=True), 1)
+        if np.isfinite(bound)
+    )
+    augmented = LabelledModel(pricing.labelled, compiled.start)
+    return OccupationProgram(_title(problem), "cost", augmented, rows)
+
+
+def _at_least_failure(compiled: CompiledProblem) -> Augmented:
+    """The second stage's process."""
+    checked_least_failure(compiled, None)
+    if isinstance(compiled, CompiledFailureLabel):
+        return LabelledModel(compiled.second_stage().labelled, compiled.start)
+    if isinstance(compiled, CompiledAccumulatedCost):
+        compiled = CompiledArrivalCost(compiled.model, compiled.start, TOTAL_COST, ratio=True)
+    if isinstance(compiled, CompiledArrivalCost):
+        return LayeredModel(compiled.safest().process, compiled.start)
+    raise ModelError(f"no program is known for {type(compiled).__name__}")
+
+
+def _within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]:
+    """The process of a problem with a budget, and the budget, raised to what is attainable."""
+    if isinstance(compiled, CompiledFailureLabel):
+        least = checked_least_failure(compiled, budget).column.failure if budget < 1.0 else 0.0
+        return LabelledModel(compiled.pricing().labelled, compiled.start), max(budget, least)
+    found = optimise(compiled, budget, CERTIFYING)
+    here = found.compiled
+    if not isinstance(here, CompiledLayered):
+        raise ModelError(f"no program is known for {type(compiled).__name__}")
+    return LayeredModel(here.process, here.start), found.row.budget
+
+
+def _objective(problem: Problem) -> tuple[str, float | None]:
+    """What is minimised, and the constant of what is maximised in its place."""
+    semantics = problem.semantics
+    if semantics.aim is Aim.GREATEST_GOAL:
+        return "failure", 1.0
+    if semantics.aim is Aim.LEAST_GOAL:
+        return "goal", None
+    if semantics.measure is not None:
+        return "arrival cost", semantics.failing_worth
+    if 0.0 < semantics.penalty < np.inf:
+        return f"cost + {semantics.penalty:g} failure", None
+    return "cost", None
+
+
+def _title(problem: Problem) -> str:
+    """The formulation, and what is asked about failing."""
+    budget = problem.failure_budget
+    asked = "least failure" if budget is None else f"failure budget {budget:g}"
+    discount = "" if problem.discount is None else f", discount {problem.discount:g}"
+    return f"{type(problem).__name__}, {asked}{discount}"

@@ -1,0 +1,177 @@
+"""Case S's process written out, with its way back to the model (paper, section 3.1.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
+from ssp_lp.policies.stochastic import StochasticPolicy
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.flow import ModelFlow, decisions, model_flow, moving_within
+from ssp_lp.processes.layered.materialise import materialise
+from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.programs.augmented import FAIL, GO_FOR_GOAL, START, ColumnLabel
+
+_MIXED = 1e-9  # share of a tail's visits from which it counts
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredModel:
+    """States and the cost paid so far, up to a cap; from there on a tail policy for good."""
+
+    layered: LayeredProcess
+    start: FloatArray  # [states]
+
+    @cached_property
+    def process(self) -> ExplicitProcess:
+        """All layers, whose pairs are the columns."""
+        return materialise(self.layered)
+
+    @property
+    def model(self) -> SSP:
+        """The model that it augments."""
+        return self.layered.base.quotient.model
+
+    @property
+    def gives_up(self) -> BoolArray:
+        """Pairs by which a policy gives up, [process pairs]."""
+        mask = np.zeros(self.process.n_pairs, dtype=np.bool_)
+        own = np.tile(self.layered.base.quotient.pair_at == GIVE_UP_CODE, self.layered.cap)
+        mask[: own.size] = own
+        return mask
+
+    def label(self, pair: int) -> ColumnLabel:
+        """The state, the action and the accumulated cost of a pair."""
+        base, model, quotient = self.layered.base, self.model, self.layered.base.quotient
+        layer, inner = divmod(pair, len(base.gain))
+        if layer < self.layered.cap:
+            paid = float(layer * base.exact_unit)
+            acting = int(quotient.pair_at[inner])
+            if acting == GIVE_UP_CODE:
+                return ColumnLabel(self._member(int(quotient.pair_node[inner])), GIVE_UP, paid)
+            state = model.states[int(model.pair_state[acting])]
+            return ColumnLabel(state, model.action_of(acting), paid)
+        place, tail = divmod(pair - self.layered.cap * len(base.gain), len(self._tails))
+        beyond, node = divmod(place, base.n_nodes)
+        if beyond >= base.width - 1:
+            return ColumnLabel(None, START, 0.0)
+        paid = float((self.layered.cap + beyond) * base.exact_unit)
+        return ColumnLabel(self._member(node), (GO_FOR_GOAL, FAIL)[tail], paid)
+
+    def pairs_of(self, pair: int, state: int) -> IntArray:
+        """One pair of the process for each accumulated cost below the cap."""
+        base, quotient = self.layered.base, self.layered.base.quotient
+        here = quotient.pair_at == pair
+        if pair == GIVE_UP_CODE:
+            here &= quotient.pair_node == quotient.node_of[state]
+        layers = np.arange(self.layered.cap)[:, None] * len(base.gain)
+        return np.asarray((layers + np.flatnonzero(here)).ravel())
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """One decision for each state and accumulated cost below the cap, then a tail."""
+        base, cap, n = self.layered.base, self.layered.cap, self.layered.base.n_nodes
+        rows = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
+        within = self.layered.policy(choice[: cap * n].reshape(cap, n) - rows, 0.0)
+        first = self.process.pair_offsets[cap * n : cap * n + (base.width - 1) * n]
+        tail = choice[cap * n : cap * n + (base.width - 1) * n] - first
+        return self._with_tails(within, tail.reshape(base.width - 1, n))
+
+    def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
+        """A policy on states and accumulated cost, which follows the tails beyond the cap.
+
+        Raises:
+            ModelError: the visits follow both tails from one place, which no policy that only
+                remembers the cost can do.
+        """
+        carrier = self._with_tails(self.policy(choice), self._tails_taken(visits, choice))
+        n_states, cap = self.model.n_states, self.layered.cap
+        found = []
+        for layer, flow in enumerate(self._flows(visits)):
+            everywhere = np.arange(n_states)
+            memory = np.full(n_states, layer)
+            otherwise = carrier.branches(everywhere, memory).pair
+            state, pair, share = decisions(self.layered.base.quotient, flow, otherwise)
+            found.append((layer * n_states + state, pair, share))
+        for number, tail in enumerate(carrier.tails):
+            known = np.flatnonzero(tail >= GIVE_UP_CODE)
+            keys = (cap + number) * n_states + known
+            found.append((keys, tail[known].astype(np.int64), np.ones(known.size)))
+        keys, pairs, flows = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return StochasticPolicy.from_flows(self.model, keys, pairs, flows, carrier)
+
+    def _flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
+        """The model's flow in each layer, moves within collapsed components included."""
+        base, quotient, model = self.layered.base, self.layered.base.quotient, self.model
+        n_pairs, cap = len(base.gain), self.layered.cap
+        merged = bool(quotient.merged.any())
+        entering = np.zeros((cap + base.width, model.n_states) if merged else (0, 0))
+        lengths = np.diff(model.outcome_offsets)
+        if merged:
+            entering[0] = self.start
+        for layer in range(cap):
+            taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
+            flow = model_flow(quotient, taken)
+            if merged:
+                mass = np.repeat(flow.pairs, lengths) * model.probabilities
+                moved = np.flatnonzero(mass)
+                ends = layer + base.lattice.ahead[moved], model.successors[moved]
+                np.add.at(entering, ends, mass[moved])
+                flow = moving_within(quotient, flow, entering[layer])
+            yield flow
+
+    def _tails_taken(self, visits: FloatArray, choice: IntArray) -> IntArray:
+        """The tail that is followed from each place beyond the cap, [layers, nodes].
+
+        Raises:
+            ModelError: both are.
+        """
+        base, cap, n = self.layered.base, self.layered.cap, self.layered.base.n_nodes
+        begin, n_tails = cap * len(base.gain), len(self._tails)
+        size = (base.width - 1) * n
+        flow = visits[begin : begin + size * n_tails].reshape(size, n_tails)
+        total = flow.sum(axis=1)
+        both = (flow > _MIXED * total[:, None]).sum(axis=1) > 1
+        if (both & np.tile(self._tails_differ, base.width - 1)).any():
+            raise ModelError(
+                "the measure goes on in two ways from one accumulated cost beyond the cap, and a "
+                "policy that remembers the cost alone cannot: take mixed_policy(), or a larger "
+                "cost_cap"
+            )
+        first = self.process.pair_offsets[cap * n : cap * n + size]
+        chosen = choice[cap * n : cap * n + size] - first
+        return np.where(total > 0.0, flow.argmax(axis=1), chosen).reshape(base.width - 1, n)
+
+    def _with_tails(self, policy: CostAwarePolicy, tails: IntArray) -> CostAwarePolicy:
+        """The policy with the tail that is followed from each place, [layers, nodes]."""
+        quotient = self.layered.base.quotient
+        live = quotient.node_of >= 0
+        table = np.zeros((max(len(tails), 1), self.model.n_states), dtype=np.int8)
+        if len(tails):
+            table[:, live] = tails[:, quotient.node_of[live]]
+        return CostAwarePolicy(
+            self.model, policy.unit, policy.decision, policy.tails, policy.tail_threshold, table
+        )
+
+    @property
+    def _tails_differ(self) -> BoolArray:
+        """Where it matters which tail is followed, [nodes]."""
+        values = self.layered.tails.values
+        figures = values.goal, values.cost, values.moment
+        differ = [np.ptp(v, axis=0) > _MIXED * np.abs(v).max(axis=0) for v in figures]
+        return np.asarray(np.any(differ, axis=0))
+
+    @property
+    def _tails(self) -> IntArray:
+        return self.layered.tails.decisions
+
+    def _member(self, node: int) -> object:
+        quotient = self.layered.base.quotient
+        return self.model.states[int(np.argmax(quotient.node_of == node))]

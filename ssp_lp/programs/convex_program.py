@@ -1,0 +1,124 @@
+"""The bridge to cvxpy: the same program, open to any convex objective, row and solver."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any
+
+import cvxpy as cp
+import numpy as np
+
+from ssp_lp.errors import SolverError
+from ssp_lp.programs.decomposition import balanced
+from ssp_lp.programs.occupation_measure import OccupationMeasure
+
+if TYPE_CHECKING:
+    from ssp_lp.programs.occupation_program import OccupationProgram
+
+_SOLVED = ("optimal", "optimal_inaccurate")
+
+
+class ConvexProgram:
+    """An occupation program stated in cvxpy.
+
+    ``x`` is the variable, ``constraints`` holds the rows by name and takes further ones,
+    ``objective`` may be replaced by any convex expression, ``bounds`` holds a cvxpy parameter for
+    each row's bound: setting ``bounds[name].value`` and solving again compiles nothing anew. In
+    case S ``x`` is the visits times ``scale``, chosen so that the goal's probability is 1.
+    """
+
+    def __init__(self, program: OccupationProgram) -> None:
+        """State the program.
+
+        Args:
+            program: the program.
+        """
+        process = program.process
+        self.program = program
+        self.x = cp.Variable(process.n_pairs, nonneg=True, name="x")
+        self.scale: Any = cp.Variable(nonneg=True, name="t") if program.ratio else 1.0
+        self.objective: Any = process.cost @ self.x
+        self.bounds = {
+            row.name: cp.Parameter(value=row.bound, name=row.name) for row in program.rows
+        }
+        balance = program.linear.matrix[program.linear.rows["balance"], : process.n_pairs]
+        self.constraints: dict[str, Any] = {
+            "balance": balance @ self.x == process.start * self.scale
+        }
+        for row in program.rows:
+            activity, limit = row.coefficients @ self.x, self.bounds[row.name] * self.scale
+            self.constraints[row.name] = {
+                "<=": activity <= limit,
+                ">=": activity >= limit,
+                "==": activity == limit,
+            }[row.sense]
+        if program.ratio:
+            self.constraints["normaliser"] = process.goal @ self.x == 1.0
+        self._stated = dict(self.constraints), self.objective
+        self._compiled: tuple[tuple[int, ...], Any] | None = None
+
+    @property
+    def problem(self) -> Any:
+        """The cvxpy problem; the same object until a constraint or the objective is changed."""
+        key = (id(self.objective), *(id(c) for c in self.constraints.values()))
+        if self._compiled is None or self._compiled[0] != key:
+            stated = cp.Problem(cp.Minimize(self.objective), list(self.constraints.values()))
+            self._compiled = key, stated
+        return self._compiled[1]
+
+    def solve(self, solver: str | None = None, **options: Any) -> OccupationMeasure:
+        """Solve by one of cvxpy's solvers; options are passed on to it.
+
+        Raises:
+            InfeasibleError: no visits satisfy the constraints.
+            SolverError: the solver failed, or stopped without an answer.
+        """
+        began = time.perf_counter()
+        try:
+            self.problem.solve(solver=solver, **options)
+        except cp.SolverError as error:
+            raise SolverError(f"cvxpy: {error}") from error
+        status = str(self.problem.status)
+        if status.startswith("infeasible"):
+            raise self.program.infeasible()
+        if status not in _SOLVED or self.x.value is None:
+            raise SolverError(f"cvxpy: the program is {status}")
+        scale, ratio = 1.0, 0.0
+        if self.program.ratio:
+            scale = float(self.scale.value)
+            ratio = -float(np.ravel(self.constraints["normaliser"].dual_value)[0])
+        program = self.program.bounded_by(
+            {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
+        )
+        prices = self._duals()
+        (proved, value), stated = program.proved(prices, ratio), self._is_as_stated
+        visits = np.asarray(self.x.value) / scale
+        visits = proved.without_noise(visits) if stated else visits
+        return OccupationMeasure(
+            program=program,
+            visits=balanced(program.process, visits, proved.choice, program.augmented.gives_up),
+            duals={name: price * scale for name, price in prices.items()},
+            optimal_value_from_dual=value if stated else None,
+            solver=f"cvxpy, {self.problem.solver_stats.solver_name}",
+            status=status,
+            seconds=time.perf_counter() - began,
+        )
+
+    @property
+    def _is_as_stated(self) -> bool:
+        """Whether neither the objective nor a constraint was changed or added."""
+        constraints, objective = self._stated
+        now = [(name, id(c)) for name, c in self.constraints.items()]
+        return now == [(name, id(c)) for name, c in constraints.items()] and (
+            objective is self.objective
+        )
+
+    def _duals(self) -> dict[str, float]:
+        """The price of each row of the program, as far as the solver gives one."""
+        found = {}
+        for row in self.program.rows:
+            constraint = self.constraints.get(row.name)
+            value = None if constraint is None else constraint.dual_value
+            if value is not None:
+                found[row.name] = max(float(np.ravel(value)[0]), 0.0)
+        return found

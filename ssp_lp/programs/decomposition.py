@@ -1,0 +1,172 @@
+"""An occupation measure as a lottery over deterministic policies.
+
+The measures of a process are a polytope whose vertices are those of deterministic policies
+(Altman 1999; paper, section 2.2). A policy that only takes pairs with positive visits is split
+off with the greatest weight that leaves no visit negative: one pair at least is used up, so that
+there are at most as many members as pairs beyond one per state, and one more. At a vertex of a
+program these are as many as its rows that are met with equality. What is left in the end are visits
+that go round for ever; they cost nothing where the measure is optimal, and no policy needs them.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
+from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.policy_iteration.approach import approach
+from ssp_lp.errors import SolverError
+from ssp_lp.model.graph.approach import nearer_pairs
+from ssp_lp.processes.explicit import ExplicitProcess
+
+_SEEN = 1e-9  # outflow, relative to the greatest, that a solver's tolerance leaves meaningful
+_DUST = 1e-12  # of all that is left: visits below it are rounding
+_ROUNDED = 1e-15  # of all: what subtracting leaves
+_REST = 1e-12  # weight that is not worth a member of its own
+_ABOVE = 10.0  # times rounding: visits that count
+_WRONG = 1e-8  # of the greatest visits: what members may have too many
+_USED_UP = 1e-9  # share of a pair's visits that rounding may leave of it
+
+
+def leaving_choice(process: ExplicitProcess) -> IntArray:
+    """A pair of each state by which the process is left, towards the goal first, [states]."""
+    to_goal = approach(process.dynamics, process.goal > 0.0)
+    anyhow = approach(process.dynamics, process.dynamics.exits > 0.0)
+    return np.where(to_goal >= 0, to_goal, anyhow)
+
+
+def balanced(
+    process: ExplicitProcess, visits: FloatArray, otherwise: IntArray, gives_up: BoolArray
+) -> FloatArray:
+    """The visits of the policy that draws each pair with its share of a solver's visits, [pairs].
+
+    A solver's answer balances within its tolerance only; these are a policy's own, to rounding.
+    Where nothing can come of going on, the policy gives up, if it may.
+
+    Args:
+        process: the process.
+        visits: the solver's, [pairs].
+        otherwise: a policy that leaves, for states that the solver's tolerance does not tell from
+            unvisited ones, [states].
+        gives_up: pairs by which a policy gives up, [pairs].
+
+    Raises:
+        SolverError: the policy never leaves.
+    """
+    kept = np.maximum(visits, 0.0)
+    outflow = segment_sums(kept, process.pair_offsets)
+    unseen = outflow <= _SEEN * float(outflow.max(initial=0.0))
+    share = _shares(process, kept, unseen, otherwise)
+    return _giving_up_in_time(process, share, gives_up)
+
+
+def _shares(
+    process: ExplicitProcess, visits: FloatArray, unseen: BoolArray, otherwise: IntArray
+) -> FloatArray:
+    """Probability of each pair in its state, [pairs]."""
+    share = np.where(unseen[process.pair_state], 0.0, visits)
+    share[otherwise[unseen]] = 1.0
+    return np.asarray(share / segment_sums(share, process.pair_offsets)[process.pair_state])
+
+
+def _drawn_chain(process: ExplicitProcess, share: FloatArray) -> System:
+    """The chain of a policy that draws."""
+    drawn = np.flatnonzero(share)
+    draws = sp.csr_array(
+        (share[drawn], (process.pair_state[drawn], drawn)),
+        shape=(process.n_states, process.n_pairs),
+    )
+    exits = np.asarray(draws @ process.dynamics.exits)
+    return System(sp.csr_array(draws @ process.transitions), exits)
+
+
+def _giving_up_in_time(
+    process: ExplicitProcess, share: FloatArray, gives_up: BoolArray
+) -> FloatArray:
+    """The policy's visits, given up from where the goal is out of its reach, [pairs]."""
+    dynamics = process.dynamics
+    hopeful = nearer_pairs(
+        dynamics.predecessors,
+        process.pair_offsets,
+        process.pair_state,
+        (share > 0.0) & (process.goal > 0.0),
+        share > 0.0,
+    )
+    lost = (hopeful < 0) & (segment_sums(gives_up.astype(np.float64), process.pair_offsets) > 0.0)
+    if lost.any():
+        price = np.where(gives_up, process.cost, np.inf)
+        cheapest = np.lexsort((price, process.pair_state))[process.pair_offsets[:-1]]
+        share = _shares(process, share, lost, cheapest)
+    visits = _drawn_chain(process, share).solve_transposed(process.start)
+    return np.asarray(visits[process.pair_state] * share)
+
+
+def decomposed(
+    process: ExplicitProcess, visits: FloatArray
+) -> tuple[tuple[IntArray, ...], FloatArray]:
+    """Deterministic policies and weights whose expected visits are the given ones.
+
+    Args:
+        process: the process.
+        visits: of a measure that balances, [pairs].
+
+    Returns:
+        A pair of each state for each policy, and the policies' weights, which sum to one.
+
+    Raises:
+        SolverError: the visits are not those of any policy.
+    """
+    left, members, weights = visits.copy(), [], []
+    followed = np.zeros_like(visits)
+    begun = float(left.max(initial=0.0))
+    most, outflow = _most_visited(process, visits), segment_sums(visits, process.pair_offsets)
+    safe, remaining = np.where(outflow > 0.0, most, leaving_choice(process)), 1.0
+    while remaining > 0.0:
+        rounding = max(_DUST * remaining, _ROUNDED) * begun
+        left[left <= rounding] = 0.0
+        choice = _within_support(process, left, safe)
+        own = process.dynamics.chain(choice.astype(np.int32)).solve_transposed(process.start)
+        visited = (own * remaining > _ABOVE * rounding) & (left[choice] > 0.0)
+        if not visited.any():
+            break
+        weight = min(float((left[choice[visited]] / own[visited]).min()), remaining)
+        weight = remaining if remaining - weight <= _REST else weight
+        members.append(choice)
+        weights.append(weight)
+        spent = np.zeros_like(left)
+        spent[choice] = weight * own
+        followed += spent
+        used_up = np.abs(left - spent) <= _USED_UP * spent
+        left = np.where(used_up, 0.0, np.maximum(left - spent, 0.0))
+        remaining -= weight
+    wrong = max(float((followed - visits).max(initial=0.0)) / begun, remaining)
+    if wrong > _WRONG:
+        raise SolverError(f"the visits are no policy's: those of the lottery differ by {wrong:.1e}")
+    return tuple(members), np.array(weights) / np.sum(weights)
+
+
+def _most_visited(process: ExplicitProcess, visits: FloatArray) -> IntArray:
+    """The pair of each state that is visited most, [states]."""
+    return np.asarray(np.lexsort((-visits, process.pair_state))[process.pair_offsets[:-1]])
+
+
+def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
+    """A policy that leaves, by pairs that are visited where there are such, [states].
+
+    The most visited pair of each state is taken where that leaves, else one by which a visited pair
+    that leaves comes nearer.
+    """
+    supported, most = visits > 0.0, _most_visited(process, visits)
+    choice = np.where(supported[most], most, safe)
+    if not process.dynamics.chain(choice.astype(np.int32)).closed.size:
+        return choice
+    leaving = supported & (process.dynamics.exits > 0.0)
+    nearer = nearer_pairs(
+        process.dynamics.predecessors,
+        process.pair_offsets,
+        process.pair_state,
+        leaving,
+        supported,
+    )
+    return np.where(nearer >= 0, nearer, safe)

@@ -1,0 +1,100 @@
+"""The answer to an occupation-measure program: visits, duals, and the policies they make."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.stochastic import StochasticPolicy
+from ssp_lp.programs.decomposition import decomposed, leaving_choice
+
+if TYPE_CHECKING:
+    from ssp_lp.programs.occupation_program import OccupationProgram
+
+
+@dataclass(frozen=True, eq=False)
+class OccupationMeasure:
+    """Expected visits of every pair of the process, with what the solver said besides.
+
+    A solver's word is not taken: the visits are those of the policy that its answer makes, to
+    rounding; objective, activity and residual are recomputed from them and the program. The
+    residual says by how much a row is exceeded, which a solver's tolerance allows.
+    """
+
+    program: OccupationProgram
+    visits: FloatArray  # [pairs] expected number of times that each is taken
+    duals: Mapping[str, float]  # price of each row: how much a unit of its bound improves
+    optimal_value_from_dual: float | None  # c*; None where rows or objectives were added
+    solver: str
+    status: str
+    seconds: float
+
+    @cached_property
+    def objective(self) -> float:
+        """The program's objective at these visits."""
+        process = self.program.process
+        cost = float(process.cost @ self.visits)
+        cost = cost / float(process.goal @ self.visits) if self.program.ratio else cost
+        return self.program.worth(cost)
+
+    @cached_property
+    def activity(self) -> dict[str, float]:
+        """What is spent of each row's quantity, by name."""
+        return {row.name: float(row.coefficients @ self.visits) for row in self.program.rows}
+
+    @cached_property
+    def residual(self) -> float:
+        """By how much flow balance, a row or x >= 0 is violated at most."""
+        process = self.program.process
+        outflow = np.bincount(process.pair_state, weights=self.visits, minlength=process.n_states)
+        off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
+        over = [row.violation(self.activity[row.name]) for row in self.program.rows]
+        return max(float(off), *over, float((-self.visits).max(initial=0.0)), 0.0)
+
+    @property
+    def gap(self) -> float:
+        """Distance of the objective from what the duals prove, relative; nan without a proof."""
+        if self.optimal_value_from_dual is None:
+            return float("nan")
+        return abs(self.objective - self.optimal_value_from_dual) / max(abs(self.objective), 1.0)
+
+    def randomised_policy(self) -> StochasticPolicy:
+        """The policy that draws each action with its share of the visits: x / outflow.
+
+        It lives on the model's states with the memory of the process, and visits every pair as
+        often as the measure says (paper, section 2.2).
+
+        Raises:
+            ModelError: case S, and the measure follows both tails from one accumulated cost.
+        """
+        process = self.program.process
+        return self.program.augmented.randomised_policy(self.visits, leaving_choice(process))
+
+    def mixed_policy(self) -> MixedPolicy:
+        """The same visits as a lottery over deterministic policies, drawn once at the start.
+
+        Where the measure is a vertex of the program there is at most one more member than there
+        are rows met with equality; else finitely many. Objective and failure are the measure's; a
+        secondary cost may come out lower, since a member that cannot reach the goal any more has
+        failed, and pays nothing from there on.
+
+        Raises:
+            SolverError: the visits do not balance.
+        """
+        choices, weights = decomposed(self.program.process, self.visits)
+        return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
+
+    def __str__(self) -> str:
+        """The objective, and each row with what is spent and its price."""
+        lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]
+        for row in self.program.rows:
+            spent, price = self.activity[row.name], self.duals.get(row.name)
+            told = "" if price is None else f"   price {price:.6g}"
+            lines.append(f"  {row.name}: {spent:.9g} {row.sense} {row.bound:g}{told}")
+        return "\n".join(lines)

@@ -1,0 +1,300 @@
+"""The occupation-measure program of a problem: labelled, readable, and open to every solver.
+
+    minimise    <cost, x>                     (case S: <cost, x> / <goal, x>)
+    subject to  outflow(x) - inflow(x) = start,  named rows,  x >= 0
+
+x counts the expected visits of each pair of the augmented process (paper, eq. mcmp_obj and
+s3p_obj; DESIGN, section 4).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError
+from ssp_lp.linear_programming.answer import LPAnswer
+from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.linear_programming.solving import cold_attempts, run
+from ssp_lp.policies.deterministic import find_pair
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.programs.augmented import Augmented, ColumnLabel
+from ssp_lp.programs.compiling import rows_program
+from ssp_lp.programs.decomposition import balanced
+from ssp_lp.programs.duality import PricedMinimum, priced_minimum
+from ssp_lp.programs.occupation_measure import OccupationMeasure
+
+if TYPE_CHECKING:
+    from ssp_lp.programs.convex_program import ConvexProgram
+
+_ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
+
+_RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
+
+Sense = Literal["<=", ">=", "=="]
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """A named row: a quantity of the visits and its bound."""
+
+    name: str
+    coefficients: FloatArray  # [pairs]
+    sense: Sense
+    bound: float
+
+    @property
+    def sign(self) -> float:
+        """-1 where more is asked for, else 1."""
+        return -1.0 if self.sense == ">=" else 1.0
+
+    def violation(self, activity: float) -> float:
+        """By how much an activity breaks the row; 0 where it does not."""
+        over = activity - self.bound
+        excess = {"<=": over, ">=": -over, "==": abs(over)}[self.sense]
+        return max(excess, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class OccupationProgram:
+    """A linear program over the visits of an augmented process.
+
+    Columns are the pairs of the process; in case S one more, the scale t of Charnes and Cooper, by
+    which visits are multiplied so that the goal's probability is 1.
+    """
+
+    title: str  # the formulation
+    objective: str  # what is minimised, in a word
+    augmented: Augmented
+    rows: tuple[Constraint, ...]
+    ratio: bool = False  # <cost, x> / <goal, x>
+    constant: float | None = None  # of what is maximised: constant - <objective, x>
+
+    @property
+    def process(self) -> ExplicitProcess:
+        """The process, whose pairs are the columns."""
+        return self.augmented.process
+
+    def worth(self, value: float) -> float:
+        """The problem's objective where the program's, which is minimised, has a value."""
+        return value if self.constant is None else self.constant - value
+
+    def bounded_by(self, bounds: Mapping[str, float]) -> OccupationProgram:
+        """The same program with other bounds, by name of the row."""
+        rows = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in self.rows)
+        return replace(self, rows=rows)
+
+    @cached_property
+    def linear(self) -> LinearProgram:
+        """The arrays that a solver is given."""
+        upper = {row.name: (row.coefficients, row.bound) for row in self.rows if row.sense == "<="}
+        if len(upper) < len(self.rows):
+            raise ModelError("only upper bounds are known yet")
+        return rows_program(self.process, upper, self.ratio)
+
+    @property
+    def n_columns(self) -> int:
+        """Number of variables."""
+        return self.process.n_pairs + self.ratio
+
+    def label(self, column: int) -> ColumnLabel:
+        """What a column counts.
+
+        Raises:
+            ModelError: there is no such pair; the scale t of case S has no label.
+        """
+        if not 0 <= column < self.process.n_pairs:
+            raise ModelError(f"column {column} is no pair: there are {self.process.n_pairs:,}")
+        return self.augmented.label(column)
+
+    def columns(self, state: Hashable, action: Hashable) -> tuple[int, ...]:
+        """Indices in x of an action in a state: one in case M, one per accumulated cost in case S.
+
+        Args:
+            state: a state of the model.
+            action: one of its actions, or ``GIVE_UP``.
+
+        Raises:
+            ModelError: unknown state or action.
+        """
+        model = self.augmented.model
+        index = model.index_of(state)
+        pair = GIVE_UP_CODE if action is GIVE_UP else find_pair(model, index, action)
+        return tuple(self.augmented.pairs_of(pair, index).tolist())
+
+    def column(self, state: Hashable, action: Hashable, cost: float | None = None) -> int:
+        """Index in x of an action in a state, in case S at an accumulated cost.
+
+        Raises:
+            ModelError: no such column, or several.
+        """
+        found = self.columns(state, action)
+        if cost is not None:
+            found = tuple(k for k in found if self.label(k).cost == cost)
+        if len(found) == 1:
+            return found[0]
+        at = "" if cost is None else f" at cost {cost:g}"
+        if not found:
+            raise ModelError(f"action {action!r} of state {state!r}{at} is no column: the program "
+                             "needs no such visits")  # fmt: skip
+        raise ModelError(
+            f"action {action!r} of state {state!r} has {len(found):,} columns, one for each "
+            "accumulated cost: say cost=..., or take columns(...)"
+        )
+
+    def row(self, name: str) -> Constraint:
+        """A constraint by its name.
+
+        Raises:
+            ModelError: there is none.
+        """
+        for row in self.rows:
+            if row.name == name:
+                return row
+        known = ", ".join(repr(row.name) for row in self.rows) or "none"
+        raise ModelError(f"no row is named {name!r}; there are {known}")
+
+    def solve(self, backend: str | None = None, *, time_limit: float = np.inf) -> OccupationMeasure:
+        """Solve the program and recompute what the solver says.
+
+        Args:
+            backend: "highs", "highs-simplex", "highs-ipx", "clarabel" or "cvxpy"; None: by size.
+            time_limit: seconds.
+
+        Raises:
+            ModelError: an unknown backend.
+            InfeasibleError: no visits satisfy all rows.
+            SolverError: no backend's answer has a small residual and a small proved gap.
+        """
+        tried, deadline, infeasible = [], time.perf_counter() + time_limit, True
+        for name, _ in cold_attempts(self.linear, backend):
+            answer = run(self.linear, name, deadline - time.perf_counter())
+            told = f"{name}: {answer.status}"
+            if "infeasible" not in answer.status.lower() and np.isfinite(answer.x).all():
+                measure, infeasible = self.measure(answer), False
+                if measure.gap <= _ACCEPTED and measure.residual <= _ACCEPTED:
+                    return measure
+                told += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
+            tried.append(told)
+        if infeasible:
+            raise self.infeasible()
+        raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
+
+    def infeasible(self) -> InfeasibleError:
+        """The error that says that no visits satisfy all rows."""
+        budgets = [row.bound for row in self.rows if row.name == "failure"]
+        return InfeasibleError(
+            "no expected visits satisfy all rows of the program; solve(problem) names rows that "
+            "contradict each other",
+            failure_budget=budgets[0] if budgets else None,
+            least_failure=float("nan"),
+        )
+
+    def measure(self, answer: LPAnswer) -> OccupationMeasure:
+        """A solver's answer to ``linear`` as a measure."""
+        program, dual = self.linear, answer.dual
+        scale = float(answer.x[-1]) if self.ratio else 1.0
+        prices = {row.name: max(-float(dual[program.rows[row.name]][0]), 0.0) for row in self.rows}
+        ratio = float(dual[program.rows["normaliser"]][0]) if self.ratio else 0.0
+        proved, value = self.proved(prices, ratio)
+        visits = answer.x[: self.process.n_pairs] / scale
+        return OccupationMeasure(
+            program=self,
+            visits=balanced(
+                self.process, proved.without_noise(visits), proved.choice, self.augmented.gives_up
+            ),
+            duals={name: price * scale for name, price in prices.items()},
+            optimal_value_from_dual=value,
+            solver=answer.backend,
+            status=answer.status,
+            seconds=answer.seconds,
+        )
+
+    def proved(
+        self, prices: Mapping[str, float], ratio: float = 0.0
+    ) -> tuple[PricedMinimum, float]:
+        """The optimum as far as prices prove it, and what is best at them (``programs.duality``).
+
+        Args:
+            prices: of the rows, by name, >= 0.
+            ratio: of case S, near the optimum: Dinkelbach's iteration goes on from it.
+        """
+        paid = sum(row.sign * prices.get(row.name, 0.0) * row.bound for row in self.rows)
+        found, value = self._priced(prices, ratio), -np.inf
+        if not self.ratio:
+            return found, self.worth(found.bound - paid)
+        for _ in range(_RATIOS):
+            left = found.bound - paid
+            least = 1.0 if left >= 0.0 else self._least_goal
+            proved = ratio + left / least if least > 0.0 else -np.inf
+            if proved <= value:
+                break
+            value = proved
+            if found.goal <= 0.0 or left == 0.0:
+                break
+            ratio += left / found.goal
+            found = self._priced(prices, ratio)
+        return found, self.worth(value)
+
+    def _priced(self, prices: Mapping[str, float], ratio: float) -> PricedMinimum:
+        """The least of the objective with what each row's quantity costs, and its policy."""
+        priced = self.process.cost - ratio * self.process.goal
+        for row in self.rows:
+            priced = priced + row.sign * prices.get(row.name, 0.0) * row.coefficients
+        return priced_minimum(self.process, priced)
+
+    @cached_property
+    def _least_goal(self) -> float:
+        """What every measure within the rows reaches the goal with at least."""
+        budgets = [1.0 - row.bound for row in self.rows if row.name == "failure"]
+        return max([priced_minimum(self.process, self.process.goal).bound, *budgets])
+
+    def to_cvxpy(self) -> ConvexProgram:
+        """The program in cvxpy, to which convex objectives and constraints may be added."""
+        from ssp_lp.programs.convex_program import ConvexProgram
+
+        return ConvexProgram(self)
+
+    def write(self, path: str | Path) -> None:
+        """Write the program as ``.mps`` or ``.lp``, columns and rows named.
+
+        Raises:
+            ModelError: another ending.
+            SolverError: HiGHS cannot write there.
+        """
+        from ssp_lp.linear_programming.writing import write_program
+
+        names = [f"x{k}.{self.label(k)}" for k in range(self.process.n_pairs)]
+        write_program(self.linear, Path(path), names + ["t"] * self.ratio)
+
+    def __str__(self) -> str:
+        """The program as the page of a paper would have it."""
+        process = self.process
+        fraction = f"<{self.objective}, x> / <goal, x>" if self.ratio else f"<{self.objective}, x>"
+        verb = "minimise"
+        if self.constant is not None:
+            verb, fraction = "maximise", f"{self.constant:g} - {fraction}"
+        lines = [
+            self.title,
+            f"  {verb}    {fraction}",
+            f"  subject to  balance: outflow(x) - inflow(x) = start   ({process.n_states:,} rows)",
+        ]
+        width = max((len(row.name) for row in self.rows), default=0)
+        for row in self.rows:
+            lines.append(
+                f"              {row.name + ':':<{width + 1}} <{row.name}, x> {row.sense} "
+                f"{row.bound:g}"
+            )
+        lines.append(
+            f"              x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} "
+            "entries)"
+        )
+        return "\n".join(lines)
