@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier, trace_frontier
     from ssp_lp.analysis.simulation import simulate
     from ssp_lp.formulation import Formulation
+    from ssp_lp.model.product import Memory, ProductSSP, product
+    from ssp_lp.policies.remembering import on_original
     from ssp_lp.programs.occupation_measure import OccupationMeasure
     from ssp_lp.programs.occupation_program import OccupationProgram
     from ssp_lp.verification.cross_check import CrossCheck, cross_check
@@ -49,11 +51,13 @@ __all__ = [
     "Frontier",
     "GiveUp",
     "InfeasibleError",
+    "Memory",
     "MissingDependencyError",
     "MixedPolicy",
     "ModelError",
     "OccupationMeasure",
     "OccupationProgram",
+    "ProductSSP",
     "SSPError",
     "Solution",
     "SolverError",
@@ -62,6 +66,8 @@ __all__ = [
     "certify",
     "cross_check",
     "evaluate",
+    "on_original",
+    "product",
     "simulate",
     "solve",
     "success_costs",
@@ -70,6 +76,10 @@ __all__ = [
 
 _ON_DEMAND = {
     "Formulation": "ssp_lp.formulation",
+    "Memory": "ssp_lp.model.product",
+    "ProductSSP": "ssp_lp.model.product",
+    "product": "ssp_lp.model.product",
+    "on_original": "ssp_lp.policies.remembering",
     "OccupationMeasure": "ssp_lp.programs.occupation_measure",
     "OccupationProgram": "ssp_lp.programs.occupation_program",
     "CrossCheck": "ssp_lp.verification.cross_check",

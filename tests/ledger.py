@@ -56,7 +56,9 @@ class Ledger(Policy):
         """What the inner policy decides."""
         return self.policy.branches(states, np.asarray(memory) // (self.horizon + 2))
 
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
         """Move the inner memory and book the cost.
 
         Raises:
@@ -70,7 +72,7 @@ class Ledger(Policy):
             cost = float(costs[int(np.argmax(off))])
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit}")
         booked = np.minimum(layer + steps, self.horizon + 1).astype(np.int64)
-        after = self.policy.remember(inner, successors, costs).astype(np.int64)
+        after = self.policy.remember(inner, pairs, successors, costs).astype(np.int64)
         return np.asarray(after * (self.horizon + 2) + booked)
 
     @cached_property

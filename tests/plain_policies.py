@@ -96,15 +96,16 @@ def _outcomes(model: PlainModel, member: Any, node: tuple[State, int]) -> list:
     if pair < 0:
         return []
     return [
-        (p, (successor, _next(member, memory, successor, cost)), cost)
+        (p, (successor, _next(member, memory, pair, successor, cost)), cost)
         for p, successor, cost in model.choices[state][library.action_of(pair)]
     ]
 
 
-def _next(member: Any, memory: int, successor: State, cost: float) -> int:
+def _next(member: Any, memory: int, pair: int, successor: State, cost: float) -> int:
     """The memory after a step."""
     there = np.array([member.model.index_of(successor)])
-    return int(member.remember(np.array([memory]), there, np.array([float(cost)]))[0])
+    taken = np.array([pair])
+    return int(member.remember(np.array([memory]), taken, there, np.array([float(cost)]))[0])
 
 
 @st.composite

@@ -418,7 +418,7 @@ class Turns(Policy):
         pair = np.where(memory == 0, first, last)
         return Branches(np.arange(len(states)), pair, np.ones(len(states)))
 
-    def remember(self, memory, successors, costs):
+    def remember(self, memory, pairs, successors, costs):
         return 1 - memory
 
 

@@ -114,7 +114,7 @@ def test_a_policy_of_unknown_memory_has_no_equivalent():
         def branches(self, states, memory):
             raise NotImplementedError
 
-        def remember(self, memory, successors, costs):
+        def remember(self, memory, pairs, successors, costs):
             return memory
 
     problem = ratio_problem()

@@ -61,9 +61,8 @@ def _step(model, member, now):
                 continue
             for k in range(model.outcome_offsets[pair], model.outcome_offsets[pair + 1]):
                 successor, cost = int(model.successors[k]), float(model.costs[k])
-                there = int(
-                    member.remember(np.array([memory]), np.array([successor]), np.array([cost]))[0]
-                )
+                step = (np.array([part]) for part in (memory, pair, successor, cost))
+                there = int(member.remember(*step)[0])
                 later[successor, there, paid + cost] += mass * share * model.probabilities[k]
     return later
 

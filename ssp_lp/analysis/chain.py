@@ -197,9 +197,10 @@ def _expand(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Ste
     outcome = concatenated_ranges(begin, count)
     chance = np.repeat(branch.probability[moves], count) * model.probabilities[outcome]
     situation, outcome = np.repeat(situation, count)[chance > 0], outcome[chance > 0]
+    taken = np.repeat(pair, count)[chance > 0]
     successor = model.successors[outcome].astype(np.int64)
     cost = model.costs[outcome]
-    after = policy.remember(memory[situation], successor, cost)
+    after = policy.remember(memory[situation], taken, successor, cost)
     after = np.where(ended[successor], 0, after)
     target = after * model.n_states + successor
     return (keys[situation], target, chance[chance > 0], cost, outcome,

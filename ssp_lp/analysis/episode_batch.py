@@ -37,12 +37,16 @@ class EpisodeBatch:
             pairs[mine] = member.sample(state[mine], self._memory[mine], self._rng)
         return pairs[episodes]
 
-    def remember(self, episodes: IntArray, successors: IntArray, costs: FloatArray) -> None:
+    def remember(
+        self, episodes: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> None:
         """Move the memories of the given episodes."""
         for number, member in enumerate(self._members):
             mine = self._drawn[episodes] == number
             here = episodes[mine]
-            self._memory[here] = member.remember(self._memory[here], successors[mine], costs[mine])
+            self._memory[here] = member.remember(
+                self._memory[here], pairs[mine], successors[mine], costs[mine]
+            )
 
     def _shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
         """Each member with those of the episodes that it plays."""

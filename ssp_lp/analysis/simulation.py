@@ -175,7 +175,7 @@ def _play(
         cost[alive] += paid
         steps[alive] += 1
         going = marks[successor] < 0
-        players.remember(alive[going], successor[going], paid[going])
+        players.remember(alive[going], pair[going], successor[going], paid[going])
         if record:
             trace.append(world[:record].copy())
     mark = np.where(gave_up, _GAVE_UP, np.where(marks[state] < 0, _UNFINISHED, marks[state]))

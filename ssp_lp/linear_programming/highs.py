@@ -14,6 +14,8 @@ from ssp_lp.linear_programming.linear_program import LinearProgram
 
 _SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx", "highs-warm": "simplex"}
 
+_DOUBTED = (highspy.HighsModelStatus.kUnbounded, highspy.HighsModelStatus.kUnboundedOrInfeasible)
+
 
 def solve_with_highs(
     program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
@@ -41,6 +43,10 @@ def solve_with_highs(
     if basis is not None:
         _start_at(solver, highs_basis(program, basis))
     solver.run()
+    if solver.getModelStatus() in _DOUBTED:  # HiGHS 1.15's presolve says so of bounded programs
+        solver.setOptionValue("presolve", "off")
+        solver.clearSolver()
+        solver.run()
     solution = solver.getSolution()
     return LPAnswer(
         backend=backend,

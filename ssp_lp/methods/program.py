@@ -23,8 +23,9 @@ from ssp_lp.processes.layered.law_measure import CostQuantileOf, TailMeanOf
 from ssp_lp.processes.secondary_costs import FAILURE_ROW
 from ssp_lp.programs.accumulated_cost import LayeredModel
 from ssp_lp.programs.augmented import Augmented
+from ssp_lp.programs.constraint import Constraint
 from ssp_lp.programs.failure_label import LabelledModel
-from ssp_lp.programs.occupation_program import Constraint, OccupationProgram
+from ssp_lp.programs.occupation_program import OccupationProgram
 
 
 def program_of(problem: Problem) -> OccupationProgram:

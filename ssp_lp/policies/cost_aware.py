@@ -65,7 +65,9 @@ class CostAwarePolicy(Policy, Playable):
         pair[~below] = self.tails[memory[~below] - self.cap, states[~below]]
         return Branches(np.arange(len(states)), pair, np.ones(len(states)))
 
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
         """Add the observed cost; switch to a tail when the cap is reached.
 
         Raises:

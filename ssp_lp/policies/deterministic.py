@@ -55,7 +55,9 @@ class DeterministicPolicy(Policy, Playable):
         n = len(states)
         return Branches(np.arange(n), self.decision[states].astype(np.int64), np.ones(n))
 
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
         """No memory to move."""
         return memory
 

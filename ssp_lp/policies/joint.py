@@ -48,10 +48,12 @@ class JointMemory(Policy):
             part = self.decider.start_memory(states)
         return self.decider.branches(states, part)
 
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
         """Move each keeper's memory."""
         parts = zip(self.keepers, self._parts(memory), strict=True)
-        return self._joined([k.remember(part, successors, costs) for k, part in parts])
+        return self._joined([k.remember(part, pairs, successors, costs) for k, part in parts])
 
     def _joined(self, parts: list[IntArray]) -> IntArray:
         joined = np.zeros_like(parts[0])

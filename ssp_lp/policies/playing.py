@@ -22,6 +22,7 @@ class Episode:
     policy: Policy
     rng: np.random.Generator | None
     memory: IntArray | None = None
+    taken: int = UNDECIDED  # the pair of the last action
     staying: IntArray | None = None  # [states], once the episode goes on after giving up
 
     def action(self, state: Hashable) -> Hashable:
@@ -35,7 +36,7 @@ class Episode:
             return model.action_of(pair)
         if self.memory is None:
             self.memory = self.policy.start_memory(here)
-        pair = int(self.policy.sample(here, self.memory, self.rng)[0])
+        pair = self.taken = int(self.policy.sample(here, self.memory, self.rng)[0])
         return GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
 
     def observe(self, successor: Hashable, cost: float) -> None:
@@ -44,7 +45,8 @@ class Episode:
             raise ModelError("observe() was called before the first action() of the episode")
         if self.staying is None:
             there = np.array([self.policy.model.index_of(successor)])
-            self.memory = self.policy.remember(self.memory, there, np.array([float(cost)]))
+            taken, paid = np.array([self.taken]), np.array([float(cost)])
+            self.memory = self.policy.remember(self.memory, taken, there, paid)
 
 
 class Playable(ABC):

@@ -56,8 +56,10 @@ class Policy(ABC):
         """The decisions with their probabilities in each (state, memory), [situations]."""
 
     @abstractmethod
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
-        """Memory after the step to these successors at these costs, [episodes]."""
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """Memory after taking these pairs to these successors at these costs, [episodes]."""
 
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None

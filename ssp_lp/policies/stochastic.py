@@ -116,9 +116,13 @@ class StochasticPolicy(Policy, Playable):
             np.where(listed, self.probability[index], 1.0),
         )
 
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
         """Move the carrier's memory."""
-        return memory if self.carrier is None else self.carrier.remember(memory, successors, costs)
+        if self.carrier is None:
+            return memory
+        return self.carrier.remember(memory, pairs, successors, costs)
 
     def __repr__(self) -> str:
         """One line: in how many situations it decides, and in how many at random."""

@@ -59,11 +59,13 @@ class TimedPolicy(Policy, Playable):
         order = np.argsort(situation, kind="stable")
         return Branches(situation[order], pair[order], probability[order])
 
-    def remember(self, memory: IntArray, successors: IntArray, costs: FloatArray) -> IntArray:
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
         """Move the memory that the stages share, and go on to the next stage."""
         count = len(self.stages)
         inner, stage = np.divmod(memory, count)
-        inner = self.stages[0].remember(inner, successors, costs)
+        inner = self.stages[0].remember(inner, pairs, successors, costs)
         return np.asarray(inner * count + np.minimum(stage + 1, count - 1))
 
     def __repr__(self) -> str:

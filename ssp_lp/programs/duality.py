@@ -14,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import dual_bound
+from ssp_lp.dynamic_programming.dual_bounds.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 from ssp_lp.errors import SolverError
+from ssp_lp.processes.contraction import contract
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.decomposition import leaving_choice
 
@@ -46,19 +47,31 @@ class PricedMinimum:
 def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMinimum:
     """Minimise a cost over all policies.
 
+    Cycles that cost nothing are contracted first: rounding would find policies that stay there.
+
     Args:
         process: the process.
         pair_cost: negative only where the goal is reached, [pairs].
     """
     reached, leaving = process.goal > 0.0, leaving_choice(process)
     floor = float((pair_cost[reached] / process.goal[reached]).min(initial=0.0))
+    rewards, weights = np.stack([pair_cost, process.goal], axis=1), np.array([1.0, 0.0])
+    smaller = contract(process, pair_cost == 0.0)
     try:
-        rewards, weights = np.stack([pair_cost, process.goal], axis=1), np.array([1.0, 0.0])
-        settled = improve(process.dynamics, rewards, weights, leaving)
+        if smaller is None:
+            settled = improve(process.dynamics, rewards, weights, leaving)
+            choice, totals = settled.choice, settled.totals
+            bound = dual_bound(process.dynamics, pair_cost, totals[:, 0], floor)
+        else:
+            begun = smaller.begun(process, leaving)
+            settled = improve(smaller.dynamics, rewards[smaller.pairs], weights, begun)
+            choice, node = smaller.expanded(process, settled.choice), smaller.node_of
+            totals = settled.totals[node]
+            kept = pair_cost[smaller.pairs]
+            found = dual_bound(smaller.dynamics, kept, settled.totals[:, 0], floor)
+            bound = DualBound(found.values[node], found.low[node])
     except SolverError:
         return PricedMinimum(leaving, floor, 0.0, np.zeros(process.n_pairs))
-    values = settled.totals[:, 0]
-    bound = dual_bound(process.dynamics, pair_cost, values, floor)
+    values, goal = totals[:, 0], float(process.start @ totals[:, 1])
     excess = pair_cost + process.transitions @ values - values[process.pair_state]
-    goal = float(process.start @ settled.totals[:, 1])
-    return PricedMinimum(settled.choice, bound.at(process.start), goal, excess)
+    return PricedMinimum(choice, bound.at(process.start), goal, excess)

@@ -14,11 +14,10 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.answer import LPAnswer
 from ssp_lp.linear_programming.linear_program import LinearProgram
@@ -28,6 +27,7 @@ from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.augmented import Augmented, ColumnLabel
 from ssp_lp.programs.compiling import rows_program
+from ssp_lp.programs.constraint import Constraint
 from ssp_lp.programs.decomposition import balanced
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure
@@ -37,30 +37,9 @@ if TYPE_CHECKING:
 
 _ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
 
+_TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
+_BELOW = 2.5e-10  # relative step below a ratio
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
-
-Sense = Literal["<=", ">=", "=="]
-
-
-@dataclass(frozen=True, eq=False)
-class Constraint:
-    """A named row: a quantity of the visits and its bound."""
-
-    name: str
-    coefficients: FloatArray  # [pairs]
-    sense: Sense
-    bound: float
-
-    @property
-    def sign(self) -> float:
-        """-1 where more is asked for, else 1."""
-        return -1.0 if self.sense == ">=" else 1.0
-
-    def violation(self, activity: float) -> float:
-        """By how much an activity breaks the row; 0 where it does not."""
-        over = activity - self.bound
-        excess = {"<=": over, ">=": -over, "==": abs(over)}[self.sense]
-        return max(excess, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,8 +157,9 @@ class OccupationProgram:
         for name, _ in cold_attempts(self.linear, backend):
             answer = run(self.linear, name, deadline - time.perf_counter())
             told = f"{name}: {answer.status}"
-            if "infeasible" not in answer.status.lower() and np.isfinite(answer.x).all():
-                measure, infeasible = self.measure(answer), False
+            infeasible = infeasible and "infeasible" in answer.status.lower()
+            if not infeasible and self._is_answered(answer):
+                measure = self.measure(answer)
                 if measure.gap <= _ACCEPTED and measure.residual <= _ACCEPTED:
                     return measure
                 told += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
@@ -187,6 +167,10 @@ class OccupationProgram:
         if infeasible:
             raise self.infeasible()
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
+
+    def _is_answered(self, answer: LPAnswer) -> bool:
+        """Whether a backend gave visits: numbers, and in case S a scale to divide them by."""
+        return bool(np.isfinite(answer.x).all()) and not (self.ratio and answer.x[-1] <= 0.0)
 
     def infeasible(self) -> InfeasibleError:
         """The error that says that no visits satisfy all rows."""
@@ -227,6 +211,12 @@ class OccupationProgram:
             prices: of the rows, by name, >= 0.
             ratio: of case S, near the optimum: Dinkelbach's iteration goes on from it.
         """
+        least_worth = _TRIFLE * float(self.process.cost.max(initial=0.0))
+        prices = {
+            row.name: price
+            for row in self.rows
+            if (price := prices.get(row.name, 0.0)) * abs(row.bound) > least_worth
+        }
         paid = sum(row.sign * prices.get(row.name, 0.0) * row.bound for row in self.rows)
         found, value = self._priced(prices, ratio), -np.inf
         if not self.ratio:
@@ -234,13 +224,15 @@ class OccupationProgram:
         for _ in range(_RATIOS):
             left = found.bound - paid
             least = 1.0 if left >= 0.0 else self._least_goal
-            proved = ratio + left / least if least > 0.0 else -np.inf
-            if proved <= value:
-                break
-            value = proved
-            if found.goal <= 0.0 or left == 0.0:
-                break
-            ratio += left / found.goal
+            if least <= 0.0:  # then failing is free: strictly best where success earns less
+                ratio *= 1.0 - _BELOW
+            else:
+                if ratio + left / least <= value:
+                    break
+                value = ratio + left / least
+                if found.goal <= 0.0 or left == 0.0:
+                    break
+                ratio += left / found.goal
             found = self._priced(prices, ratio)
         return found, self.worth(value)
 

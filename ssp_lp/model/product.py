@@ -1,0 +1,219 @@
+"""The product of a model with a memory of the user's own: tasks, counters, deadlines.
+
+"Fetch the key before the door", "at most two visits of the ward", "within twenty steps": what an
+episode must do is often told by what happened on the way. A memory says what has to be kept of it;
+the product's states are (state, memory), so that every criterion and every method applies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any, cast
+
+import numpy as np
+
+from ssp_lp.arrays import IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model.ssp import SSP
+
+MEMORY_FAILS = "memory fails"
+"""Label of states where the memory fails."""
+
+NOT_ACCEPTED = "goal not accepted"
+"""Label of goals of the original that the memory does not accept."""
+
+
+def _always(memory: Any) -> bool:
+    return True
+
+
+def _never(memory: Any) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Memory:
+    """What is remembered of an episode, and what it decides.
+
+    Args:
+        start: at the beginning; any hashable.
+        update: ``(memory, state, action, successor, cost) -> memory`` after each step.
+        accepts: whether reaching a goal with this memory is a success; else it is a dead-end.
+        fails: whether an episode fails as soon as it has this memory.
+
+    Example:
+        >>> key_first = Memory(
+        ...     start=False,
+        ...     update=lambda has_key, state, action, successor, cost: (
+        ...         has_key or successor == "key"
+        ...     ),
+        ...     accepts=lambda has_key: has_key,
+        ... )
+    """
+
+    start: Hashable
+    update: Callable[[Any, Any, Any, Any, float], Hashable]
+    accepts: Callable[[Any], bool] = _always
+    fails: Callable[[Any], bool] = _never
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ProductSSP(SSP):
+    """A model whose states are (state, memory); see :func:`product`.
+
+    Actions are those of the original, in their order; a state has none where the episode is over:
+    at goals, where the memory fails, and at goals of the original that it does not accept.
+    """
+
+    original: SSP = field(kw_only=True)
+    memory: Memory = field(kw_only=True)
+
+    def start(self, start: Hashable | Mapping[Hashable, float]) -> dict[Hashable, float]:
+        """The start of the product for a start of the original.
+
+        Args:
+            start: a state of the original, or ``{state: probability}``.
+
+        Raises:
+            ModelError: a state from which the product was not explored.
+        """
+        shares = start if isinstance(start, Mapping) else {start: 1.0}
+        found = {(state, self.memory.start): float(share) for state, share in shares.items()}
+        for label in found:
+            self.index_of(label)
+        return dict(found)
+
+    @cached_property
+    def original_state(self) -> IntArray:
+        """State of the original, [states]."""
+        return np.array([self.original.index_of(state) for state, _ in self._labels])
+
+    @cached_property
+    def memories(self) -> tuple[Hashable, ...]:
+        """The memories that occur, in the order in which they do."""
+        return tuple(dict.fromkeys(memory for _, memory in self._labels))
+
+    @property
+    def _labels(self) -> Sequence[tuple[Hashable, Hashable]]:
+        return cast("Sequence[tuple[Hashable, Hashable]]", self.states)
+
+    @cached_property
+    def memory_number(self) -> dict[Hashable, int]:
+        """Position of each memory in ``memories``."""
+        return {memory: k for k, memory in enumerate(self.memories)}
+
+    @cached_property
+    def table(self) -> IntArray:
+        """The product's state of each state and memory, -1 for none, [states, memories]."""
+        table = np.full((self.original.n_states, len(self.memories)), -1, dtype=np.int64)
+        number = [self.memory_number[memory] for _, memory in self._labels]
+        table[self.original_state, number] = np.arange(self.n_states)
+        return table
+
+
+def product(
+    model: SSP,
+    memory: Memory,
+    *,
+    start: Iterable[Hashable] | None = None,
+    state_limit: int = 1_000_000,
+) -> ProductSSP:
+    """Explore the product of a model with a memory.
+
+    Args:
+        model: the model.
+        memory: what is remembered.
+        start: states in which episodes may begin; None: every state of the model.
+        state_limit: raise when the product has more states than this.
+
+    Returns:
+        The product. Labels of the model's states are kept; states where the memory fails bear the
+        label "memory fails", goals that it does not accept "goal not accepted".
+
+    Raises:
+        ModelError: the limit was passed (a memory that grows without end), or the memory's
+            functions do not return what they should.
+    """
+
+    def over(label: tuple[Hashable, Hashable]) -> bool:
+        state, kept = label
+        return bool(memory.fails(kept)) or bool(model.goal_mask[model.index_of(state)])
+
+    def successors(label: tuple[Hashable, Hashable]) -> dict[Hashable, list[Any]]:
+        state, kept = label
+        if over(label):
+            return {}
+        here = model.index_of(state)
+        return {
+            model.action_of(pair): [
+                (p, (to, memory.update(kept, state, model.action_of(pair), to, cost)), cost)
+                for p, to, cost in _outcomes(model, pair)
+            ]
+            for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1]))
+        }
+
+    def is_goal(label: tuple[Hashable, Hashable]) -> bool:
+        state, kept = label
+        reached = bool(model.goal_mask[model.index_of(state)]) and not memory.fails(kept)
+        return reached and bool(memory.accepts(kept))
+
+    begin = list(model.states if start is None else start)
+    marked = {
+        name: frozenset(model.states[k] for k in members.tolist())
+        for name, members in model.state_labels.items()
+    }
+
+    def is_refused(label: tuple[Hashable, Hashable]) -> bool:
+        return over(label) and not memory.fails(label[1]) and not is_goal(label)
+
+    def has_failed(label: tuple[Hashable, Hashable]) -> bool:
+        return bool(memory.fails(label[1]))
+
+    labels: dict[str, Callable[[Any], bool]] = {
+        name: partial(_is_among, among) for name, among in marked.items()
+    }
+    labels |= {MEMORY_FAILS: has_failed, NOT_ACCEPTED: is_refused}
+    plain = SSP.from_successors(
+        [(state, memory.start) for state in begin],
+        successors,
+        is_goal,
+        state_limit=state_limit,
+        state_labels=labels,
+        treat_actionless_as_dead_ends=True,
+    )
+    kept_exact = replace(plain, exact_costs=dict(model.exact_costs))
+    return ProductSSP(**_fields(kept_exact), original=model, memory=memory)
+
+
+def _is_among(states: frozenset[Hashable], label: tuple[Hashable, Hashable]) -> bool:
+    return label[0] in states
+
+
+def _outcomes(model: SSP, pair: int) -> list[tuple[float, Hashable, float]]:
+    """The possible outcomes of a pair."""
+    some = slice(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))
+    rows = zip(
+        model.probabilities[some].tolist(),
+        model.successors[some].tolist(),
+        model.costs[some].tolist(),
+        strict=True,
+    )
+    return [(p, model.states[to], cost) for p, to, cost in rows if p > 0.0]
+
+
+def _fields(model: SSP) -> dict[str, Any]:
+    """The fields of a model."""
+    return {name: getattr(model, name) for name in SSP.__dataclass_fields__}
+
+
+def check_product(model: SSP) -> ProductSSP:
+    """The model, if it is a product.
+
+    Raises:
+        ModelError: it is not.
+    """
+    if not isinstance(model, ProductSSP):
+        raise ModelError("the policy lives on no product: product(model, memory) makes one")
+    return model
