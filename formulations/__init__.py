@@ -15,7 +15,7 @@ from formulations.mcmp import MCMP
 from formulations.min_cost import MinCost
 from formulations.minprob import MinProb
 from formulations.s3p import S3P
-from ssp_lp.processes.secondary_costs import CostLimit
+from ssp_lp.formulation import CostLimit
 
 __all__ = [
     "EGUBS",

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import BUDGET_OR_SHARE, check_setting
-from ssp_lp.processes.failure_semantics import (
+from ssp_lp.formulation import (
+    BUDGET_OR_SHARE,
+    SSP,
     FailureSemantics,
+    Formulation,
     GiveUp,
+    Start,
+    check_setting,
     parse_give_up,
-    start_distribution,
 )
 
 
@@ -68,27 +66,19 @@ class AlphaMCMP(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     reach_fraction: float = 0.9
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False
 
     failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
 
-    discount = None  # exact
-    ratio = False  # cost is counted whether or not the goal is reached
-
     def __post_init__(self) -> None:
         check_setting(None, None, self.reach_fraction)
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        start_distribution(self.model, self.start)
+        super().__post_init__()
 
     @property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)
-
-    def compile(self) -> CompiledProblem:
-        """The failure-labelled process."""
-        start = start_distribution(self.model, self.start)
-        return CompiledFailureLabel(self.model, start, self.semantics)

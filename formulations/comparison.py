@@ -19,12 +19,8 @@ from formulations.mcmp import MCMP
 from formulations.min_cost import MinCost
 from formulations.minprob import MinProb
 from formulations.s3p import S3P
-from ssp_lp.errors import InfeasibleError
-from ssp_lp.model import SSP
-from ssp_lp.problem import Problem
-from ssp_lp.processes.secondary_costs import CostLimit
-from ssp_lp.solution import Solution
-from ssp_lp.solve import solve
+from ssp_lp import SSP, InfeasibleError, Solution, solve
+from ssp_lp.formulation import CostLimit, Problem
 
 
 @dataclass(frozen=True)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import check_setting
-from ssp_lp.processes.failure_semantics import (
+from ssp_lp.formulation import (
+    SSP,
+    CostLimit,
     FailureSemantics,
+    Formulation,
     GiveUp,
+    SideRow,
+    Start,
+    check_setting,
     parse_give_up,
-    start_distribution,
+    side_rows,
 )
-from ssp_lp.processes.secondary_costs import CostLimit, SideRow, side_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,19 +80,17 @@ class ConstrainedCost(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     limits: Mapping[str, CostLimit] = field(default_factory=dict)
     failure_budget: float | None = None
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = True
 
-    ratio = False  # cost is counted whether or not the goal is reached
-
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, self.discount)
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        start_distribution(self.model, self.start)
+        super().__post_init__()
         vars(self)["_side_rows"] = side_rows(self.model, self.limits)
 
     @property
@@ -105,8 +103,3 @@ class ConstrainedCost(Formulation):
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)
-
-    def compile(self) -> CompiledProblem:
-        """The failure-labelled process without the limits."""
-        start = start_distribution(self.model, self.start)
-        return CompiledFailureLabel(self.model, start, self.semantics, self.discount)

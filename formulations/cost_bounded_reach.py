@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import ModelError
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import check_numbers, check_setting
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
-from ssp_lp.processes.layered.arrival_cost import Late
-from ssp_lp.processes.layered.law_measure import WithinBound
+from ssp_lp.formulation import (
+    SSP,
+    FailureSemantics,
+    Formulation,
+    ModelError,
+    Start,
+    WithinBound,
+    check_numbers,
+    check_setting,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,27 +72,19 @@ class CostBoundedReach(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     cost_bound: float | Fraction
     failure_budget: float | None = 1.0
-
-    discount = None  # exact
-    ratio = False  # a plain probability, not one given success
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)
         check_numbers(cost_bound=self.cost_bound)
         if not 0 <= self.cost_bound < float("inf"):
             raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")
-        start_distribution(self.model, self.start)
+        super().__post_init__()
 
     @property
     def semantics(self) -> FailureSemantics:
         """Arriving in time is what counts."""
         measure = WithinBound(self.cost_bound)
-        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
-
-    def compile(self) -> CompiledProblem:
-        """The accumulated-cost process, an arrival in time its only reward."""
-        start = start_distribution(self.model, self.start)
-        return CompiledArrivalCost(self.model, start, Late(self.cost_bound, rewarded=True))
+        return FailureSemantics(measure=measure)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import ModelError
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import check_numbers, check_setting
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
-from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
-from ssp_lp.processes.layered.law_measure import CostQuantileOf
+from ssp_lp.formulation import (
+    SSP,
+    CostQuantileOf,
+    FailureSemantics,
+    Formulation,
+    ModelError,
+    Start,
+    check_numbers,
+    check_setting,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +69,10 @@ class CostQuantile(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     level: float
     failure_budget: float | None = None
 
-    discount = None  # exact
     ratio = True  # given success
 
     def __post_init__(self) -> None:
@@ -81,15 +80,10 @@ class CostQuantile(Formulation):
         check_numbers(level=self.level)
         if not 0.0 < self.level < 1.0:
             raise ModelError(f"level must lie strictly between 0 and 1, not {self.level!r}")
-        start_distribution(self.model, self.start)
+        super().__post_init__()
 
     @property
     def semantics(self) -> FailureSemantics:
         """The quantile is what counts."""
         measure = CostQuantileOf(float(self.level))
-        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
-
-    def compile(self) -> CompiledProblem:
-        """The accumulated-cost process."""
-        start = start_distribution(self.model, self.start)
-        return CompiledArrivalCost(self.model, start, TOTAL_COST, ratio=True)
+        return FailureSemantics(measure=measure)

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
-from ssp_lp.errors import ModelError
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import check_numbers
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
-from ssp_lp.processes.layered.arrival_cost import ExponentialReward
-from ssp_lp.processes.layered.law_measure import ExponentialUtility
+from ssp_lp.formulation import (
+    SSP,
+    CompiledArrivalCost,
+    ExponentialUtility,
+    FailureSemantics,
+    Formulation,
+    ModelError,
+    Start,
+    check_numbers,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +68,11 @@ class EGUBS(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     risk_factor: float
     goal_bonus: float
 
     failure_budget = 1.0  # failing is not limited: the utility weighs it
-    discount = None  # exact
-    ratio = False  # a plain expectation
 
     def __post_init__(self) -> None:
         check_numbers(risk_factor=self.risk_factor, goal_bonus=self.goal_bonus)
@@ -81,20 +80,16 @@ class EGUBS(Formulation):
             raise ModelError(f"risk_factor must be a number below 0, not {self.risk_factor!r}")
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
             raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
-        start_distribution(self.model, self.start)
+        super().__post_init__()
 
     @property
     def cost_horizon(self) -> float:
         """Accumulated cost from which a stationary policy is optimal (C_max)."""
-        return self.compile().cost_horizon
+        compiled = self.compile()
+        return compiled.cost_horizon if isinstance(compiled, CompiledArrivalCost) else 0.0
 
     @property
     def semantics(self) -> FailureSemantics:
         """The utility is what counts."""
         measure = ExponentialUtility(float(self.risk_factor), float(self.goal_bonus))
-        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
-
-    def compile(self) -> CompiledArrivalCost:
-        """The accumulated-cost process, rewarded on arrival."""
-        reward = ExponentialReward(float(self.risk_factor), float(self.goal_bonus))
-        return CompiledArrivalCost(self.model, start_distribution(self.model, self.start), reward)
+        return FailureSemantics(measure=measure)

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import check_penalty, check_setting
-from ssp_lp.processes.failure_semantics import (
+from ssp_lp.formulation import (
+    SSP,
     FailureSemantics,
+    Formulation,
     GiveUp,
+    Start,
+    check_penalty,
+    check_setting,
     parse_give_up,
-    start_distribution,
 )
 
 
@@ -72,27 +70,21 @@ class FinitePenalty(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     penalty: float
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ANYWHERE
     charge_failing_step: bool = False
 
     failure_budget = 1.0  # failing is not limited
-    ratio = False  # cost is counted whether or not the goal is reached
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, self.discount)
         check_penalty(self.penalty)
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        start_distribution(self.model, self.start)
+        super().__post_init__()
 
     @property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs, penalty included."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))
-
-    def compile(self) -> CompiledProblem:
-        """The failure-labelled process, the penalty part of its costs."""
-        start = start_distribution(self.model, self.start)
-        return CompiledFailureLabel(self.model, start, self.semantics, self.discount)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import ModelError
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import check_numbers
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
-from ssp_lp.processes.layered.arrival_cost import UtilityReward
-from ssp_lp.processes.layered.law_measure import ExpectedUtility, Utility
+from ssp_lp.formulation import (
+    SSP,
+    ExpectedUtility,
+    FailureSemantics,
+    Formulation,
+    ModelError,
+    Start,
+    Utility,
+    check_numbers,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +73,12 @@ class GUBS(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     utility: Utility
     goal_bonus: float
     utility_at_infinity: float = 0.0
 
     failure_budget = 1.0  # failing is not limited: the utility weighs it
-    discount = None  # exact
-    ratio = False  # a plain expectation
 
     def __post_init__(self) -> None:
         limit = self.utility_at_infinity
@@ -89,7 +87,7 @@ class GUBS(Formulation):
             raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
         if not isfinite(limit):
             raise ModelError(f"utility_at_infinity must be a finite number, not {limit!r}")
-        start_distribution(self.model, self.start)
+        super().__post_init__()
 
     @property
     def _numbers(self) -> tuple[float, float]:
@@ -100,10 +98,4 @@ class GUBS(Formulation):
     def semantics(self) -> FailureSemantics:
         """The utility is what counts."""
         measure = ExpectedUtility(self.utility, *self._numbers)
-        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, measure=measure)
-
-    def compile(self) -> CompiledProblem:
-        """The accumulated-cost process, rewarded on arrival."""
-        bonus, limit = self._numbers
-        reward = UtilityReward(self.utility, limit, bonus)
-        return CompiledArrivalCost(self.model, start_distribution(self.model, self.start), reward)
+        return FailureSemantics(measure=measure)

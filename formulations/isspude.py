@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
+from ssp_lp.formulation import (
+    SSP,
+    Formulation,
+    Start,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,20 +61,7 @@ class ISSPUDE(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
 
     failure_budget = None  # as low as possible
-    discount = None  # exact
     ratio = True  # cost is counted given success
-
-    def __post_init__(self) -> None:
-        start_distribution(self.model, self.start)
-
-    @property
-    def semantics(self) -> FailureSemantics:
-        """Failing is free and happens where the goal can be avoided for sure."""
-        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False)
-
-    def compile(self) -> CompiledProblem:
-        """The accumulated-cost process, of which least failure needs one layer."""
-        return CompiledAccumulatedCost(self.model, start_distribution(self.model, self.start))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
-from ssp_lp.processes.failure_semantics import (
+from ssp_lp.formulation import (
+    BUDGET_OR_SHARE,
+    SSP,
+    FailureBudget,
     FailureSemantics,
+    Formulation,
     GiveUp,
+    Start,
+    check_setting,
     parse_give_up,
-    start_distribution,
+    stated_budget,
 )
 
 
@@ -74,14 +74,12 @@ class MCMP(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     failure_budget: FailureBudget = BUDGET_OR_SHARE
     discount: float | None = None
     give_up: str | GiveUp | None = None
     charge_failing_step: bool | None = None
     reach_fraction: float | None = None
-
-    ratio = False  # cost is counted whether or not the goal is reached
 
     def __post_init__(self) -> None:
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
@@ -91,14 +89,9 @@ class MCMP(Formulation):
         if self.charge_failing_step is None:
             object.__setattr__(self, "charge_failing_step", not published)
         object.__setattr__(self, "give_up", parse_give_up(str(self.give_up)))
-        start_distribution(self.model, self.start)
+        super().__post_init__()
 
     @property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
         return FailureSemantics(parse_give_up(str(self.give_up)), bool(self.charge_failing_step))
-
-    def compile(self) -> CompiledProblem:
-        """The failure-labelled process."""
-        start = start_distribution(self.model, self.start)
-        return CompiledFailureLabel(self.model, start, self.semantics, self.discount)

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
+from ssp_lp.formulation import (
+    SSP,
+    FailureSemantics,
+    Formulation,
+    GiveUp,
+    Start,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,22 +63,11 @@ class MinCost(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
 
     failure_budget = 1.0  # the infinite penalty of ``semantics`` says it all
-    discount = None  # exact
-    ratio = False  # every run reaches the goal, and its cost counts
-
-    def __post_init__(self) -> None:
-        start_distribution(self.model, self.start)
 
     @property
     def semantics(self) -> FailureSemantics:
         """Failing is forbidden."""
         return FailureSemantics(GiveUp.DEAD_ENDS, charge_failing_step=False, penalty=float("inf"))
-
-    def compile(self) -> CompiledProblem:
-        """The process of the pairs that keep the goal sure."""
-        return CompiledFailureLabel(
-            self.model, start_distribution(self.model, self.start), self.semantics
-        )

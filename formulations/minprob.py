@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable
 from dataclasses import dataclass
 
-from ssp_lp.analysis.goal_probability import attention_labels
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, GiveUp, start_distribution
+from ssp_lp.formulation import (
+    SSP,
+    Aim,
+    FailureSemantics,
+    Formulation,
+    Start,
+    attention_labels,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,14 +61,9 @@ class MinProb(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
 
     failure_budget = 1.0  # failing is not limited: it is what is sought
-    discount = None  # exact
-    ratio = False  # no cost counts
-
-    def __post_init__(self) -> None:
-        start_distribution(self.model, self.start)
 
     @property
     def attention_states(self) -> frozenset[Hashable]:
@@ -76,10 +73,4 @@ class MinProb(Formulation):
     @property
     def semantics(self) -> FailureSemantics:
         """Only the goal counts."""
-        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False, aim=Aim.LEAST_GOAL)
-
-    def compile(self) -> CompiledProblem:
-        """The failure-labelled process, the goal its only cost."""
-        return CompiledFailureLabel(
-            self.model, start_distribution(self.model, self.start), self.semantics
-        )
+        return FailureSemantics(aim=Aim.LEAST_GOAL)

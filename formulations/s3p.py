@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import ModelError
-from ssp_lp.formulation import Formulation
-from ssp_lp.model import SSP
-from ssp_lp.problem import BUDGET_OR_SHARE, FailureBudget, check_setting, stated_budget
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp, start_distribution
+from ssp_lp.formulation import (
+    BUDGET_OR_SHARE,
+    SSP,
+    FailureBudget,
+    Formulation,
+    ModelError,
+    Start,
+    check_setting,
+    stated_budget,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +69,7 @@ class S3P(Formulation):
     """
 
     model: SSP
-    start: Hashable | Mapping[Hashable, float]
+    start: Start
     failure_budget: FailureBudget = BUDGET_OR_SHARE
     discount: float | None = None
     cost_cap: float | None = None
@@ -79,14 +81,4 @@ class S3P(Formulation):
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
-        start_distribution(self.model, self.start)
-
-    @property
-    def semantics(self) -> FailureSemantics:
-        """Failing is free and happens where the goal can be avoided for sure."""
-        return FailureSemantics(GiveUp.ATTENTION, charge_failing_step=False)
-
-    def compile(self) -> CompiledProblem:
-        """The accumulated-cost process."""
-        start = start_distribution(self.model, self.start)
-        return CompiledAccumulatedCost(self.model, start, self.discount, fixed_cap=self.cost_cap)
+        super().__post_init__()

@@ -1,16 +1,129 @@
-"""The base of all formulations: what every criterion can do once it is stated."""
+"""The base of all formulations: a criterion says what it asks, the rest is inherited.
+
+A formulation is a frozen dataclass with a model, a start, and what else it needs; it says what an
+episode is worth (``semantics``), whether its cost counts given success (``ratio``), and how much
+failing is allowed (``failure_budget``). From these follow its augmentation, its program, and which
+methods solve it. This module is also where a page of ``formulations`` finds what it imports.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from typing import TYPE_CHECKING, cast
 
+from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
+from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.model import SSP
+from ssp_lp.problem import (
+    BUDGET_OR_SHARE,
+    FailureBudget,
+    Problem,
+    check_numbers,
+    check_penalty,
+    check_setting,
+    stated_budget,
+)
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    GiveUp,
+    parse_give_up,
+    start_distribution,
+)
+from ssp_lp.processes.layered.law_measure import (
+    CostQuantileOf,
+    ExpectedUtility,
+    ExponentialUtility,
+    TailMeanOf,
+    WithinBound,
+)
+from ssp_lp.processes.layered.utility import Utility
+from ssp_lp.processes.secondary_costs import CostLimit, SideRow, side_rows
+
 if TYPE_CHECKING:
-    from ssp_lp.problem import Problem
     from ssp_lp.programs.occupation_program import OccupationProgram
+
+__all__ = [
+    "BUDGET_OR_SHARE",
+    "SSP",
+    "Aim",
+    "CompiledArrivalCost",
+    "CostLimit",
+    "CostQuantileOf",
+    "ExpectedUtility",
+    "ExponentialUtility",
+    "FailureBudget",
+    "FailureSemantics",
+    "Formulation",
+    "GiveUp",
+    "InfeasibleError",
+    "ModelError",
+    "Problem",
+    "SideRow",
+    "Start",
+    "TailMeanOf",
+    "Utility",
+    "WithinBound",
+    "attention_labels",
+    "check_numbers",
+    "check_penalty",
+    "check_setting",
+    "dead_end_labels",
+    "parse_give_up",
+    "side_rows",
+    "stated_budget",
+]
+
+Start = Hashable | Mapping[Hashable, float]
+"""A state, or a distribution over states."""
 
 
 class Formulation:
-    """A criterion on a model with a start, see :class:`ssp_lp.problem.Problem`."""
+    """A criterion on a model with a start (see :class:`ssp_lp.problem.Problem`).
+
+    What a class does not say is inherited: exact, not given success, failing free and unlimited.
+    """
+
+    failure_budget: float | FailureBudget | None = 1.0
+    discount: float | None = None
+    ratio = False
+    cost_cap: float | None = None  # of accumulated cost, where it is told apart
+
+    def __post_init__(self) -> None:
+        """Check the start.
+
+        Raises:
+            ModelError: an unknown state, or no distribution.
+        """
+        start_distribution(self._asked.model, self._asked.start)
+
+    @property
+    def semantics(self) -> FailureSemantics:
+        """Failing is free and happens where the goal can be avoided for sure."""
+        return FailureSemantics()
+
+    @property
+    def _asked(self) -> Problem:
+        return cast("Problem", self)
+
+    def compile(self) -> CompiledProblem:
+        """The augmented process, ready for a method.
+
+        Costs given success, and whatever is made of the total cost, need the accumulated cost
+        (paper, section 3.1.1); everything else the failure label (section 3.1.2).
+        """
+        model, semantics = self._asked.model, self.semantics
+        start = start_distribution(model, self._asked.start)
+        if semantics.measure is not None:
+            return CompiledArrivalCost(model, start, semantics.measure.charge, self.ratio)
+        if self.ratio:
+            cap = self.cost_cap
+            return CompiledAccumulatedCost(model, start, self.discount, fixed_cap=cap)
+        return CompiledFailureLabel(model, start, semantics, self.discount)
 
     def program(self) -> OccupationProgram:
         """The linear program over expected visits whose optimum is the problem's.
@@ -21,4 +134,4 @@ class Formulation:
         """
         from ssp_lp.methods.program import program_of
 
-        return program_of(cast("Problem", self))
+        return program_of(self._asked)

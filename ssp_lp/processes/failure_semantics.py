@@ -46,8 +46,8 @@ class FailureSemantics:
     surely are left. Where a measure is named, it is what counts of the total cost of a success.
     """
 
-    give_up: GiveUp
-    charge_failing_step: bool
+    give_up: GiveUp = GiveUp.ATTENTION
+    charge_failing_step: bool = False
     penalty: float = 0.0
     aim: Aim = Aim.LEAST_COST
     measure: Measure | None = None

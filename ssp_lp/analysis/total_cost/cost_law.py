@@ -22,7 +22,8 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.layered.lattice import last_layer
-from ssp_lp.processes.layered.law_measure import TailMeanOf, Utility, utilities
+from ssp_lp.processes.layered.law_measure import TailMeanOf
+from ssp_lp.processes.layered.utility import Utility, utilities
 
 _LAST_LAYER = 2**62  # as good as infinitely many
 _NOTHING = 1e-17  # of a sum: less than its rounding

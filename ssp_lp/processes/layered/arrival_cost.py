@@ -19,7 +19,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.layered.lattice import last_layer
-from ssp_lp.processes.layered.law_measure import Utility, utilities
+from ssp_lp.processes.layered.utility import Utility, utilities
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,33 +6,18 @@ total cost C on the runs that reach the goal; what is missing from it is the fai
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
 
-import numpy as np
-
-from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import ModelError
-
-Utility = Callable[[FloatArray], FloatArray]
-"""A non-increasing function of the total cost, on arrays."""
-
-
-def utilities(utility: Utility, costs: FloatArray) -> FloatArray:
-    """The utility of each cost, like ``costs``.
-
-    Raises:
-        ModelError: the function does not take an array, or does not return as many finite numbers.
-    """
-    try:
-        worth = np.asarray(utility(costs), dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"utility must take an array of costs: {error}") from error
-    if worth.shape != costs.shape or not np.isfinite(worth).all():
-        raise ModelError("utility must map an array of costs to as many finite numbers")
-    return worth
+from ssp_lp.processes.layered.arrival_cost import (
+    TOTAL_COST,
+    Charge,
+    ExponentialReward,
+    Late,
+    UtilityReward,
+)
+from ssp_lp.processes.layered.utility import Utility
 
 
 class Law(Protocol):
@@ -87,6 +72,11 @@ class Measure(Protocol):
         """What is asked, in words."""
         ...
 
+    @property
+    def charge(self) -> Charge:
+        """What arriving at the goal is charged in the process; of a search, to begin with."""
+        ...
+
     def of(self, law: Law) -> float:
         """The number."""
         ...
@@ -104,6 +94,11 @@ class WithinBound:
     def words(self) -> str:
         """What is asked."""
         return f"goal within cost {float(self.bound):g}"
+
+    @property
+    def charge(self) -> Charge:
+        """Less 1 for arriving in time."""
+        return Late(self.bound, rewarded=True)
 
     def of(self, law: Law) -> float:
         """The probability."""
@@ -129,6 +124,11 @@ class ExpectedUtility:
         """What is asked."""
         return f"expected utility, goal bonus {self.bonus:g}"
 
+    @property
+    def charge(self) -> Charge:
+        """Less what arriving is worth more than failing."""
+        return UtilityReward(self.utility, self.at_infinity, self.bonus)
+
     def of(self, law: Law) -> float:
         """The expected utility."""
         reached = law.expectation(self.utility, self.at_infinity) + self.bonus * law.goal
@@ -149,6 +149,11 @@ class ExponentialUtility:
         """What is asked."""
         return f"utility exp({self.rate:g} cost), goal bonus {self.bonus:g}"
 
+    @property
+    def charge(self) -> Charge:
+        """Less what arriving is worth."""
+        return ExponentialReward(self.rate, self.bonus)
+
     def of(self, law: Law) -> float:
         """The expected utility."""
         return law.exponential(self.rate) + self.bonus * law.goal
@@ -166,6 +171,11 @@ class CostQuantileOf:
     def words(self) -> str:
         """What is asked."""
         return f"{self.level:g}-quantile of the cost given success"
+
+    @property
+    def charge(self) -> Charge:
+        """The total cost."""
+        return TOTAL_COST
 
     def of(self, law: Law) -> float:
         """The least B with Pr(C <= B | goal) >= level."""
@@ -188,6 +198,11 @@ class TailMeanOf:
     def words(self) -> str:
         """What is asked."""
         return f"conditional value at risk {self.level:g} given success"
+
+    @property
+    def charge(self) -> Charge:
+        """The total cost."""
+        return TOTAL_COST
 
     def of(self, law: Law) -> float:
         """The mean of the worst ``1 - level`` of the runs that succeed; nan if none does."""
