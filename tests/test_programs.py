@@ -250,6 +250,123 @@ def test_another_objective_gives_another_policy() -> None:
     assert len(measure.mixed_policy().weights) == 2
 
 
+def test_rows_of_the_users_are_kept_where_nothing_can_come_of_going_on() -> None:
+    """To patrol for half a step, at a place that is about to give up."""
+    model = model_of(
+        {
+            "x": {"go": [(0.9, "g", 1.0), (0.1, "y", 1.0)]},
+            "y": {"patrol": [(1.0, "y", 0.1)], "home": [(1.0, "g", 100.0)]},
+        }
+    )
+    program = MCMP(model, "x", failure_budget=0.2).program()
+    convex = program.to_cvxpy()
+    patrol = program.column("y", "patrol")
+    convex.constraints["patrol"] = convex.x[patrol] >= 0.5
+    measure = convex.solve(solver=cp.CLARABEL)
+    assert measure.visits[patrol] == pytest.approx(0.5, abs=1e-6)
+    assert measure.objective == pytest.approx(1.06, abs=1e-6)
+
+
+def test_replaced_rows_have_no_price() -> None:
+    convex = MCMP(DEPOT, "depot", failure_budget=0.05).program().to_cvxpy()
+    convex.constraints["failure"] = cp.SOC(
+        cp.Constant(0.05), cp.multiply(convex.x, np.array([0.01, 0.1]))
+    )
+    measure = convex.solve(solver=cp.CLARABEL)
+    assert measure.duals == {}
+    assert measure.optimal_value_from_dual is None
+
+
+def free_ring(size: int) -> SSP:
+    """A ring that is moved about for free, backwards more easily, left at its two ends."""
+    moves: dict = {
+        i: {
+            "on": [(1.0, (i + 1) % size, 0.0)],
+            "back": [(1.0, max(i - 1, 0), 0.0)],
+            "far back": [(1.0, max(i - 2, 0), 0.0)],
+        }
+        for i in range(size)
+    }
+    moves[size - 1]["cheap"] = [(0.9, "g", 3.0), (0.1, "d", 1.0)]
+    moves[0]["road"] = [(0.99, "g", 9.0), (0.01, "d", 5.0)]
+    return model_of(moves | {"d": {}})
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("size", [4, 20, 60, 400])
+def test_large_free_components_are_left_as_the_measure_says(criterion, size: int) -> None:
+    problem = criterion(free_ring(size), {1: 0.5, size // 2: 0.5}, failure_budget=0.05)
+    measure = problem.program().solve()
+    known = {
+        MCMP: 4.0 / 9.0 * 2.8 + 5.0 / 9.0 * 8.96,
+        S3P: (4.0 / 9.0 * 2.7 + 5.0 / 9.0 * 8.91) / 0.95,
+    }
+    assert measure.objective == pytest.approx(known[criterion], rel=1e-9)
+    for policy in (measure.randomised_policy(), measure.mixed_policy()):
+        found = evaluate(policy, problem)
+        assert found.objective == pytest.approx(measure.objective, rel=1e-9)
+        assert found.failure_probability == pytest.approx(0.05, rel=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(40, 50))
+def test_budgets_at_the_least_failure(seed: int) -> None:
+    model, start, _ = drawn(seed)
+    least = solve(MaxProb(model, start)).failure_probability
+    for criterion in (MCMP, S3P) if least < 1.0 else (MCMP,):
+        problem = criterion(model, start, failure_budget=least)
+        measure, known = problem.program().solve(), solve(problem).objective
+        assert measure.objective == pytest.approx(known, rel=1e-7, abs=1e-9)
+        assert measure.optimal_value_from_dual <= known + 1e-9 * max(known, 1.0)
+
+
+def test_a_tiny_budget_is_enforced() -> None:
+    model = model_of(
+        {"x": {"fast": [(1 - 1e-9, "g", 1.0), (1e-9, "d", 1.0)], "slow": [(1.0, "g", 10.0)]}}
+        | {"d": {}}
+    )
+    measure = MCMP(model, "x", failure_budget=5e-10).program().solve()
+    assert measure.objective == pytest.approx(5.5, rel=1e-6)
+    assert measure.activity["failure"] <= 5e-10 * (1.0 + 1e-6)
+
+
+@pytest.mark.parametrize("passes", [1e6, 1e8])
+def test_a_lottery_behind_a_chain_that_is_hardly_left(passes: float) -> None:
+    p = 1.0 / passes
+    model = model_of(
+        {
+            "a": {"go": [(1.0, "b", p)]},
+            "b": {"go": [(1.0 - p, "a", p), (p, "y", p)]},
+            "y": {
+                "road": [(0.99, "g", 9.0), (0.01, "d", 5.0)],
+                "alley": [(0.9, "g", 3.0), (0.1, "d", 1.0)],
+            },
+            "d": {},
+        }
+    )
+    problem = MCMP(model, "a", failure_budget=0.01 + 8e-6)
+    policy = problem.program().solve().mixed_policy()
+    assert len(policy.weights) == 2
+    assert policy.weights.min() == pytest.approx(8e-6 / 0.09, rel=1e-3)
+
+
+def test_a_start_at_the_goal_has_one_column() -> None:
+    program = S3P(model_of({"d": {}}), "g", failure_budget=0.5).program()
+    assert program.label(0).action == "start"
+
+
+def test_row_names_in_files_are_unique(tmp_path) -> None:
+    fuel = CostLimit({"depot": {"road": 2.0, "alley": 4.0}}, 20.0)
+    limits = {"fu el": fuel, "fu-el": fuel, "2nd fuel": fuel}
+    path = tmp_path / "program.lp"
+    ConstrainedCost(DEPOT, "depot", limits, failure_budget=0.06).program().write(path)
+    solver = highspy.Highs()
+    solver.setOptionValue("output_flag", False)
+    assert solver.readModel(str(path)) == highspy.HighsStatus.kOk
+    assert len(set(solver.getLp().row_names_)) == solver.getNumRow() == 5
+    with pytest.raises(ModelError, match="'balance' names the rows of flow balance"):
+        ConstrainedCost(DEPOT, "depot", {"balance": fuel})
+
+
 @pytest.mark.parametrize("ending", ["mps", "lp"])
 def test_a_file_is_solved_by_highs_alone(ending: str, tmp_path) -> None:
     for number, problem in enumerate(problems_of(3)):

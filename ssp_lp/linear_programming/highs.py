@@ -82,6 +82,7 @@ def _solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highs
         "solver": _SOLVERS[backend],
         "primal_feasibility_tolerance": 1e-10,
         "dual_feasibility_tolerance": 1e-10,
+        "small_matrix_value": 1e-12,  # smaller entries are dropped; this is the least it takes
         "threads": 1,
     }
     if basis is not None:

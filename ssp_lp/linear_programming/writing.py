@@ -31,11 +31,15 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
         raise ModelError(f"a program is written as {' or '.join(ENDINGS)}, not {path.name!r}")
     lp = highs_lp(program)
     lp.col_names_ = [_allowed(name) for name in columns]
-    rows = [""] * program.matrix.shape[0]
-    for name, places in program.rows.items():
+    rows, taken = [""] * program.matrix.shape[0], set[str]()
+    for number, (name, places) in enumerate(program.rows.items()):
+        plain = _allowed(name)
+        if plain in taken or not plain[0].isalpha():
+            plain = f"row{number}.{plain}"
+        taken.add(plain)
         alone = places.stop - places.start == 1 and name != "balance"
         for k in range(places.start, places.stop):
-            rows[k] = _allowed(name) if alone else f"{_allowed(name)}.{k - places.start}"
+            rows[k] = plain if alone else f"{plain}.{k - places.start}"
     lp.row_names_ = rows
     solver = highspy.Highs()  # type: ignore[no-untyped-call]
     solver.setOptionValue("output_flag", False)

@@ -96,7 +96,12 @@ def _within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]
         least = checked_least_failure(compiled, budget).column.failure if budget < 1.0 else 0.0
         return LabelledModel(compiled.pricing().labelled, compiled.start), max(budget, least)
     found = optimise(compiled, budget, CERTIFYING)
-    here = found.compiled
+    if found.least is not None and found.row.budget <= found.least.column.failure:
+        if compiled.discount is None:  # only policies of least failure are within the budget
+            return _at_least_failure(compiled), found.row.budget
+        here = found.compiled.for_program()
+    else:
+        here = found.compiled
     if not isinstance(here, CompiledLayered):
         raise ModelError(f"no program is known for {type(compiled).__name__}")
     return LayeredModel(here.process, here.start), found.row.budget

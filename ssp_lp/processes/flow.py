@@ -1,11 +1,10 @@
 """Expected visits of a process's pairs, taken back to the pairs of the model.
 
 A collapsed component is one place of the process: what enters it at one member may leave it at
-another. How to get there is free, but must be said. Let P be the chain that moves uniformly at
-random within a component, e what enters at each member and l what leaves there. The visits z of
-members on the way satisfy ``z (I - P) = e - l`` and are unique up to multiples of the stationary
-distribution of P, which is positive: the least such z >= 0 is taken. Drawing each member's move
-in proportion to these visits realises the visits of the process exactly (paper, section 2.2).
+another. How to get there is free, but must be said: whatever enters goes to each member by which
+the component is left with that member's share of all that leaves, the shortest way in number of
+steps. Drawing each member's move in proportion to the visits that this makes realises the visits of
+the process exactly (paper, section 2.2).
 """
 
 from __future__ import annotations
@@ -14,9 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import linalg
 
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, segment_sums
+from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import approach_pairs, pairs_into
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.processes.quotient import Quotient
 
@@ -70,52 +71,58 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
     give_up, pairs = flow.give_up.copy(), flow.pairs.copy()
     give_up[members] *= share
     leaving = segment_sums(pairs, quotient.model.pair_offsets)[members] + give_up[members]
-    passed = _least_passing(quotient, members, entering[members] - leaving)
-    inside = np.flatnonzero(quotient.inside)
-    state = quotient.model.pair_state[inside]
-    ways = np.bincount(state, minlength=quotient.model.n_states)
-    place = np.full(quotient.model.n_states, -1)
-    place[members] = np.arange(members.size)
-    pairs[inside] = passed[place[state]] / ways[state]
-    return ModelFlow(pairs, give_up)
+    return ModelFlow(pairs + _moves(quotient, members, entering[members], leaving), give_up)
 
 
-def _least_passing(quotient: Quotient, members: IntArray, supply: FloatArray) -> FloatArray:
-    """The least visits >= 0 of members that carry a supply to where it is missing, [members]."""
-    stay = _uniform_moves(quotient, members)
-    node = quotient.node_of[members]
-    _, first = np.unique(node, return_index=True)  # one member of each component is grounded
-    free = np.ones(members.size, dtype=np.bool_)
-    free[first] = False
-    rest = np.flatnonzero(free)
-    system = sp.csc_array((sp.eye_array(members.size) - stay.T)[rest][:, rest])
-    entered = np.asarray(stay.T[rest][:, first].sum(axis=1)).ravel()
-    found, stationary = np.zeros(members.size), np.ones(members.size)
-    if rest.size:
-        factors = linalg.splu(system)
-        found[rest], stationary[rest] = factors.solve(supply[rest]), factors.solve(entered)
-    owed = np.zeros(quotient.n_nodes)
-    np.maximum.at(owed, node, -found / stationary)
-    return np.asarray(np.maximum(found + owed[node] * stationary, 0.0))
+def _moves(
+    quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
+) -> FloatArray:
+    """How often each pair inside a component is taken, [model pairs].
+
+    Each component's first exit is served first, then the second one of each that has one, and so
+    on: moves of different components never meet.
+
+    Args:
+        quotient: the live part of the model.
+        members: states of components.
+        entering: [members].
+        leaving: [members].
+    """
+    model, node = quotient.model, quotient.node_of[members]
+    exits = np.flatnonzero(leaving > 0.0)
+    exits = exits[np.argsort(node[exits], kind="stable")]
+    begins = np.diff(node[exits], prepend=-1) != 0
+    turn = np.arange(exits.size) - np.flatnonzero(begins)[np.cumsum(begins) - 1]
+    total = np.bincount(node, weights=leaving, minlength=quotient.n_nodes)
+    pairs = np.zeros(model.n_pairs)
+    for number in range(int(turn.max(initial=-1)) + 1):
+        served = exits[turn == number]
+        share = np.zeros(quotient.n_nodes)
+        share[node[served]] = leaving[served] / total[node[served]]
+        is_target = np.zeros(model.n_states, dtype=np.bool_)
+        is_target[members[served]] = True
+        last = quotient.inside & pairs_into(model, is_target) & ~is_target[model.pair_state]
+        usable = quotient.inside & ~is_target[model.pair_state]
+        choice = approach_pairs(model, last, usable)
+        moving = np.flatnonzero((choice[members] >= 0) & (share[node] > 0.0))
+        taken = choice[members[moving]]
+        pairs[taken] += _visits(model, members[moving], taken, (entering * share[node])[moving])
+    return pairs
 
 
-def _uniform_moves(quotient: Quotient, members: IntArray) -> sp.csr_array:
-    """The chain that takes each inside pair of a member equally often, [members, members]."""
-    model = quotient.model
-    inside = np.flatnonzero(quotient.inside)
-    state = model.pair_state[inside]
-    ways = np.bincount(state, minlength=model.n_states)
-    lengths = np.diff(model.outcome_offsets)[inside]
-    outcomes = concatenated_ranges(model.outcome_offsets[inside], lengths)
+def _visits(model: SSP, states: IntArray, pairs: IntArray, entering: FloatArray) -> FloatArray:
+    """Expected visits of some states that each take one pair until they are left, [some states]."""
+    lengths = np.diff(model.outcome_offsets)[pairs]
+    outcomes = concatenated_ranges(model.outcome_offsets[pairs], lengths)
     place = np.full(model.n_states, -1)
-    place[members] = np.arange(members.size)
-    weight = model.probabilities[outcomes] / np.repeat(ways[state], lengths)
-    ends = place[np.repeat(state, lengths)], place[model.successors[outcomes]]
-    possible = weight > 0.0
-    return sp.csr_array(
-        (weight[possible], (ends[0][possible], ends[1][possible])),
-        shape=(members.size, members.size),
-    )
+    place[states] = np.arange(states.size)
+    source, target = np.repeat(np.arange(states.size), lengths), place[model.successors[outcomes]]
+    stays = (target >= 0) & (model.probabilities[outcomes] > 0.0)
+    shape = states.size, states.size
+    chance = model.probabilities[outcomes]
+    inner = sp.csr_array((chance[stays], (source[stays], target[stays])), shape=shape)
+    exits = np.bincount(source[~stays], weights=chance[~stays], minlength=states.size)
+    return System(inner, exits.astype(np.float64)).solve_transposed(entering)
 
 
 def decisions(

@@ -22,6 +22,13 @@ from ssp_lp.processes.expectations import costless_pairs
 FAILURE_ROW = "failure"
 """Name of the row of the failure budget; no secondary cost may bear it."""
 
+RESERVED = {
+    FAILURE_ROW: "the failure budget",
+    "balance": "the rows of flow balance",
+    "normaliser": "the row that makes a ratio linear",
+}
+"""Names of rows that every program has."""
+
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
 
@@ -77,8 +84,8 @@ def side_rows(model: SSP, limits: Mapping[str, CostLimit]) -> tuple[SideRow, ...
 def _side_row(model: SSP, name: str, limit: CostLimit) -> SideRow:
     if not isinstance(name, str) or not name:
         raise ModelError(f"the name of a limit must be a word, not {name!r}")
-    if name == FAILURE_ROW:
-        raise ModelError(f"{name!r} names the failure budget: give the limit another name")
+    if name in RESERVED:
+        raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
     if not isinstance(limit, CostLimit):
         raise ModelError(f"limit {name!r} must be CostLimit(cost, bound), not {limit!r}")
     if not _is_amount(limit.bound):

@@ -51,6 +51,8 @@ class LayeredModel:
     def label(self, pair: int) -> ColumnLabel:
         """The state, the action and the accumulated cost of a pair."""
         base, model, quotient = self.layered.base, self.model, self.layered.base.quotient
+        if pair == self.process.n_pairs - 1:
+            return ColumnLabel(None, START, 0.0)
         layer, inner = divmod(pair, len(base.gain))
         if layer < self.layered.cap:
             paid = float(layer * base.exact_unit)
@@ -61,8 +63,6 @@ class LayeredModel:
             return ColumnLabel(state, model.action_of(acting), paid)
         place, tail = divmod(pair - self.layered.cap * len(base.gain), len(self._tails))
         beyond, node = divmod(place, base.n_nodes)
-        if beyond >= base.width - 1:
-            return ColumnLabel(None, START, 0.0)
         paid = float((self.layered.cap + beyond) * base.exact_unit)
         return ColumnLabel(self._member(node), (GO_FOR_GOAL, FAIL)[tail], paid)
 

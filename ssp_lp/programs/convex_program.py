@@ -79,24 +79,23 @@ class ConvexProgram:
         except cp.SolverError as error:
             raise SolverError(f"cvxpy: {error}") from error
         status = str(self.problem.status)
-        if status.startswith("infeasible"):
-            raise self.program.infeasible()
+        if status in ("infeasible", "infeasible_inaccurate"):
+            raise self._bounded.infeasible()
         if status not in _SOLVED or self.x.value is None:
             raise SolverError(f"cvxpy: the program is {status}")
         scale, ratio = 1.0, 0.0
         if self.program.ratio:
             scale = float(self.scale.value)
-            ratio = -float(np.ravel(self.constraints["normaliser"].dual_value)[0])
-        program = self.program.bounded_by(
-            {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
-        )
+            ratio = max(self._price("normaliser", -1.0), 0.0)
+        program = self._bounded
         prices = self._duals()
         (proved, value), stated = program.proved(prices, ratio), self._is_as_stated
         visits = np.asarray(self.x.value) / scale
         visits = proved.without_noise(visits) if stated else visits
+        gives_up = program.augmented.gives_up if stated else None  # rows of the user's see visits
         return OccupationMeasure(
             program=program,
-            visits=balanced(program.process, visits, proved.choice, program.augmented.gives_up),
+            visits=balanced(program.process, visits, proved.choice, gives_up),
             duals={name: price * scale for name, price in prices.items()},
             optimal_value_from_dual=value if stated else None,
             solver=f"cvxpy, {self.problem.solver_stats.solver_name}",
@@ -113,12 +112,22 @@ class ConvexProgram:
             objective is self.objective
         )
 
+    @property
+    def _bounded(self) -> OccupationProgram:
+        """The program with the bounds that the parameters have now."""
+        return self.program.bounded_by(
+            {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
+        )
+
     def _duals(self) -> dict[str, float]:
-        """The price of each row of the program, as far as the solver gives one."""
-        found = {}
-        for row in self.program.rows:
-            constraint = self.constraints.get(row.name)
-            value = None if constraint is None else constraint.dual_value
-            if value is not None:
-                found[row.name] = max(float(np.ravel(value)[0]), 0.0)
-        return found
+        """The price of each row of the program that is still as it was stated."""
+        names = [row.name for row in self.program.rows if self._is_kept(row.name)]
+        return {name: max(self._price(name), 0.0) for name in names}
+
+    def _is_kept(self, name: str) -> bool:
+        return self.constraints.get(name) is self._stated[0][name]
+
+    def _price(self, name: str, sign: float = 1.0) -> float:
+        """A row's multiplier as the solver gives it; 0 where it has none or was replaced."""
+        value = self.constraints[name].dual_value if self._is_kept(name) else None
+        return 0.0 if value is None else sign * float(np.ravel(value)[0])

@@ -20,12 +20,12 @@ from ssp_lp.errors import SolverError
 from ssp_lp.model.graph.approach import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
-_SEEN = 1e-9  # outflow, relative to the greatest, that a solver's tolerance leaves meaningful
-_DUST = 1e-12  # of all that is left: visits below it are rounding
-_ROUNDED = 1e-15  # of all: what subtracting leaves
+_SEEN = 1e-9  # outflow that a solver's tolerance leaves meaningful
+_DUST = 1e-12  # of a state's visits: less is rounding
+_ROUNDED = 1e-15  # of them: what subtracting leaves
 _REST = 1e-12  # weight that is not worth a member of its own
 _ABOVE = 10.0  # times rounding: visits that count
-_WRONG = 1e-8  # of the greatest visits: what members may have too many
+_WRONG = 1e-8  # of a state's visits: what members may have too many
 _USED_UP = 1e-9  # share of a pair's visits that rounding may leave of it
 
 
@@ -37,12 +37,15 @@ def leaving_choice(process: ExplicitProcess) -> IntArray:
 
 
 def balanced(
-    process: ExplicitProcess, visits: FloatArray, otherwise: IntArray, gives_up: BoolArray
+    process: ExplicitProcess,
+    visits: FloatArray,
+    otherwise: IntArray,
+    gives_up: BoolArray | None = None,
 ) -> FloatArray:
     """The visits of the policy that draws each pair with its share of a solver's visits, [pairs].
 
     A solver's answer balances within its tolerance only; these are a policy's own, to rounding.
-    Where nothing can come of going on, the policy gives up, if it may.
+    Where nothing can come of going on, the policy gives up, if it may and ``gives_up`` is given.
 
     Args:
         process: the process.
@@ -56,9 +59,12 @@ def balanced(
     """
     kept = np.maximum(visits, 0.0)
     outflow = segment_sums(kept, process.pair_offsets)
-    unseen = outflow <= _SEEN * float(outflow.max(initial=0.0))
+    unseen = outflow <= _SEEN * min(float(outflow.max(initial=0.0)), 1.0)
     share = _shares(process, kept, unseen, otherwise)
-    return _giving_up_in_time(process, share, gives_up)
+    if gives_up is not None:
+        share = _giving_up_in_time(process, share, gives_up)
+    visited = _drawn_chain(process, share).solve_transposed(process.start)
+    return np.asarray(visited[process.pair_state] * share)
 
 
 def _shares(
@@ -84,7 +90,7 @@ def _drawn_chain(process: ExplicitProcess, share: FloatArray) -> System:
 def _giving_up_in_time(
     process: ExplicitProcess, share: FloatArray, gives_up: BoolArray
 ) -> FloatArray:
-    """The policy's visits, given up from where the goal is out of its reach, [pairs]."""
+    """The same, but giving up where the goal is out of the policy's reach, [pairs]."""
     dynamics = process.dynamics
     hopeful = nearer_pairs(
         dynamics.predecessors,
@@ -98,8 +104,7 @@ def _giving_up_in_time(
         price = np.where(gives_up, process.cost, np.inf)
         cheapest = np.lexsort((price, process.pair_state))[process.pair_offsets[:-1]]
         share = _shares(process, share, lost, cheapest)
-    visits = _drawn_chain(process, share).solve_transposed(process.start)
-    return np.asarray(visits[process.pair_state] * share)
+    return share
 
 
 def decomposed(
@@ -119,15 +124,14 @@ def decomposed(
     """
     left, members, weights = visits.copy(), [], []
     followed = np.zeros_like(visits)
-    begun = float(left.max(initial=0.0))
     most, outflow = _most_visited(process, visits), segment_sums(visits, process.pair_offsets)
     safe, remaining = np.where(outflow > 0.0, most, leaving_choice(process)), 1.0
     while remaining > 0.0:
-        rounding = max(_DUST * remaining, _ROUNDED) * begun
+        rounding = max(_DUST * remaining, _ROUNDED) * outflow[process.pair_state]
         left[left <= rounding] = 0.0
         choice = _within_support(process, left, safe)
         own = process.dynamics.chain(choice.astype(np.int32)).solve_transposed(process.start)
-        visited = (own * remaining > _ABOVE * rounding) & (left[choice] > 0.0)
+        visited = (own * remaining > _ABOVE * rounding[choice]) & (left[choice] > 0.0)
         if not visited.any():
             break
         weight = min(float((left[choice[visited]] / own[visited]).min()), remaining)
@@ -140,7 +144,8 @@ def decomposed(
         used_up = np.abs(left - spent) <= _USED_UP * spent
         left = np.where(used_up, 0.0, np.maximum(left - spent, 0.0))
         remaining -= weight
-    wrong = max(float((followed - visits).max(initial=0.0)) / begun, remaining)
+    excess = (followed - visits)[visits > 0.0] / outflow[process.pair_state][visits > 0.0]
+    wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
         raise SolverError(f"the visits are no policy's: those of the lottery differ by {wrong:.1e}")
     return tuple(members), np.array(weights) / np.sum(weights)

@@ -50,12 +50,12 @@ class OccupationMeasure:
 
     @cached_property
     def residual(self) -> float:
-        """By how much flow balance, a row or x >= 0 is violated at most."""
+        """By how much flow balance, x >= 0 or, relative to its bound, a row is violated at most."""
         process = self.program.process
         outflow = np.bincount(process.pair_state, weights=self.visits, minlength=process.n_states)
         off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
-        over = [row.violation(self.activity[row.name]) for row in self.program.rows]
-        return max(float(off), *over, float((-self.visits).max(initial=0.0)), 0.0)
+        over = [row.relative_violation(self.activity[row.name]) for row in self.program.rows]
+        return max([float(off), *over, float((-self.visits).max(initial=0.0)), 0.0])
 
     @property
     def gap(self) -> float:
@@ -80,9 +80,10 @@ class OccupationMeasure:
         """The same visits as a lottery over deterministic policies, drawn once at the start.
 
         Where the measure is a vertex of the program there is at most one more member than there
-        are rows met with equality; else finitely many. Objective and failure are the measure's; a
-        secondary cost may come out lower, since a member that cannot reach the goal any more has
-        failed, and pays nothing from there on.
+        are rows met with equality; else finitely many. Of an optimal measure objective and failure
+        are kept. Secondary costs, and the cost of a measure that other objectives or rows made, may
+        come out lower: visits that go round for ever belong to no deterministic policy that
+        leaves, and a member that cannot reach the goal any more has failed and pays no more.
 
         Raises:
             SolverError: the visits do not balance.

@@ -159,13 +159,17 @@ class OccupationProgram:
             told = f"{name}: {answer.status}"
             infeasible = infeasible and "infeasible" in answer.status.lower()
             if not infeasible and self._is_answered(answer):
-                measure = self.measure(answer)
-                if measure.gap <= _ACCEPTED and measure.residual <= _ACCEPTED:
-                    return measure
-                told += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
+                try:
+                    measure = self.measure(answer)
+                except SolverError as error:
+                    told += f", {error}"
+                else:
+                    if measure.gap <= _ACCEPTED and measure.residual <= _ACCEPTED:
+                        return measure
+                    told += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
             tried.append(told)
-        if infeasible:
-            raise self.infeasible()
+        if infeasible and {row.name for row in self.rows} - {"failure"}:
+            raise self.infeasible()  # a budget alone was found feasible when it was compiled
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
 
     def _is_answered(self, answer: LPAnswer) -> bool:
@@ -215,7 +219,7 @@ class OccupationProgram:
         prices = {
             row.name: price
             for row in self.rows
-            if (price := prices.get(row.name, 0.0)) * abs(row.bound) > least_worth
+            if (price := prices.get(row.name, 0.0)) * row.scale > least_worth
         }
         paid = sum(row.sign * prices.get(row.name, 0.0) * row.bound for row in self.rows)
         found, value = self._priced(prices, ratio), -np.inf
