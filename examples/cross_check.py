@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def identity(game: GameSolution) -> str:
-    """Compare alpha* with c* eta-weighted against what failing is worth (DESIGN, section 5)."""
+    """Compare alpha* with what c* and the price make of it (mathematics, section 6)."""
     optimum = game.optimum
     share = 1.0 - optimum.spent if game.problem.ratio else 1.0
     mine, other = optimum.objective * share, optimum.price * optimum.spent

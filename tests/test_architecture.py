@@ -1,4 +1,4 @@
-"""The direction of dependency: imports only point to what DESIGN lists earlier."""
+"""The direction of dependency: imports only point to folders listed earlier."""
 
 from __future__ import annotations
 

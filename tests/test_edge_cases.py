@@ -123,7 +123,7 @@ def test_budget_zero() -> None:
 @pytest.mark.parametrize("give_up", GIVE_UPS)
 @pytest.mark.parametrize("engine", ["columns", "lp"])
 def test_a_loop_that_costs_nothing(give_up: str, engine: str) -> None:
-    """DESIGN, section 4: one state, a loop of cost 0, a way out of cost 5."""
+    """Mathematics, section 4: one state, a loop of cost 0, a way out of cost 5."""
     model = SSP.from_transitions({"s": {"loop": [(1, "s", 0)], "out": [(1, "g", 5)]}}, goal={"g"})
     for budget in (0.0, 0.25, 0.5, 1.0):
         problem = MCMP(model, start="s", failure_budget=budget, give_up=give_up)

@@ -1,7 +1,7 @@
 """Twelve thousand states and more: the answer's two sides worked out apart from the library.
 
 The policy is measured by scipy on its own chain, and the value function is checked to be a
-sub-solution by one plain backup: together they prove the optimum (DESIGN, section 5).
+sub-solution by one plain backup: together they prove the optimum (mathematics, section 5).
 """
 
 from __future__ import annotations

@@ -32,8 +32,8 @@ def program_of(problem: Problem) -> OccupationProgram:
     """The linear program over expected visits whose optimum is the problem's.
 
     At least failure (``failure_budget=None``) it is the program of the second stage: over the
-    actions that attain the greatest goal probability, without a failure row (DESIGN, section 4). In
-    case S the cost up to which accumulated costs are told apart is the one at which column
+    actions that attain the greatest goal probability, without a failure row (mathematics, section
+    4). In case S the cost up to which accumulated costs are told apart is the one at which column
     generation proves the optimum, or the problem's ``cost_cap``.
 
     Args:

@@ -17,7 +17,7 @@ class ExplicitProcess:
     """A process from which goal, failure, giving up and discounting take mass out for good.
 
     The rows satisfy ``transitions.sum(axis=1) + goal + failure == 1``: what does not go on has
-    reached the goal or counts as failure (DESIGN, section 4).
+    reached the goal or counts as failure (mathematics, section 3).
     """
 
     pair_offsets: IntArray  # [states + 1]

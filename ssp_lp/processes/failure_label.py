@@ -75,7 +75,7 @@ def label_failure(
         discount: None keeps real probabilities; a number scales every transition by it, so that
             what leaks out of a non-goal state counts as failure (paper, section 3.5).
         usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
-            the second stage of a least-failure problem (DESIGN, section 4).
+            the second stage of a least-failure problem (mathematics, section 4).
         also_free: pairs that are free in every secondary cost, too, [pairs]; None: there is none.
     """
     free = None if discount is not None else _free_pairs(model, semantics.aim)

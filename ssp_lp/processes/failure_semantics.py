@@ -17,7 +17,7 @@ from ssp_lp.processes.layered.law_measure import Measure
 
 
 class GiveUp(enum.StrEnum):
-    """Where a policy of case M may give up (DESIGN, section 3).
+    """Where a policy of case M may give up (mathematics, section 2).
 
     ``ANYWHERE`` is the linear program of Trevizan et al. (2017); ``ATTENTION`` is the paper's
     stopping time of section 2.4, which may only fall where the goal can be avoided for sure;

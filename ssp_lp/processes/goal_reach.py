@@ -1,7 +1,7 @@
 """Greatest and least probability of reaching the goal, and the cheapest policies that attain it.
 
 MAXPROB and MINPROB of section 2.3 of the paper, exact or discounted (E[gamma^T]), followed by a
-second stage that minimises a cost over the policies that attain the first (DESIGN, section 4).
+second stage that minimises a cost over the policies that attain the first (mathematics, section 4).
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     """Among the policies that attain the extreme, the least E[survival^(T-1) * cost; goal].
 
     A transition to x' is priced g * reach(x'), reach taken one step early under discounting, so
-    the second stage is an ordinary problem without accumulated cost (paper, S3P; DESIGN,
+    the second stage is an ordinary problem without accumulated cost (paper, S3P; mathematics,
     section 4). Loops that cost nothing are collapsed: a policy must leave them.
     """
     early = np.where(model.goal_mask, 0.0, reach.goal / survival)

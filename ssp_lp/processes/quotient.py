@@ -1,7 +1,7 @@
 """The live part of a model: states that are neither goals nor dead-ends, grouped into nodes.
 
 A node is one live state, or a maximal end component of pairs that cost nothing: moving about in
-such a component is free, so an exact process treats it as one place (DESIGN, section 4).
+such a component is free, so an exact process treats it as one place (mathematics, section 4).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@
     subject to  outflow(x) - inflow(x) = start,  named rows,  x >= 0
 
 x counts the expected visits of each pair of the augmented process (paper, eq. mcmp_obj and
-s3p_obj; DESIGN, section 4).
+s3p_obj; mathematics, section 3).
 """
 
 from __future__ import annotations

@@ -110,7 +110,7 @@ class CompiledAccumulatedCost(CompiledLayered):
         """Greatest goal probability first, then the least E[cost; goal] among its actions.
 
         At least failure the accumulated cost is not needed: a transition to x' is priced
-        ``g * Pmax(x')`` (DESIGN, section 4).
+        ``g * Pmax(x')`` (mathematics, section 4).
         """
         reach, safest = self.safest
         cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)

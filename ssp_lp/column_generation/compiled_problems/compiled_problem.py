@@ -16,7 +16,7 @@ from ssp_lp.processes.goal_reach import greatest_goal_reach
 
 @dataclass(frozen=True, eq=False)
 class LeastFailure:
-    """The cheapest policy among those that fail least (DESIGN, section 4: two stages)."""
+    """The cheapest policy among those that fail least (mathematics, section 4: two stages)."""
 
     policy: Policy
     column: Column  # its cost and failure, both discounted under a discount

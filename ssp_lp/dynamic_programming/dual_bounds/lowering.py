@@ -135,7 +135,7 @@ def _longest_run(
 
     A state that comes to lack something counts with at least ``least``, [states]. Lowering the
     values by this amount absorbs the lack wherever it is met again: the violation times the longest
-    expected run (DESIGN, section 5). States that never meet it are left alone.
+    expected run (mathematics, section 5). States that never meet it are left alone.
     """
     pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     worst_lack, met = float(lack.max()), lack > 0

@@ -73,7 +73,7 @@ def improve(
 
     A state changes its pair only for a gain above rounding. Started from a policy whose chain is
     transient, every later policy is transient too, provided that an end component either does not
-    exist or costs something (DESIGN, section 4): then the fixed point reached is the optimum.
+    exist or costs something (mathematics, section 4): then the fixed point reached is the optimum.
     That rounding did not lead elsewhere is seen on each chain's graph before it is evaluated.
 
     Args:

@@ -99,7 +99,7 @@ def accumulate_cost(
         arrivals: place the costs of arriving at the goal on the lattice too, so that any function
             of the total cost can be charged.
         usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
-            the second stage of a least-failure problem (DESIGN, section 4).
+            the second stage of a least-failure problem (mathematics, section 4).
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.

@@ -135,8 +135,8 @@ class LayeredProcess:
         """Lower bound of every policy's value at (node, cap + i), [width - 1, nodes].
 
         Every success is charged at least what it would be if it came at once: charge(r) * early +
-        price * (1 - goal) with early = goal / gamma (DESIGN, section 5: r + (kappa - r) F). It is
-        exact where it is best to fail and possible.
+        price * (1 - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). It
+        is exact where it is best to fail and possible.
 
         Args:
             failure_price: kappa.
