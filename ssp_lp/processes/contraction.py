@@ -2,8 +2,8 @@
 
 At prices some of which are 0 a process may hold end components that cost nothing though they cost
 something in an unpriced row. They are free in the pricing problem (mathematics, section 4): every
-state of such a component is worth the same. So a value function on the contracted process proves as much
-as one on the process, a policy on it is one on the process that goes to the pair chosen, and
+state of such a component is worth the same. So a value function on the contracted process proves as
+much as one on the process, a policy on it is one on the process that goes to the pair chosen, and
 rounding has no cycle to go round in. Nobody may stay in one for ever by that: of the process only
 pairs that stay are taken away, and none is added.
 """
