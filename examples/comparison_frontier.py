@@ -17,22 +17,22 @@ class FrontierCost:
 
     instance: str
     turning_points: int
-    oracle_calls: int
+    pricing_calls: int
     seconds: float
-    warm_seconds: float  # mean of an oracle call while tracing
-    cold_seconds: float  # mean of an oracle call on a fresh oracle, at a sample of the same prices
+    warm_seconds: float  # mean of a pricing call while tracing
+    cold_seconds: float  # the same without a warm start, at a sample of the prices
     gap: float
 
     @property
     def text(self) -> str:
         """The figures in a few lines."""
-        calls = self.oracle_calls / self.turning_points
+        calls = self.pricing_calls / self.turning_points
         share = self.warm_seconds / self.cold_seconds
         return "\n".join(
             [
                 f"Frontier of {self.instance}, to a relative gap of {self.gap:.0e}",
                 f"  turning points   {self.turning_points:,}",
-                f"  oracle calls     {self.oracle_calls:,}   ({calls:.2f} per turning point)",
+                f"  pricing calls    {self.pricing_calls:,}   ({calls:.2f} per turning point)",
                 f"  seconds          {self.seconds:.2f}",
                 f"  a warm call      {1e3 * self.warm_seconds:.2f} ms",
                 f"  a cold call      {1e3 * self.cold_seconds:.2f} ms   (warm / cold: {share:.2f})",
@@ -41,7 +41,7 @@ class FrontierCost:
 
 
 def measure_frontier(ready: ReadyInstance, gap: float) -> FrontierCost:
-    """Trace an instance's frontier and time its oracle calls, warm and cold."""
+    """Trace an instance's frontier and time its pricing calls, warm and cold."""
     solve(ready.problem())  # what compiles on first use is compiled
     ticks: list[float] = []
     began = time.perf_counter()
@@ -58,7 +58,7 @@ def measure_frontier(ready: ReadyInstance, gap: float) -> FrontierCost:
     return FrontierCost(
         instance=ready.instance.name,
         turning_points=len(frontier.failure),
-        oracle_calls=frontier.oracle_calls,
+        pricing_calls=frontier.pricing_calls,
         seconds=seconds,
         warm_seconds=warm,
         cold_seconds=float(np.mean([_cold_seconds(ready, float(p)) for p in prices])),
@@ -67,8 +67,8 @@ def measure_frontier(ready: ReadyInstance, gap: float) -> FrontierCost:
 
 
 def _cold_seconds(ready: ReadyInstance, price: float) -> float:
-    """Seconds of one call of an oracle that has seen nothing yet; building it is not counted."""
-    oracle = ready.problem().compile().pricing()
+    """Seconds of a first pricing call; building the problem is not counted."""
+    pricing = ready.problem().compile().pricing()
     began = time.perf_counter()
-    oracle.minimise(price)
+    pricing.minimise(price)
     return time.perf_counter() - began

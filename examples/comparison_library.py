@@ -54,7 +54,7 @@ def _answer(solution: Solution, order: Order, failure_budget: float) -> Answer:
     return Answer(
         objective=solution.objective,
         gap=solution.gap,
-        note=joined(f"{run.oracle_calls} oracle calls", loops, solution.note),
+        note=joined(f"{run.pricing_calls} pricing calls", loops, solution.note),
         details=run.program,
         in_time=solution.gap <= order.tolerance or run.seconds < order.time_limit,
         backups=run.backups,

@@ -22,7 +22,7 @@ class Run:
 
     engine: str  # "columns", "lp" or "game"
     reason: str  # why this engine, and what it had to do
-    oracle_calls: int
+    pricing_calls: int
     seconds: float
     work: Work = field(default_factory=Work)  # passes over the process
     program: str = ""  # the linear program's own report, where one was solved

@@ -276,7 +276,7 @@ def test_progress_and_the_run():
         ConstrainedCost(THREE, "a", limits), progress=lambda n, price, value: calls.append(n)
     )
     assert calls == sorted(calls)
-    assert calls[-1] <= solution.run.oracle_calls
+    assert calls[-1] <= solution.run.pricing_calls
     assert "2 rows" in solution.run.reason
 
 

@@ -219,7 +219,7 @@ def test_a_bracket_that_rounding_holds_open_is_left():
     loose = MCMP(model, start="a", failure_budget=1.0, discount=0.9)
     budget = least_failure(loose) + 4e-10
     problem = MCMP(model, start="a", failure_budget=budget, discount=0.9)
-    assert solve(problem, "game", tolerance=1e-13).run.oracle_calls <= 40
+    assert solve(problem, "game", tolerance=1e-13).run.pricing_calls <= 40
     found = compare([result_of(name, solve(problem, name)) for name in METHODS], problem)
     assert found.agrees, found.summary()
 

@@ -79,13 +79,13 @@ def test_prices_are_the_slopes() -> None:
         assert solution.failure_price == pytest.approx(price, rel=1e-9)
 
 
-def test_two_oracle_calls_a_turning_point_on_the_robot() -> None:
+def test_two_pricing_calls_a_turning_point_on_the_robot() -> None:
     grid = RobotGrid()
     calls: list[int] = []
     problem = MCMP(grid_model(grid), start_state(grid))
     frontier = trace_frontier(problem, gap=1e-3, progress=lambda n, _: calls.append(n))
-    assert frontier.oracle_calls <= 2 * len(frontier.failure) + 5
-    assert calls[-1] == frontier.oracle_calls
+    assert frontier.pricing_calls <= 2 * len(frontier.failure) + 5
+    assert calls[-1] == frontier.pricing_calls
     exact = solve(with_budget(problem, 0.05)).objective
     assert exact <= frontier.objective_at(0.05) * (1 + 1e-12)
     assert frontier.objective_at(0.05) <= exact * (1 + 2e-3)

@@ -41,9 +41,9 @@ class Frontier:
     gap: float  # no policy lies below a segment by more than this share of its safer end's cost
     ratio: bool  # case S
     complete: bool  # whether it begins at the least failure, not at the steepest price asked for
-    oracle_calls: int
+    pricing_calls: int
     work: Work  # passes over the process
-    _oracle: PricingProblem
+    _pricing: PricingProblem
     _columns: tuple[Column, ...]
 
     @property
@@ -75,8 +75,8 @@ class Frontier:
         """
         number, weight = self._locate(budget)
         if weight == 0.0:
-            return MixedPolicy((self._oracle.policy(self._columns[number]),), np.ones(1))
-        members = tuple(self._oracle.policy(c) for c in self._columns[number : number + 2])
+            return MixedPolicy((self._pricing.policy(self._columns[number]),), np.ones(1))
+        members = tuple(self._pricing.policy(c) for c in self._columns[number : number + 2])
         return MixedPolicy(members, np.array([1.0 - weight, weight]))
 
     def _locate(self, budget: float) -> tuple[int, float]:
@@ -151,14 +151,14 @@ def trace_frontier(
     calls, work = 0, Work()
     for _ in range(_REFINEMENTS):
         traced = _trace(compiled, limits)
-        calls, work = calls + traced.oracle_calls, work + traced.work
+        calls, work = calls + traced.pricing_calls, work + traced.work
         lost = _share_lost(compiled, traced)
         finer = compiled.refined(float(traced.price[0])) if lost > gap else None
         traced = replace(traced, gap=max(traced.gap, lost))
         if finer is None or time.perf_counter() > deadline:
             break
         compiled = finer
-    return replace(traced, oracle_calls=calls, work=work)
+    return replace(traced, pricing_calls=calls, work=work)
 
 
 @dataclass(frozen=True)
@@ -216,7 +216,7 @@ def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
         if limits.progress is not None:
             limits.progress(calls, len(columns))
     traced = _frontier(pricing, columns, max(reached, limits.gap), compiled.ratio)
-    return replace(traced, complete=limits.steepest_price is None, oracle_calls=calls, work=work)
+    return replace(traced, complete=limits.steepest_price is None, pricing_calls=calls, work=work)
 
 
 def _share_below(bracket: Bracket, found: Column) -> float:
@@ -244,8 +244,8 @@ def _frontier(pricing: PricingProblem, columns: list[Column], gap: float, ratio:
         gap=gap,
         ratio=ratio,
         complete=True,
-        oracle_calls=0,
+        pricing_calls=0,
         work=Work(),
-        _oracle=pricing,
+        _pricing=pricing,
         _columns=tuple(ordered),
     )

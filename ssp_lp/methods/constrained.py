@@ -96,7 +96,7 @@ def _solved(
     run = Run(
         engine=options.engine,
         reason=reason,
-        oracle_calls=calls,
+        pricing_calls=calls,
         seconds=0.0,
         work=opened.pool.work,
         program="" if program is None else program.report,

@@ -38,7 +38,7 @@ class CompiledFailureLabel:
     precise: bool = False  # compare pairs in twice the working precision
 
     @cached_property
-    def _oracle(self) -> ExplicitPricing:
+    def _pricing(self) -> ExplicitPricing:
         return self._restricted_to(None)
 
     def _restricted_to(self, usable: BoolArray | None) -> ExplicitPricing:
@@ -73,7 +73,7 @@ class CompiledFailureLabel:
         Raises:
             InfeasibleError: failing is forbidden and cannot be avoided.
         """
-        return self._oracle
+        return self._pricing
 
     def second_stage(self) -> ExplicitPricing:
         """Pricing over the pairs that attain the greatest goal probability."""
@@ -95,7 +95,7 @@ class CompiledFailureLabel:
 
     def explicit(self) -> ExplicitProcess:
         """The labelled process."""
-        return self._oracle.process
+        return self._pricing.process
 
     def explicit_choice(self, column: Column) -> IntArray:
         """The column's own choice."""
@@ -106,7 +106,7 @@ class CompiledFailureLabel:
         if self.precise:
             return None
         finer = replace(self, precise=True)
-        finer.__dict__["_oracle"] = replace(self._oracle, precise=True)
+        finer.__dict__["_pricing"] = replace(self._pricing, precise=True)
         return finer
 
     def matching(self, values: FloatArray) -> CompiledFailureLabel:
