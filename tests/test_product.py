@@ -178,6 +178,26 @@ def test_labels_of_the_model_are_kept_and_new_ones_say_why() -> None:
     assert made.start({"hall": 0.5, "key": 0.5}) == {("hall", False): 0.5, ("key", False): 0.5}
 
 
+def test_a_product_of_a_product_keeps_both_reasons() -> None:
+    """At most two visits, then the key: labels of the two memories do not hide each other."""
+    inner = product(house(), TASKS["at most two visits of the ward"])
+    both = product(inner, Memory(
+        start=False,
+        update=lambda has, state, action, to, cost: has or to[0] == "key",
+        accepts=lambda has: has,
+    ))  # fmt: skip
+    visits = {inner.states[k] for k in inner.state_labels["memory fails"].tolist()}
+    assert visits
+    marked = {both.states[k][0] for k in both.state_labels["memory fails"].tolist()}
+    assert marked <= visits
+    assert marked
+    solution = solve(MCMP(both, both.start(("hall", 0)), failure_budget=0.5))
+    twice = on_original(on_original(solution.policy))
+    assert twice.model is inner.original
+    problem = MCMP(inner.original, "hall", failure_budget=0.5, give_up="anywhere")
+    assert evaluate(twice, problem).goal_probability >= solution.goal_probability - 1e-12
+
+
 def test_what_is_refused() -> None:
     model = house()
     counting = Memory(start=0, update=lambda n, *step: n + 1)

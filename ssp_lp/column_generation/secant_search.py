@@ -1,7 +1,7 @@
 """Column generation (Dantzig-Wolfe) for one failure row: a secant search on its price.
 
 Deterministic policies are the columns; the master program has the failure row and convexity, so
-its optimum lies on an bracket of the lower convex hull of the points (failure, cost). The search
+its optimum lies on an edge of the lower convex hull of the points (failure, cost). The search
 keeps a feasible column A and an infeasible column B, prices failure at the slope between them,
 and ends when no policy lies below their line. In case S the objective is the ratio
 ``cost / (1 - failure)`` (paper, eq. s3p_gamma_j_obj): as long as no column is infeasible the
@@ -35,7 +35,7 @@ _SAME_SMALL = 1e-14  # the same, relative to failures that are small and to goal
 
 @dataclass(frozen=True, eq=False)
 class SearchResult:
-    """What the search found: an bracket of the hull, the price there, and a certified bound."""
+    """What the search found: an edge of the hull, the price there, and a certified bound."""
 
     columns: tuple[Column, ...]  # one or two
     weights: FloatArray  # [columns]

@@ -60,7 +60,7 @@ def program_of(problem: Problem) -> OccupationProgram:
     else:
         augmented, granted = _within(compiled, budget)
         if budget < 1.0:
-            rows = (Constraint(FAILURE_ROW, augmented.process.failure, "<=", granted),)
+            rows = (Constraint(FAILURE_ROW, augmented.process.failure, granted),)
     objective, constant = _objective(problem)
     return OccupationProgram(_title(problem), objective, augmented, rows, problem.ratio, constant)
 
@@ -70,7 +70,7 @@ def _constrained(problem: LimitedProblem) -> OccupationProgram:
     compiled = compiled_constrained(problem).settled()
     pricing = compiled.pricing
     rows = tuple(
-        Constraint(name, np.ascontiguousarray(pricing.rewards[:, k]), "<=", float(bound))
+        Constraint(name, np.ascontiguousarray(pricing.rewards[:, k]), float(bound))
         for k, (name, bound) in enumerate(zip(compiled.names, compiled.bounds, strict=True), 1)
         if np.isfinite(bound)
     )

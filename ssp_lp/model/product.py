@@ -8,7 +8,7 @@ the product's states are (state, memory), so that every criterion and every meth
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, cast
 
@@ -23,6 +23,10 @@ MEMORY_FAILS = "memory fails"
 
 NOT_ACCEPTED = "goal not accepted"
 """Label of goals of the original that the memory does not accept."""
+
+
+Label = tuple[Hashable, Hashable]
+"""A state of the product: the original's, and the memory."""
 
 
 def _always(memory: Any) -> bool:
@@ -80,10 +84,12 @@ class ProductSSP(SSP):
             ModelError: a state from which the product was not explored.
         """
         shares = start if isinstance(start, Mapping) else {start: 1.0}
-        found = {(state, self.memory.start): float(share) for state, share in shares.items()}
+        found: dict[Hashable, float] = {
+            (state, self.memory.start): float(share) for state, share in shares.items()
+        }
         for label in found:
             self.index_of(label)
-        return dict(found)
+        return found
 
     @cached_property
     def original_state(self) -> IntArray:
@@ -96,8 +102,8 @@ class ProductSSP(SSP):
         return tuple(dict.fromkeys(memory for _, memory in self._labels))
 
     @property
-    def _labels(self) -> Sequence[tuple[Hashable, Hashable]]:
-        return cast("Sequence[tuple[Hashable, Hashable]]", self.states)
+    def _labels(self) -> Sequence[Label]:
+        return cast("Sequence[Label]", self.states)
 
     @cached_property
     def memory_number(self) -> dict[Hashable, int]:
@@ -136,59 +142,74 @@ def product(
         ModelError: the limit was passed (a memory that grows without end), or the memory's
             functions do not return what they should.
     """
-
-    def over(label: tuple[Hashable, Hashable]) -> bool:
-        state, kept = label
-        return bool(memory.fails(kept)) or bool(model.goal_mask[model.index_of(state)])
-
-    def successors(label: tuple[Hashable, Hashable]) -> dict[Hashable, list[Any]]:
-        state, kept = label
-        if over(label):
-            return {}
-        here = model.index_of(state)
-        return {
-            model.action_of(pair): [
-                (p, (to, memory.update(kept, state, model.action_of(pair), to, cost)), cost)
-                for p, to, cost in _outcomes(model, pair)
-            ]
-            for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1]))
-        }
-
-    def is_goal(label: tuple[Hashable, Hashable]) -> bool:
-        state, kept = label
-        reached = bool(model.goal_mask[model.index_of(state)]) and not memory.fails(kept)
-        return reached and bool(memory.accepts(kept))
-
-    begin = list(model.states if start is None else start)
-    marked = {
-        name: frozenset(model.states[k] for k in members.tolist())
-        for name, members in model.state_labels.items()
-    }
-
-    def is_refused(label: tuple[Hashable, Hashable]) -> bool:
-        return over(label) and not memory.fails(label[1]) and not is_goal(label)
-
-    def has_failed(label: tuple[Hashable, Hashable]) -> bool:
-        return bool(memory.fails(label[1]))
-
-    labels: dict[str, Callable[[Any], bool]] = {
-        name: partial(_is_among, among) for name, among in marked.items()
-    }
-    labels |= {MEMORY_FAILS: has_failed, NOT_ACCEPTED: is_refused}
+    task = _Task(model, memory)
+    begin = model.states if start is None else start
     plain = SSP.from_successors(
         [(state, memory.start) for state in begin],
-        successors,
-        is_goal,
+        task.successors,
+        task.is_goal,
         state_limit=state_limit,
-        state_labels=labels,
+        state_labels=task.labels(),
         treat_actionless_as_dead_ends=True,
     )
-    kept_exact = replace(plain, exact_costs=dict(model.exact_costs))
-    return ProductSSP(**_fields(kept_exact), original=model, memory=memory)
+    fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
+    fields["exact_costs"] = model.exact_costs
+    return ProductSSP(**fields, original=model, memory=memory)
 
 
-def _is_among(states: frozenset[Hashable], label: tuple[Hashable, Hashable]) -> bool:
-    return label[0] in states
+@dataclass(frozen=True)
+class _Task:
+    """The product as functions of (state, memory)."""
+
+    model: SSP
+    memory: Memory
+
+    def has_failed(self, label: Label) -> bool:
+        """Whether the memory fails."""
+        return bool(self.memory.fails(label[1]))
+
+    def is_at_goal(self, label: Label) -> bool:
+        """Whether a goal of the original is reached, and the memory does not fail."""
+        at_goal = bool(self.model.goal_mask[self.model.index_of(label[0])])
+        return at_goal and not self.has_failed(label)
+
+    def is_goal(self, label: Label) -> bool:
+        """Whether the memory accepts it, too."""
+        return self.is_at_goal(label) and bool(self.memory.accepts(label[1]))
+
+    def is_refused(self, label: Label) -> bool:
+        """Whether it does not."""
+        return self.is_at_goal(label) and not self.is_goal(label)
+
+    def successors(self, label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
+        """What each action of the original leads to; nothing where the episode is over."""
+        if self.is_at_goal(label) or self.has_failed(label):
+            return {}
+        model, update, (state, kept) = self.model, self.memory.update, label
+        here = model.index_of(state)
+        found = {}
+        for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
+            action = model.action_of(pair)
+            found[action] = [
+                (p, (to, update(kept, state, action, to, cost)), cost)
+                for p, to, cost in _outcomes(model, pair)
+            ]
+        return found
+
+    def labels(self) -> dict[str, Callable[[Label], bool]]:
+        """The labels of the original, and why an episode failed; a label may say both."""
+        found: dict[str, Callable[[Label], bool]] = {
+            MEMORY_FAILS: self.has_failed,
+            NOT_ACCEPTED: self.is_refused,
+        }
+        for name, members in self.model.state_labels.items():
+            among = frozenset(self.model.states[k] for k in members.tolist())
+            found[name] = partial(_holds, among, found.get(name, _never))
+        return found
+
+
+def _holds(among: frozenset[Hashable], otherwise: Callable[[Label], bool], label: Label) -> bool:
+    return label[0] in among or otherwise(label)
 
 
 def _outcomes(model: SSP, pair: int) -> list[tuple[float, Hashable, float]]:
@@ -201,11 +222,6 @@ def _outcomes(model: SSP, pair: int) -> list[tuple[float, Hashable, float]]:
         strict=True,
     )
     return [(p, model.states[to], cost) for p, to, cost in rows if p > 0.0]
-
-
-def _fields(model: SSP) -> dict[str, Any]:
-    """The fields of a model."""
-    return {name: getattr(model, name) for name in SSP.__dataclass_fields__}
 
 
 def check_product(model: SSP) -> ProductSSP:

@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.dynamic_programming.dual_bounds.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model.graph.approach import nearer_pairs
 from ssp_lp.model.graph.predecessors import find_predecessors
@@ -82,6 +83,29 @@ def _nearest_first(process: ExplicitProcess, choice: IntArray) -> IntArray:
     backward = sp.csr_array((np.ones(source.size), (target, source)), shape=(n + 1, n + 1))
     order = csgraph.breadth_first_order(backward, n, return_predecessors=False)
     return np.asarray(order[1:])
+
+
+def bound_of(
+    process: ExplicitProcess,
+    smaller: Contraction | None,
+    pair_cost: FloatArray,
+    values: FloatArray,
+    floor: float = 0.0,
+) -> DualBound:
+    """A checked sub-solution of a process, proved where its free components are contracted.
+
+    Args:
+        process: the process.
+        smaller: the process contracted at the cost, if there is anything to contract.
+        pair_cost: [pairs].
+        values: near-optimal ones, [states].
+        floor: a constant that is known to be a sub-solution.
+    """
+    if smaller is None:
+        return dual_bound(process.dynamics, pair_cost, values, floor)
+    kept, least = pair_cost[smaller.pairs], smaller.least(values)
+    found = dual_bound(smaller.dynamics, kept, least, floor)
+    return DualBound(found.values[smaller.node_of], found.low[smaller.node_of])
 
 
 def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:

@@ -6,6 +6,7 @@ such a component is free, so an exact process treats it as one place (mathematic
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.end_components import end_components
 from ssp_lp.model.graph.reachability import approach_pairs, dead_ends, pairs_into
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
+from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 
 
@@ -60,6 +61,34 @@ class Quotient:
         if isinstance(give_up, float):
             return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up)
         return np.where(self.pair_at >= 0, per_pair[self.pair_at], give_up[self.pair_node])
+
+    @property
+    def gives_up(self) -> BoolArray:
+        """Pairs that give up, [pairs]."""
+        return np.asarray(self.pair_at == GIVE_UP_CODE)
+
+    def named(self, pair: int) -> tuple[Hashable, Hashable]:
+        """The state and the action of a pair; of one that gives up, the node's first state."""
+        acting = int(self.pair_at[pair])
+        if acting == GIVE_UP_CODE:
+            return self.first_member(int(self.pair_node[pair])), GIVE_UP
+        return self.model.states[int(self.model.pair_state[acting])], self.model.action_of(acting)
+
+    def first_member(self, node: int) -> Hashable:
+        """The label of a node's first state."""
+        return self.model.states[int(np.argmax(self.node_of == node))]
+
+    def places_of(self, pair: int, state: int) -> IntArray:
+        """Where a pair of the model, or giving up in a state, stands here: one place or none.
+
+        Args:
+            pair: pair of the model, or GIVE_UP_CODE.
+            state: state of the model.
+        """
+        here = self.pair_at == pair
+        if pair == GIVE_UP_CODE:
+            here &= self.pair_node == self.node_of[state]
+        return np.flatnonzero(here)
 
     def nearer(self, leaving: BoolArray) -> IntArray | None:
         """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].

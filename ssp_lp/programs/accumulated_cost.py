@@ -12,7 +12,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
+from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import ModelFlow, decisions, model_flow, moving_within
@@ -44,36 +44,28 @@ class LayeredModel:
     def gives_up(self) -> BoolArray:
         """Pairs by which a policy gives up, [process pairs]."""
         mask = np.zeros(self.process.n_pairs, dtype=np.bool_)
-        own = np.tile(self.layered.base.quotient.pair_at == GIVE_UP_CODE, self.layered.cap)
+        own = np.tile(self.layered.base.quotient.gives_up, self.layered.cap)
         mask[: own.size] = own
         return mask
 
     def label(self, pair: int) -> ColumnLabel:
         """The state, the action and the accumulated cost of a pair."""
-        base, model, quotient = self.layered.base, self.model, self.layered.base.quotient
+        base, quotient = self.layered.base, self.layered.base.quotient
         if pair == self.process.n_pairs - 1:
             return ColumnLabel(None, START, 0.0)
         layer, inner = divmod(pair, len(base.gain))
         if layer < self.layered.cap:
-            paid = float(layer * base.exact_unit)
-            acting = int(quotient.pair_at[inner])
-            if acting == GIVE_UP_CODE:
-                return ColumnLabel(self._member(int(quotient.pair_node[inner])), GIVE_UP, paid)
-            state = model.states[int(model.pair_state[acting])]
-            return ColumnLabel(state, model.action_of(acting), paid)
+            return ColumnLabel(*quotient.named(inner), float(layer * base.exact_unit))
         place, tail = divmod(pair - self.layered.cap * len(base.gain), len(self._tails))
         beyond, node = divmod(place, base.n_nodes)
         paid = float((self.layered.cap + beyond) * base.exact_unit)
-        return ColumnLabel(self._member(node), (GO_FOR_GOAL, FAIL)[tail], paid)
+        return ColumnLabel(quotient.first_member(node), (GO_FOR_GOAL, FAIL)[tail], paid)
 
     def pairs_of(self, pair: int, state: int) -> IntArray:
         """One pair of the process for each accumulated cost below the cap."""
-        base, quotient = self.layered.base, self.layered.base.quotient
-        here = quotient.pair_at == pair
-        if pair == GIVE_UP_CODE:
-            here &= quotient.pair_node == quotient.node_of[state]
+        base = self.layered.base
         layers = np.arange(self.layered.cap)[:, None] * len(base.gain)
-        return np.asarray((layers + np.flatnonzero(here)).ravel())
+        return np.asarray((layers + base.quotient.places_of(pair, state)).ravel())
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
         """One decision for each state and accumulated cost below the cap, then a tail."""
@@ -171,7 +163,3 @@ class LayeredModel:
     @property
     def _tails(self) -> IntArray:
         return self.layered.tails.decisions
-
-    def _member(self, node: int) -> object:
-        quotient = self.layered.base.quotient
-        return self.model.states[int(np.argmax(quotient.node_of == node))]

@@ -46,12 +46,8 @@ class ConvexProgram:
             "balance": balance @ self.x == process.start * self.scale
         }
         for row in program.rows:
-            activity, limit = row.coefficients @ self.x, self.bounds[row.name] * self.scale
-            self.constraints[row.name] = {
-                "<=": activity <= limit,
-                ">=": activity >= limit,
-                "==": activity == limit,
-            }[row.sense]
+            limit = self.bounds[row.name] * self.scale
+            self.constraints[row.name] = row.coefficients @ self.x <= limit
         if program.ratio:
             self.constraints["normaliser"] = process.goal @ self.x == 1.0
         self._stated = dict(self.constraints), self.objective

@@ -13,9 +13,16 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
+from ssp_lp.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    first_minimisers,
+    segment_minima,
+    segment_sums,
+)
 from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.policy_iteration.approach import approach
+from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph.approach import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -27,13 +34,6 @@ _REST = 1e-12  # weight that is not worth a member of its own
 _ABOVE = 10.0  # times rounding: visits that count
 _WRONG = 1e-8  # of a state's visits: what members may have too many
 _USED_UP = 1e-9  # share of a pair's visits that rounding may leave of it
-
-
-def leaving_choice(process: ExplicitProcess) -> IntArray:
-    """A pair of each state by which the process is left, towards the goal first, [states]."""
-    to_goal = approach(process.dynamics, process.goal > 0.0)
-    anyhow = approach(process.dynamics, process.dynamics.exits > 0.0)
-    return np.where(to_goal >= 0, to_goal, anyhow)
 
 
 def balanced(
@@ -102,8 +102,7 @@ def _giving_up_in_time(
     lost = (hopeful < 0) & (segment_sums(gives_up.astype(np.float64), process.pair_offsets) > 0.0)
     if lost.any():
         price = np.where(gives_up, process.cost, np.inf)
-        cheapest = np.lexsort((price, process.pair_state))[process.pair_offsets[:-1]]
-        share = _shares(process, share, lost, cheapest)
+        share = _shares(process, share, lost, _least(process, price))
     return share
 
 
@@ -124,8 +123,9 @@ def decomposed(
     """
     left, members, weights = visits.copy(), [], []
     followed = np.zeros_like(visits)
-    most, outflow = _most_visited(process, visits), segment_sums(visits, process.pair_offsets)
-    safe, remaining = np.where(outflow > 0.0, most, leaving_choice(process)), 1.0
+    most, outflow = _least(process, -visits), segment_sums(visits, process.pair_offsets)
+    leaving, remaining = leaving_choice(process.dynamics, process.goal), 1.0
+    safe = np.where(outflow > 0.0, most, leaving)
     while remaining > 0.0:
         rounding = max(_DUST * remaining, _ROUNDED) * outflow[process.pair_state]
         left[left <= rounding] = 0.0
@@ -151,9 +151,10 @@ def decomposed(
     return tuple(members), np.array(weights) / np.sum(weights)
 
 
-def _most_visited(process: ExplicitProcess, visits: FloatArray) -> IntArray:
-    """The pair of each state that is visited most, [states]."""
-    return np.asarray(np.lexsort((-visits, process.pair_state))[process.pair_offsets[:-1]])
+def _least(process: ExplicitProcess, values: FloatArray) -> IntArray:
+    """The pair of least value in each state, [states]."""
+    offsets = process.pair_offsets
+    return first_minimisers(values, segment_minima(values, offsets), offsets)
 
 
 def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
@@ -162,7 +163,7 @@ def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray
     The most visited pair of each state is taken where that leaves, else one by which a visited pair
     that leaves comes nearer.
     """
-    supported, most = visits > 0.0, _most_visited(process, visits)
+    supported, most = visits > 0.0, _least(process, -visits)
     choice = np.where(supported[most], most, safe)
     if not process.dynamics.chain(choice.astype(np.int32)).closed.size:
         return choice

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import DualBound, dual_bound
+from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
 from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 from ssp_lp.errors import SolverError
-from ssp_lp.processes.contraction import contract
+from ssp_lp.processes.contraction import bound_of, contract
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.decomposition import leaving_choice
 
 _NOT_BEST = 1e-6  # excess, relative to the optimum, of pairs that no optimal measure uses
 _LITTLE = 1e-5  # visits of such pairs that are noise of a solver
@@ -53,25 +52,23 @@ def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMin
         process: the process.
         pair_cost: negative only where the goal is reached, [pairs].
     """
-    reached, leaving = process.goal > 0.0, leaving_choice(process)
+    reached = process.goal > 0.0
     floor = float((pair_cost[reached] / process.goal[reached]).min(initial=0.0))
+    leaving = leaving_choice(process.dynamics, process.goal)
     rewards, weights = np.stack([pair_cost, process.goal], axis=1), np.array([1.0, 0.0])
     smaller = contract(process, pair_cost == 0.0)
     try:
         if smaller is None:
             settled = improve(process.dynamics, rewards, weights, leaving)
             choice, totals = settled.choice, settled.totals
-            bound = dual_bound(process.dynamics, pair_cost, totals[:, 0], floor)
         else:
             begun = smaller.begun(process, leaving)
             settled = improve(smaller.dynamics, rewards[smaller.pairs], weights, begun)
-            choice, node = smaller.expanded(process, settled.choice), smaller.node_of
-            totals = settled.totals[node]
-            kept = pair_cost[smaller.pairs]
-            found = dual_bound(smaller.dynamics, kept, settled.totals[:, 0], floor)
-            bound = DualBound(found.values[node], found.low[node])
+            choice = smaller.expanded(process, settled.choice)
+            totals = settled.totals[smaller.node_of]
     except SolverError:
         return PricedMinimum(leaving, floor, 0.0, np.zeros(process.n_pairs))
     values, goal = totals[:, 0], float(process.start @ totals[:, 1])
+    bound = bound_of(process, smaller, pair_cost, values, floor).at(process.start)
     excess = pair_cost + process.transitions @ values - values[process.pair_state]
-    return PricedMinimum(choice, bound.at(process.start), goal, excess)
+    return PricedMinimum(choice, bound, goal, excess)

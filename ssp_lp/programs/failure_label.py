@@ -9,7 +9,6 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
@@ -38,27 +37,20 @@ class LabelledModel:
     def gives_up(self) -> BoolArray:
         """Pairs by which a policy gives up, [process pairs]."""
         mask = np.zeros(self.process.n_pairs, dtype=np.bool_)
-        mask[: len(self.labelled.quotient.pair_at)] = self.labelled.quotient.pair_at == GIVE_UP_CODE
+        own = self.labelled.quotient.gives_up
+        mask[: own.size] = own
         return mask
 
     def label(self, pair: int) -> ColumnLabel:
         """The state and the action of a pair."""
-        quotient, model = self.labelled.quotient, self.model
+        quotient = self.labelled.quotient
         if pair >= len(quotient.pair_at):
             return ColumnLabel(None, START)
-        acting = int(quotient.pair_at[pair])
-        if acting == GIVE_UP_CODE:
-            first = int(np.argmax(quotient.node_of == quotient.pair_node[pair]))
-            return ColumnLabel(model.states[first], GIVE_UP)
-        return ColumnLabel(model.states[int(model.pair_state[acting])], model.action_of(acting))
+        return ColumnLabel(*quotient.named(pair))
 
     def pairs_of(self, pair: int, state: int) -> IntArray:
         """The one pair of the process, or none."""
-        quotient = self.labelled.quotient
-        here = quotient.pair_at == pair
-        if pair == GIVE_UP_CODE:
-            here &= quotient.pair_node == quotient.node_of[state]
-        return np.flatnonzero(here)
+        return self.labelled.quotient.places_of(pair, state)
 
     def policy(self, choice: IntArray) -> DeterministicPolicy:
         """One decision per state."""

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
+from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
-from ssp_lp.programs.decomposition import decomposed, leaving_choice
+from ssp_lp.programs.decomposition import decomposed
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
@@ -54,7 +55,7 @@ class OccupationMeasure:
         process = self.program.process
         outflow = np.bincount(process.pair_state, weights=self.visits, minlength=process.n_states)
         off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
-        over = [row.relative_violation(self.activity[row.name]) for row in self.program.rows]
+        over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max([float(off), *over, float((-self.visits).max(initial=0.0)), 0.0])
 
     @property
@@ -74,7 +75,9 @@ class OccupationMeasure:
             ModelError: case S, and the measure follows both tails from one accumulated cost.
         """
         process = self.program.process
-        return self.program.augmented.randomised_policy(self.visits, leaving_choice(process))
+        return self.program.augmented.randomised_policy(
+            self.visits, leaving_choice(process.dynamics, process.goal)
+        )
 
     def mixed_policy(self) -> MixedPolicy:
         """The same visits as a lottery over deterministic policies, drawn once at the start.
@@ -97,5 +100,5 @@ class OccupationMeasure:
         for row in self.program.rows:
             spent, price = self.activity[row.name], self.duals.get(row.name)
             told = "" if price is None else f"   price {price:.6g}"
-            lines.append(f"  {row.name}: {spent:.9g} {row.sense} {row.bound:g}{told}")
+            lines.append(f"  {row.name}: {spent:.9g} <= {row.bound:g}{told}")
         return "\n".join(lines)

@@ -74,15 +74,8 @@ class OccupationProgram:
     @cached_property
     def linear(self) -> LinearProgram:
         """The arrays that a solver is given."""
-        upper = {row.name: (row.coefficients, row.bound) for row in self.rows if row.sense == "<="}
-        if len(upper) < len(self.rows):
-            raise ModelError("only upper bounds are known yet")
-        return rows_program(self.process, upper, self.ratio)
-
-    @property
-    def n_columns(self) -> int:
-        """Number of variables."""
-        return self.process.n_pairs + self.ratio
+        limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
+        return rows_program(self.process, limits, self.ratio)
 
     def label(self, column: int) -> ColumnLabel:
         """What a column counts.
@@ -215,13 +208,13 @@ class OccupationProgram:
             prices: of the rows, by name, >= 0.
             ratio: of case S, near the optimum: Dinkelbach's iteration goes on from it.
         """
-        least_worth = _TRIFLE * float(self.process.cost.max(initial=0.0))
+        least_worth = _TRIFLE * float(np.abs(self.process.cost).max(initial=0.0))
         prices = {
             row.name: price
             for row in self.rows
             if (price := prices.get(row.name, 0.0)) * row.scale > least_worth
         }
-        paid = sum(row.sign * prices.get(row.name, 0.0) * row.bound for row in self.rows)
+        paid = sum(prices.get(row.name, 0.0) * row.bound for row in self.rows)
         found, value = self._priced(prices, ratio), -np.inf
         if not self.ratio:
             return found, self.worth(found.bound - paid)
@@ -244,7 +237,7 @@ class OccupationProgram:
         """The least of the objective with what each row's quantity costs, and its policy."""
         priced = self.process.cost - ratio * self.process.goal
         for row in self.rows:
-            priced = priced + row.sign * prices.get(row.name, 0.0) * row.coefficients
+            priced = priced + prices.get(row.name, 0.0) * row.coefficients
         return priced_minimum(self.process, priced)
 
     @cached_property
@@ -286,8 +279,7 @@ class OccupationProgram:
         width = max((len(row.name) for row in self.rows), default=0)
         for row in self.rows:
             lines.append(
-                f"              {row.name + ':':<{width + 1}} <{row.name}, x> {row.sense} "
-                f"{row.bound:g}"
+                f"              {row.name + ':':<{width + 1}} <{row.name}, x> <= {row.bound:g}"
             )
         lines.append(
             f"              x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} "

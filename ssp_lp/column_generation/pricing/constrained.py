@@ -24,14 +24,13 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
 from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 from ssp_lp.dynamic_programming.policy_iteration.settled import Settled
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.processes.contraction import Contraction, contract
+from ssp_lp.processes.contraction import Contraction, bound_of, contract
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
 
@@ -172,13 +171,7 @@ class ConstrainedPricing:
         if values.shape != (process.n_states,):
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
-        smaller = self._contracted(weights)
-        if smaller is None:
-            checked = dual_bound(process.dynamics, priced, values)
-        else:
-            found = dual_bound(smaller.dynamics, priced[smaller.pairs], smaller.least(values))
-            node = smaller.node_of
-            checked = DualBound(found.values[node], found.low[node])
+        checked = bound_of(process, self._contracted(weights), priced, values)
         return Checked(checked.at(process.start), checked.values, work)
 
     def policy(self, point: Point) -> DeterministicPolicy:

@@ -13,7 +13,7 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, requ
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.dual_bounds.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
-from ssp_lp.dynamic_programming.policy_iteration.approach import approach
+from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
 from ssp_lp.dynamic_programming.policy_iteration.backward import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 from ssp_lp.dynamic_programming.policy_iteration.switching import switched
@@ -40,12 +40,7 @@ class ExplicitPricing:
     def _leaving(self) -> IntArray:
         """A policy that leaves the process from every state, towards the goal first, [states]."""
         process = self.process
-        found = self.labelled.nearer_goal()
-        to_goal = approach(process.dynamics, process.goal > 0) if found is None else found
-        if to_goal.min(initial=0) >= 0:
-            return to_goal
-        leaks = approach(process.dynamics, process.dynamics.exits > 0)
-        return np.where(to_goal >= 0, to_goal, leaks)
+        return leaving_choice(process.dynamics, process.goal, self.labelled.nearer_goal())
 
     @cached_property
     def _rewards(self) -> FloatArray:

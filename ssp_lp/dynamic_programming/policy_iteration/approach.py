@@ -1,8 +1,10 @@
-"""A policy that leaves a process from every state."""
+"""Policies that leave a process from every state."""
 
 from __future__ import annotations
 
-from ssp_lp.arrays import BoolArray, IntArray
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model.graph.approach import nearer_pairs
 
@@ -20,3 +22,19 @@ def approach(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
     return nearer_pairs(dynamics.predecessors, dynamics.pair_offsets, dynamics.pair_state, leaving)
+
+
+def leaving_choice(
+    dynamics: Dynamics, goal: FloatArray, to_goal: IntArray | None = None
+) -> IntArray:
+    """A policy that leaves from every state, towards the goal where it can be reached, [states].
+
+    Args:
+        dynamics: the process.
+        goal: probability of reaching the goal by each pair, [pairs].
+        to_goal: pairs that come nearer to the goal where that is known, -1: none, [states].
+    """
+    to_goal = approach(dynamics, goal > 0.0) if to_goal is None else to_goal
+    if to_goal.min(initial=0) >= 0:
+        return to_goal
+    return np.where(to_goal >= 0, to_goal, approach(dynamics, dynamics.exits > 0.0))

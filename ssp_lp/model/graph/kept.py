@@ -17,7 +17,7 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
     """Keep what a function finds out about a model, an array or a tuple of arrays, read-only."""
 
     @wraps(find)
-    def fact(model: SSP) -> Fact:
+    def _fact(model: SSP) -> Fact:
         known = model.kept_facts
         if find.__name__ not in known:
             found = find(model)
@@ -28,4 +28,4 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
         result: Fact = known[find.__name__]
         return result
 
-    return fact
+    return _fact
