@@ -24,9 +24,9 @@ import numpy as np
 from comparison_families import FAMILIES, RANDOM, SQUARES
 from formulations import MCMP, S3P, ConstrainedCost, MaxProb
 from ssp_lp import SSP, Solution, SSPError, certify, evaluate, solve
+from ssp_lp.formulation import CostLimit
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import GiveUp
-from ssp_lp.processes.secondary_costs import CostLimit
 
 GAP = 1e-9
 PROGRAM = 1e-6  # relative difference from the full linear program

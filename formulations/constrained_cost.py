@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 
 from ssp_lp.formulation import (
     SSP,
+    Constraint,
     CostLimit,
     FailureSemantics,
     Formulation,
     GiveUp,
-    SideRow,
     Start,
     check_setting,
+    constraints_of,
     parse_give_up,
-    side_rows,
 )
 
 
@@ -91,13 +91,11 @@ class ConstrainedCost(Formulation):
         check_setting(self.failure_budget, self.discount)
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         super().__post_init__()
-        vars(self)["_side_rows"] = side_rows(self.model, self.limits)
 
     @property
-    def side_rows(self) -> tuple[SideRow, ...]:
-        """The limits, checked, with their costs by outcome."""
-        rows: tuple[SideRow, ...] = vars(self)["_side_rows"]
-        return rows
+    def all_constraints(self) -> Mapping[str, Constraint]:
+        """The limits, and any further constraints."""
+        return {**constraints_of(self.limits), **self.constraints}
 
     @property
     def semantics(self) -> FailureSemantics:

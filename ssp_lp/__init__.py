@@ -22,6 +22,16 @@ from ssp_lp.policies import (
     TimedPolicy,
 )
 from ssp_lp.processes.failure_semantics import GiveUp
+from ssp_lp.processes.quantities.quantity import (
+    Constraint,
+    Quantity,
+    end_probability,
+    expected_cost,
+    failure_probability,
+    goal_probability,
+    secondary_cost,
+    visits,
+)
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
 from ssp_lp.verification.certificate import Certificate, certify
@@ -42,6 +52,7 @@ __all__ = [
     "GIVE_UP",
     "SSP",
     "Certificate",
+    "Constraint",
     "CostAwarePolicy",
     "CostLaw",
     "CrossCheck",
@@ -58,6 +69,7 @@ __all__ = [
     "OccupationMeasure",
     "OccupationProgram",
     "ProductSSP",
+    "Quantity",
     "SSPError",
     "Solution",
     "SolverError",
@@ -65,13 +77,19 @@ __all__ = [
     "TimedPolicy",
     "certify",
     "cross_check",
+    "end_probability",
     "evaluate",
+    "expected_cost",
+    "failure_probability",
+    "goal_probability",
     "on_original",
     "product",
+    "secondary_cost",
     "simulate",
     "solve",
     "success_costs",
     "trace_frontier",
+    "visits",
 ]
 
 _ON_DEMAND = {

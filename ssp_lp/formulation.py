@@ -9,6 +9,8 @@ methods solve it. This module is also where a page of ``formulations`` finds wha
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
 from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
@@ -42,7 +44,9 @@ from ssp_lp.processes.layered.law_measure import (
     WithinBound,
 )
 from ssp_lp.processes.layered.utility import Utility
-from ssp_lp.processes.secondary_costs import CostLimit, SideRow, side_rows
+from ssp_lp.processes.quantities.quantity import Constraint
+from ssp_lp.processes.quantities.rows import Condition, conditions
+from ssp_lp.processes.quantities.stage_cost import CostLimit, constraints_of
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
@@ -52,6 +56,7 @@ __all__ = [
     "SSP",
     "Aim",
     "CompiledArrivalCost",
+    "Constraint",
     "CostLimit",
     "CostQuantileOf",
     "ExpectedUtility",
@@ -63,7 +68,6 @@ __all__ = [
     "InfeasibleError",
     "ModelError",
     "Problem",
-    "SideRow",
     "Start",
     "TailMeanOf",
     "Utility",
@@ -72,9 +76,9 @@ __all__ = [
     "check_numbers",
     "check_penalty",
     "check_setting",
+    "constraints_of",
     "dead_end_labels",
     "parse_give_up",
-    "side_rows",
     "stated_budget",
 ]
 
@@ -82,24 +86,49 @@ Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 
-class Formulation:
-    """A criterion on a model with a start (see :class:`ssp_lp.problem.Problem`).
-
-    What a class does not say is inherited: exact, not given success, failing free and unlimited.
-    """
+class _Inherited:
+    """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
     failure_budget: float | FailureBudget | None = 1.0
     discount: float | None = None
     ratio = False
     cost_cap: float | None = None  # of accumulated cost, where it is told apart
 
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Formulation(_Inherited):
+    """A criterion on a model with a start (see :class:`ssp_lp.problem.Problem`).
+
+    What a class does not say is inherited: exact, not given success, failing free and unlimited.
+
+    Args:
+        constraints: name -> constraint on a quantity (``ssp_lp.secondary_cost``, ``visits``,
+            ``end_probability``, ...), such as ``{"fuel": secondary_cost(fuel) <= 3.0}``; every
+            criterion takes any number of them, beside its failure budget.
+    """
+
+    constraints: Mapping[str, Constraint] = field(default_factory=dict)
+
     def __post_init__(self) -> None:
-        """Check the start.
+        """Check the start and the constraints.
 
         Raises:
-            ModelError: an unknown state, or no distribution.
+            ModelError: an unknown state, no distribution, or a constraint that is stated wrongly.
         """
         start_distribution(self._asked.model, self._asked.start)
+        for condition in self.conditions:
+            _ = condition.rows
+
+    @property
+    def all_constraints(self) -> Mapping[str, Constraint]:
+        """The constraints, with those that a formulation has by itself."""
+        return self.constraints
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """The constraints, checked, with their costs by outcome."""
+        model, start = self._asked.model, self._asked.start
+        return conditions(model, start_distribution(model, start), self.all_constraints)
 
     @property
     def semantics(self) -> FailureSemantics:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from numbers import Real
-from typing import Protocol, overload, runtime_checkable
+from typing import Protocol, overload
 
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
@@ -13,7 +13,8 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
-from ssp_lp.processes.secondary_costs import CostLimit, SideRow
+from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
+from ssp_lp.processes.quantities.rows import Condition
 
 
 class Problem(Protocol):
@@ -59,34 +60,26 @@ class Problem(Protocol):
         ...
 
 
-@runtime_checkable
-class WithLimits(Protocol):
-    """What a problem has beside the rest where secondary costs are limited, too."""
-
-    @property
-    def limits(self) -> Mapping[str, CostLimit]:
-        """The limits as stated, by name."""
-        ...
-
-    @property
-    def side_rows(self) -> tuple[SideRow, ...]:
-        """The same, checked and spread over the outcomes of the model."""
-        ...
+def conditions_of(problem: Problem) -> tuple[Condition, ...]:
+    """The constraints of a problem beside its failure budget; a class of your own may have none."""
+    found: tuple[Condition, ...] = getattr(problem, "conditions", ())
+    return found
 
 
-class LimitedProblem(Problem, WithLimits, Protocol):
-    """A problem with limits; its cost is plain: neither a ratio nor a penalty nor another aim."""
-
-
-def compiled_constrained(problem: LimitedProblem) -> CompiledConstrained:
-    """The process of a problem with limits, and its rows."""
+def compiled_constrained(problem: Problem) -> CompiledConstrained:
+    """The process of a problem with constraints, and its rows."""
+    measure = problem.semantics.measure
+    charge = TOTAL_COST if problem.ratio else None
     return CompiledConstrained(
         model=problem.model,
         start=start_distribution(problem.model, problem.start),
         semantics=problem.semantics,
         discount=problem.discount,
-        side=problem.side_rows,
+        side=tuple(row for condition in conditions_of(problem) for row in condition.rows),
         budget=problem.failure_budget,
+        charge=charge if measure is None else measure.charge,
+        ratio=problem.ratio,
+        fixed_cap=getattr(problem, "cost_cap", None),
     )
 
 

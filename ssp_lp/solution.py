@@ -12,7 +12,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
-from ssp_lp.problem import Problem, WithLimits
+from ssp_lp.problem import Problem, conditions_of
 from ssp_lp.processes.failure_semantics import Aim
 
 
@@ -56,9 +56,7 @@ class Solution:
     run: Run
     note: str = ""
     upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
-    prices: Mapping[str, float] = field(
-        default_factory=dict
-    )  # of the rows, where costs are limited
+    prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -84,7 +82,7 @@ class Solution:
 
     @property
     def secondary_costs(self) -> Mapping[str, float]:
-        """Exact expected secondary costs, discounted where the problem is, by name of the limit."""
+        """Exact value of each constrained quantity, discounted where the problem is, by name."""
         return self.evaluation.secondary_costs
 
     @property
@@ -133,7 +131,7 @@ class Solution:
         limits or a measure of the law of costs counts, which the game does not know.
         """
         price, budget = self._multiplier, self.problem.failure_budget
-        unknown = isinstance(self.problem, WithLimits) or self.problem.semantics.measure is not None
+        unknown = bool(conditions_of(self.problem)) or self.problem.semantics.measure is not None
         if price is None or budget is None or unknown:
             return None
         mine, other = self.objective, price * budget

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from numbers import Real
 
@@ -11,22 +11,22 @@ import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, read_only
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
 from ssp_lp.column_generation.failure_constraint import Row, least_of
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.solving import BACKENDS
-from ssp_lp.methods.constrained import solve_constrained
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import SolveOptions, optimise
 from ssp_lp.methods.risk import solve_for_risk
+from ssp_lp.methods.rows.solving import check_options, solve_constrained
 from ssp_lp.methods.worth import solve_for_worth
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
-from ssp_lp.problem import Problem, WithLimits
+from ssp_lp.problem import Problem, conditions_of
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.processes.layered.law_measure import Measure
+from ssp_lp.processes.quantities.rows import FAILURE_ROW
 from ssp_lp.solution import Run, Solution, remarks
 
 ENGINES = ("auto", "columns", "lp", "game")
@@ -95,10 +95,13 @@ def solve(
         progress=progress,
     )
     measure, deterministic = problem.semantics.measure, policy_class == "deterministic"
-    if deterministic and (measure is not None or isinstance(problem, WithLimits)):
+    limited = bool(conditions_of(problem))
+    if deterministic and (measure is not None or limited):
         name = type(problem).__name__
         raise ModelError(f"policy_class='deterministic' is not available for {name}")
-    if isinstance(problem, WithLimits):
+    if limited:
+        check_options(problem, options)
+    if limited and (measure is None or measure.maximised):
         solution = solve_constrained(problem, options)
     elif engine == "game":
         solution = _by_game(problem, options)
@@ -112,7 +115,15 @@ def solve(
         solution = _within_budget(problem, problem.failure_budget, options, engine, deterministic)
     _check_answer(solution)
     run = replace(solution.run, seconds=time.perf_counter() - began)
-    return replace(solution, run=run, note=_with_gap(solution, tolerance))
+    return replace(solution, run=run, note=_with_gap(solution, tolerance), prices=_prices(solution))
+
+
+def _prices(solution: Solution) -> Mapping[str, float]:
+    """The multiplier of each row, by name; where there is no other, that of the failure budget."""
+    price, penalty = solution.failure_price, solution.problem.semantics.penalty
+    if solution.prices or price is None or not np.isfinite(penalty):
+        return solution.prices
+    return {FAILURE_ROW: price - penalty}
 
 
 def _with_gap(solution: Solution, tolerance: float) -> str:
@@ -197,12 +208,9 @@ def _by_game(problem: Problem, options: SolveOptions) -> Solution:
 
 def _by_measure(problem: Problem, measure: Measure, options: SolveOptions) -> Solution:
     """The best worth of arriving, or the least risk given success."""
-    compiled = problem.compile()
     if measure.maximised:
-        return solve_for_worth(problem, compiled, options)
-    if not isinstance(compiled, CompiledArrivalCost):
-        raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
-    return solve_for_risk(problem, compiled, options)
+        return solve_for_worth(problem, problem.compile(), options)
+    return solve_for_risk(problem, options)
 
 
 def _extreme_goal(problem: Problem, options: SolveOptions) -> Solution:

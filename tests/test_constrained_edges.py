@@ -29,10 +29,9 @@ from ssp_lp.column_generation import conflict
 from ssp_lp.column_generation.constrained_search import Pace, generate
 from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.linear_programming.highs import solve_with_highs
-from ssp_lp.methods import constrained
+from ssp_lp.methods.rows.opening import opening
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.secondary_costs import side_rows
 from ssp_lp.programs.compiling import rows_program
 from strategies import problems
 from test_constrained_cases import FUEL, RISKY, THREE, TIME, attempt, check
@@ -117,10 +116,13 @@ def test_a_secondary_cost_is_the_cost_of_the_model_that_has_it(drawn_charges, me
         chosen = np.where(np.diff(model.pair_offsets) > shift, first + shift, first)
         decision = np.where(np.diff(model.pair_offsets) > 0, chosen, -1)
         found = evaluate(DeterministicPolicy(model, decision), problem).secondary_costs
-        for row in side_rows(model, limits):
-            other = MCMP(row.model, drawn.start, **setting)
-            policy = DeterministicPolicy(row.model, decision)
-            assert found[row.name] == pytest.approx(evaluate(policy, other).objective, **EXACT)
+        for condition in problem.conditions:
+            ((_, term),) = condition.terms
+            other = MCMP(term.model, drawn.start, **setting)
+            policy = DeterministicPolicy(term.model, decision)
+            assert found[condition.name] == pytest.approx(
+                evaluate(policy, other).objective, **EXACT
+            )
 
 
 def test_the_program_of_a_ratio_with_side_rows():
@@ -176,7 +178,7 @@ def test_stabilised_prices_end_at_the_same_optimum(in_between):
     limits = {"steps": CostLimit(np.ones(900), 9.0), "fuel": CostLimit(fuel, 24.0)}
     problem = ConstrainedCost(model, 0, limits, failure_budget=0.2)
     instance = compiled_constrained(problem).settled()
-    opened = constrained._opened(instance, instance, Pace(1e-9, in_between=in_between))
+    opened = opening(instance, instance, Pace(1e-9, in_between=in_between))
     centre = np.zeros(3), opened.unlimited
     pace = Pace(1e-9, in_between=in_between)
     found = generate(opened.pool, opened.rows, pace, centre=centre)

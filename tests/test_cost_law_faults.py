@@ -13,7 +13,6 @@ from checks import optimum
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, compare_criteria
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.methods.refinement import CERTIFYING
 from ssp_lp.methods.risk import tail_mean
 from ssp_lp.methods.risk.trial import pose
@@ -55,11 +54,9 @@ def test_cvar_refutes_thresholds_at_least_failure_without_a_price(failing, level
 def test_cvar_refutes_all_thresholds_below_the_best_value():
     """Going down from a threshold above the best value must not end the search there."""
     problem = CVaR(model_of({"x": LAWS}), "x", 0.5)
-    instance = problem.compile()
-    assert isinstance(instance, CompiledArrivalCost)
-    question = pose(problem, instance)
+    question = pose(problem)
     search = tail_mean._Search(problem, question, 0.5, CERTIFYING)
-    sixty = tail_mean.Best(60.042, always(problem.model, "sixty"), 0.0, 60, 0.0, 0)
+    sixty = tail_mean.Best(60.042, always(problem.model, "sixty"), 0.0, 60, 0.0, 0, {})
     best, bound = search.refute(sixty, 79, -1)
     assert best.value == pytest.approx(50.124)
     assert bound <= 50.124

@@ -10,7 +10,7 @@ from formulations import MCMP, S3P, ConstrainedCost, FinitePenalty, MaxProb
 from ssp_lp import SSP, SolverError, certify, evaluate, solve
 from ssp_lp.column_generation.failure_constraint import least_of
 from ssp_lp.compiled import accelerator
-from ssp_lp.processes.secondary_costs import CostLimit
+from ssp_lp.formulation import CostLimit
 
 SIZES = {
     "layered": (30, 20), "scattered": (1_500,), "grid": (40,), "river": (20, 60),

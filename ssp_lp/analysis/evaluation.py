@@ -8,17 +8,21 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
-from ssp_lp.analysis.failure_costs import give_up_costs, lost_costs
-from ssp_lp.analysis.terminal_outcomes import end_marks
+from ssp_lp.analysis.quantities import (
+    complement,
+    counted_nodes,
+    quantity_values,
+    until_failure,
+)
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, WithLimits
+from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import (
     Aim,
-    FailureSemantics,
     start_distribution,
     survival_of,
 )
@@ -38,7 +42,7 @@ class Evaluation:
     ends: Mapping[str, float]  # how episodes end: goal, each label, dead_end, gave_up, wandering
     secondary_costs: Mapping[str, float] = field(
         default_factory=dict
-    )  # of limits; as ``objective``
+    )  # each constrained quantity, by name; as ``objective``
 
 
 def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
@@ -131,24 +135,21 @@ def _report(sums: Measures, problem: Problem) -> Evaluation:
     )
 
 
-def _complement(probability: float) -> float:
-    return min(max(1.0 - probability, 0.0), 1.0)
-
-
 def _measure(chain: Chain, problem: Problem) -> Measures:
     gamma = survival_of(problem.discount)
     hopeful = reaching(chain, chain.goal > 0)
     alive = hopeful & (chain.goal == 0)
+    counted = counted_nodes(chain, hopeful, problem)
     goal, success = _success(chain, alive, 1.0)
     early, early_cost = (goal, success) if gamma == 1.0 else _success(chain, alive, gamma)
     reached, failed = _two_ways(chain, goal, alive, 1.0)
     kept, surrogate = _two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
-    stopped = _until_failure(chain, hopeful, problem.semantics, 1.0)
+    stopped = until_failure(chain, counted, problem.semantics, 1.0)
     if problem.ratio:
         target = float(chain.start @ early_cost)
     else:
-        target = stopped if gamma == 1.0 else _until_failure(
-            chain, hopeful, problem.semantics, gamma
+        target = stopped if gamma == 1.0 else until_failure(
+            chain, counted, problem.semantics, gamma
         )  # fmt: skip
     return Measures(
         goal=reached,
@@ -159,24 +160,8 @@ def _measure(chain: Chain, problem: Problem) -> Measures:
         discounted_failure=surrogate,
         discounted_cost=target,
         ends=_ends(chain),
-        secondary=_secondary(chain, hopeful, problem),
+        secondary=quantity_values(chain, counted, problem),
     )
-
-
-def _secondary(chain: Chain, hopeful: BoolArray, problem: Problem) -> dict[str, float]:
-    """Each secondary cost, counted as the cost is: on the same chain with other costs."""
-    if not isinstance(problem, WithLimits):
-        return {}
-    survival = survival_of(problem.discount)
-    return {
-        row.name: _until_failure(
-            replace(chain, model=row.model, cost=row.costs[chain.outcome]),
-            hopeful,
-            problem.semantics,
-            survival,
-        )
-        for row in problem.side_rows
-    }
 
 
 def _success(chain: Chain, alive: BoolArray, survival: float) -> tuple[FloatArray, FloatArray]:
@@ -209,25 +194,6 @@ def _two_ways(
     return goal, 1.0 if goal == 0.0 else failure
 
 
-def _until_failure(
-    chain: Chain, hopeful: BoolArray, semantics: FailureSemantics, survival: float
-) -> float:
-    """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs."""
-    lost = lost_costs(chain, hopeful, semantics, survival)
-    if semantics.forbids_failing:
-        lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
-    charged = chain.give_up * give_up_costs(chain, semantics)
-    endless = np.isinf(lost)
-    if endless.any() and (chain.start[reaching(chain, endless)] > 0).any():
-        return float("inf")
-    lost = np.where(endless, 0.0, lost)
-    alive = hopeful & (chain.goal == 0)
-    stage = chain.per_node(chain.cost) + charged + survival * (chain.matrix @ lost)
-    return float(
-        chain.start @ (lost + chain.accumulate(np.where(alive, stage, 0.0), alive, survival))
-    )
-
-
 def _ends(chain: Chain) -> dict[str, float]:
     """Probability of each way in which episodes end."""
     final = (chain.goal > 0) | (chain.dead > 0)
@@ -240,4 +206,4 @@ def _ends(chain: Chain) -> dict[str, float]:
     totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling)
     shares = chain.start @ (totals + at_end)
     ends = {name: float(share) for name, share in zip(names, shares, strict=True)}
-    return ends | {"wandering": _complement(sum(ends.values()))}
+    return ends | {"wandering": complement(sum(ends.values()))}

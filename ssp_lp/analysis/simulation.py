@@ -13,11 +13,11 @@ import numpy.typing as npt
 from ssp_lp.analysis.episode_batch import EpisodeBatch
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.analysis.failure_costs import state_give_up_charges
-from ssp_lp.analysis.terminal_outcomes import end_marks
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.problem import Problem

@@ -39,17 +39,23 @@ class Rows:
     index: IntArray  # [rows] position among the pricing problem's rewards
     bounds: FloatArray  # [rows]
     scales: FloatArray  # [rows] > 0
+    ratio: float = 0.0  # what failing counts in the objective besides (Dinkelbach)
 
     def among(self, some: tuple[int, ...]) -> Rows:
         """Some of the rows, by position."""
         kept = list(some)
-        return Rows(self.index[kept], self.bounds[kept], self.scales[kept])
+        return Rows(self.index[kept], self.bounds[kept], self.scales[kept], self.ratio)
+
+    def objective(self, figures: FloatArray) -> FloatArray:
+        """What is minimised of totals, the first of which are cost and failure, [...]."""
+        return np.asarray(figures[0] + self.ratio * figures[1] if self.ratio else figures[0])
 
     def weights(self, prices: FloatArray, cost: float, n_rewards: int) -> FloatArray:
         """The weight of each reward at these prices, [rewards]."""
         weights = np.zeros(n_rewards)
         weights[self.index] = prices
         weights[0] = cost
+        weights[1] += cost * self.ratio
         return weights
 
 
@@ -176,9 +182,10 @@ class _Search:
         from ssp_lp.column_generation.restricted_master import solve_master
 
         figures, rows = self.pool.figures, self.rows
-        kept = undominated(figures[np.append(0, rows.index)])
+        kept = undominated(np.vstack([rows.objective(figures)[None, :], figures[rows.index]]))
         some = figures[:, kept]
-        best = solve_master(some[0], some[rows.index], rows.bounds, rows.scales, elastic=elastic)
+        cost, taken = rows.objective(some), some[rows.index]
+        best = solve_master(cost, taken, rows.bounds, rows.scales, elastic=elastic)
         weights = np.zeros(figures.shape[1])
         weights[kept] = best.weights
         return replace(best, weights=weights)
@@ -186,12 +193,15 @@ class _Search:
     def value(self, found: Point, prices: FloatArray) -> float:
         """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
         beyond = found.figures[self.rows.index] - self.rows.bounds
-        return self.cost * float(found.figures[0]) + float(prices @ beyond)
+        return self._objective(found) + float(prices @ beyond)
 
     def rounding(self, found: Point, prices: FloatArray) -> float:
         """Rounding of a policy's Lagrangian value."""
         beyond = np.abs(found.figures[self.rows.index] - self.rows.bounds)
-        return _ROUNDING * (self.cost * float(found.figures[0]) + float(prices @ beyond))
+        return _ROUNDING * (self._objective(found) + float(prices @ beyond))
+
+    def _objective(self, found: Point) -> float:
+        return self.cost * float(self.rows.objective(found.figures))
 
     def price(self, prices: FloatArray) -> tuple[Point, float]:
         """A best policy at these prices, and its Lagrangian value: a bound."""

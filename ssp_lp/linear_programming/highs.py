@@ -14,7 +14,11 @@ from ssp_lp.linear_programming.linear_program import LinearProgram
 
 _SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx", "highs-warm": "simplex"}
 
-_DOUBTED = (highspy.HighsModelStatus.kUnbounded, highspy.HighsModelStatus.kUnboundedOrInfeasible)
+_DOUBTED = (
+    highspy.HighsModelStatus.kUnbounded,
+    highspy.HighsModelStatus.kUnboundedOrInfeasible,
+    highspy.HighsModelStatus.kUnknown,
+)
 
 
 def solve_with_highs(
@@ -43,7 +47,7 @@ def solve_with_highs(
     if basis is not None:
         _start_at(solver, highs_basis(program, basis))
     solver.run()
-    if solver.getModelStatus() in _DOUBTED:  # HiGHS 1.15's presolve says so of bounded programs
+    if solver.getModelStatus() in _DOUBTED:  # HiGHS 1.15 with presolve says so of sound programs
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
         solver.run()

@@ -64,19 +64,22 @@ def solve_rows_program(
     limits: Mapping[str, tuple[FloatArray, float]],
     backend: str | None,
     deadline: float,
+    *,
+    ratio: bool = False,
 ) -> ProgramOptimum:
-    """Solve the linear program of a process with any named rows, case M; all duals by name.
+    """Solve the linear program of a process with any named rows; all duals by name.
 
     Args:
         process: the process.
         limits: name -> (coefficient of each pair, [pairs], and bound).
         backend: one of BACKENDS but "highs-warm", or None to choose by size.
         deadline: on the clock of ``time.perf_counter``.
+        ratio: case S, the objective <cost, x> / <goal, x>.
 
     Raises:
         SolverError: no backend's answer passes the check of its residuals.
     """
-    program = rows_program(process, limits, ratio=False)
+    program = rows_program(process, limits, ratio)
     return _optimum(
         program, *first_accepted(program, cold_attempts(program, backend), deadline), 0.0
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import cast
-
 import numpy as np
 
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
@@ -16,16 +14,19 @@ from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFai
 from ssp_lp.column_generation.compiled_problems.layered import CompiledLayered
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import CERTIFYING, optimise
-from ssp_lp.problem import LimitedProblem, Problem, WithLimits, compiled_constrained
+from ssp_lp.methods.rows.solving import optimum_of
+from ssp_lp.problem import Problem, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
 from ssp_lp.processes.layered.law_measure import CostQuantileOf, TailMeanOf
-from ssp_lp.processes.secondary_costs import FAILURE_ROW
+from ssp_lp.processes.layered.open_ended import OpenEnded
+from ssp_lp.processes.quantities.rows import FAILURE_ROW
 from ssp_lp.programs.accumulated_cost import LayeredModel
 from ssp_lp.programs.augmented import Augmented
-from ssp_lp.programs.constraint import Constraint
 from ssp_lp.programs.failure_label import LabelledModel
 from ssp_lp.programs.occupation_program import OccupationProgram
+from ssp_lp.programs.open_ended import OpenEndedModel
+from ssp_lp.programs.program_row import ProgramRow
 
 
 def program_of(problem: Problem) -> OccupationProgram:
@@ -51,31 +52,41 @@ def program_of(problem: Problem) -> OccupationProgram:
             f"{type(problem).__name__} is no linear program but a search over many: "
             "CostBoundedReach(...).program() is the one at a fixed cost"
         )
-    if isinstance(problem, WithLimits):
-        return _constrained(cast("LimitedProblem", problem))
+    if conditions_of(problem):
+        return _constrained(problem)
     compiled, budget = problem.compile(), problem.failure_budget
-    rows: tuple[Constraint, ...] = ()
+    rows: tuple[ProgramRow, ...] = ()
     if budget is None:
         augmented = _at_least_failure(compiled)
     else:
         augmented, granted = _within(compiled, budget)
         if budget < 1.0:
-            rows = (Constraint(FAILURE_ROW, augmented.process.failure, granted),)
+            rows = (ProgramRow(FAILURE_ROW, augmented.process.failure, granted),)
     objective, constant = _objective(problem)
     return OccupationProgram(_title(problem), objective, augmented, rows, problem.ratio, constant)
 
 
-def _constrained(problem: LimitedProblem) -> OccupationProgram:
-    """Case M with a row for each secondary cost."""
+def _constrained(problem: Problem) -> OccupationProgram:
+    """A row for each constraint, on as many layers of accumulated cost as the proof needs."""
     compiled = compiled_constrained(problem).settled()
-    pricing = compiled.pricing
+    if compiled.charge is not None:
+        compiled = optimum_of(problem, compiled, CERTIFYING).compiled
+    pricing, found = compiled.pricing, compiled.augmented
     rows = tuple(
-        Constraint(name, np.ascontiguousarray(pricing.rewards[:, k]), float(bound))
-        for k, (name, bound) in enumerate(zip(compiled.names, compiled.bounds, strict=True), 1)
+        ProgramRow(name, np.ascontiguousarray(pricing.rewards[:, k]), float(bound), told)
+        for k, (name, bound, told) in enumerate(
+            zip(compiled.names, compiled.bounds, compiled.told, strict=True), 1
+        )
         if np.isfinite(bound)
     )
-    augmented = LabelledModel(pricing.labelled, compiled.start)
-    return OccupationProgram(_title(problem), "cost", augmented, rows)
+    augmented: Augmented
+    if isinstance(found, OpenEnded):
+        augmented = OpenEndedModel(found)
+    else:
+        augmented = LabelledModel(found, compiled.start)
+    objective, _ = _objective(problem)
+    title = _title(problem)
+    return OccupationProgram(title, objective, augmented, rows, problem.ratio, compiled.constant)
 
 
 def _at_least_failure(compiled: CompiledProblem) -> Augmented:

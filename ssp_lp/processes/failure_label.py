@@ -15,7 +15,8 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states, goal_pairs, surely_reaching
 from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
+from ssp_lp.processes.counting import Counting, stage_costs
+from ssp_lp.processes.expectations import costless_pairs, successor_means
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import (
     Aim,
@@ -99,29 +100,24 @@ def label_failure(
     return FailureLabelled(counted, quotient, departs)
 
 
-def secondary_cost(
+def counting_of(
     labelled: FailureLabelled,
-    model: SSP,
     start: FloatArray,
     semantics: FailureSemantics,
     discount: float | None = None,
-) -> FloatArray:
-    """Another cost of the same model at the pairs of its process, charged as its own is, [pairs].
+) -> Counting:
+    """How anything else is counted at the pairs of the process.
 
     Args:
-        labelled: the process, in which only what is free in the other cost too is collapsed.
-        model: the model with the other costs.
+        labelled: the process, in which only what is free in everything counted is collapsed.
         start: distribution over states, [states].
         semantics: as of the process.
         discount: as of the process.
     """
-    quotient = labelled.quotient
-    charges = give_up_charges(model, attention_states(model), quotient.merged, semantics)
-    entering = dead_end_charges(model, quotient.dead, semantics)
-    cost = _stage(model, quotient, charges, entering, survival_of(discount)) / labelled.departs
-    if labelled.process.n_pairs == len(cost):
-        return cost
-    return np.append(cost, float(start @ entering))  # the source state's only pair
+    process, n_pairs = labelled.process, len(labelled.departs)
+    ends = process.goal[:n_pairs], process.failure[:n_pairs]
+    survival = survival_of(discount)
+    return Counting(labelled.quotient, labelled.departs, *ends, start, semantics, survival)
 
 
 def _free_pairs(model: SSP, aim: Aim) -> BoolArray:
@@ -144,21 +140,11 @@ def _counted(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArra
     return np.asarray(process.cost + semantics.penalty * process.failure)
 
 
-def _stage(
-    model: SSP, quotient: Quotient, charges: FloatArray, entering: FloatArray, survival: float
-) -> FloatArray:
-    """Expected cost of each pair, charges included, [quotient pairs]."""
-    stage = quotient.at_pairs(cost_means(model), quotient.least_over_members(charges))
-    if entering.any():
-        stage = stage + survival * quotient.at_pairs(successor_means(model, entering))
-    return stage
-
-
 def _fill(
     model: SSP, quotient: Quotient, charges: FloatArray, entering: FloatArray, survival: float
 ) -> tuple[ExplicitProcess, FloatArray]:
     """The process without its start, and what its rows were divided by, [pairs]."""
-    stage = _stage(model, quotient, charges, entering, survival)
+    stage = stage_costs(model, quotient, charges, entering, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))
     leaks = np.where(quotient.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)

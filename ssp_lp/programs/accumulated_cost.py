@@ -16,6 +16,7 @@ from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import ModelFlow, decisions, model_flow, moving_within
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.materialise import materialise
 from ssp_lp.processes.layered.process import LayeredProcess
 from ssp_lp.programs.augmented import FAIL, GO_FOR_GOAL, START, ColumnLabel
@@ -86,7 +87,8 @@ class LayeredModel:
         carrier = self._with_tails(self.policy(choice), self._tails_taken(visits, choice))
         n_states, cap = self.model.n_states, self.layered.cap
         found = []
-        for layer, flow in enumerate(self._flows(visits)):
+        of_layers = layer_flows(self.layered.base, visits, self.start, cap)
+        for layer, flow in enumerate(of_layers):
             everywhere = np.arange(n_states)
             memory = np.full(n_states, layer)
             otherwise = carrier.branches(everywhere, memory).pair
@@ -98,26 +100,6 @@ class LayeredModel:
             found.append((keys, tail[known].astype(np.int64), np.ones(known.size)))
         keys, pairs, flows = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return StochasticPolicy.from_flows(self.model, keys, pairs, flows, carrier)
-
-    def _flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """The model's flow in each layer, moves within collapsed components included."""
-        base, quotient, model = self.layered.base, self.layered.base.quotient, self.model
-        n_pairs, cap = len(base.gain), self.layered.cap
-        merged = bool(quotient.merged.any())
-        entering = np.zeros((cap + base.width, model.n_states) if merged else (0, 0))
-        lengths = np.diff(model.outcome_offsets)
-        if merged:
-            entering[0] = self.start
-        for layer in range(cap):
-            taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
-            flow = model_flow(quotient, taken)
-            if merged:
-                mass = np.repeat(flow.pairs, lengths) * model.probabilities
-                moved = np.flatnonzero(mass)
-                ends = layer + base.lattice.ahead[moved], model.successors[moved]
-                np.add.at(entering, ends, mass[moved])
-                flow = moving_within(quotient, flow, entering[layer])
-            yield flow
 
     def _tails_taken(self, visits: FloatArray, choice: IntArray) -> IntArray:
         """The tail that is followed from each place beyond the cap, [layers, nodes].
@@ -163,3 +145,38 @@ class LayeredModel:
     @property
     def _tails(self) -> IntArray:
         return self.layered.tails.decisions
+
+
+def layer_flows(
+    base: AccumulatedCost,
+    visits: FloatArray,
+    start: FloatArray,
+    n_layers: int,
+    last: int | None = None,
+) -> Iterator[ModelFlow]:
+    """The model's flow in each layer, moves within collapsed components included.
+
+    Args:
+        base: one layer of the process.
+        visits: of the process's pairs, layer by layer, [process pairs].
+        start: [states].
+        n_layers: how many layers there are.
+        last: the layer in which all costs beyond it are counted; None: there is no such layer.
+    """
+    quotient, model, n_pairs = base.quotient, base.quotient.model, len(base.gain)
+    merged = bool(quotient.merged.any())
+    entering = np.zeros((n_layers + base.width, model.n_states) if merged else (0, 0))
+    lengths = np.diff(model.outcome_offsets)
+    if merged:
+        entering[0] = start
+    for layer in range(n_layers):
+        taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
+        flow = model_flow(quotient, taken)
+        if merged:
+            mass = np.repeat(flow.pairs, lengths) * model.probabilities
+            moved = np.flatnonzero(mass)
+            reached = layer + base.lattice.ahead[moved]
+            reached = reached if last is None else np.minimum(reached, last)
+            np.add.at(entering, (reached, model.successors[moved]), mass[moved])
+            flow = moving_within(quotient, flow, entering[layer])
+        yield flow

@@ -27,10 +27,10 @@ from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.augmented import Augmented, ColumnLabel
 from ssp_lp.programs.compiling import rows_program
-from ssp_lp.programs.constraint import Constraint
 from ssp_lp.programs.decomposition import balanced
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure
+from ssp_lp.programs.program_row import ProgramRow
 
 if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import ConvexProgram
@@ -53,7 +53,7 @@ class OccupationProgram:
     title: str  # the formulation
     objective: str  # what is minimised, in a word
     augmented: Augmented
-    rows: tuple[Constraint, ...]
+    rows: tuple[ProgramRow, ...]
     ratio: bool = False  # <cost, x> / <goal, x>
     constant: float | None = None  # of what is maximised: constant - <objective, x>
 
@@ -122,7 +122,7 @@ class OccupationProgram:
             "accumulated cost: say cost=..., or take columns(...)"
         )
 
-    def row(self, name: str) -> Constraint:
+    def row(self, name: str) -> ProgramRow:
         """A constraint by its name.
 
         Raises:
@@ -279,7 +279,7 @@ class OccupationProgram:
         width = max((len(row.name) for row in self.rows), default=0)
         for row in self.rows:
             lines.append(
-                f"              {row.name + ':':<{width + 1}} <{row.name}, x> <= {row.bound:g}"
+                f"              {row.name + ':':<{width + 1}} <{row.words}, x> <= {row.bound:g}"
             )
         lines.append(
             f"              x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} "

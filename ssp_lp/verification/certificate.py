@@ -7,13 +7,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
-from ssp_lp.arrays import RELATIVE_GAP
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.arrays import RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import (
     ATTAINABLE,
     CompiledConstrained,
-    lagrange_bound,
 )
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.failure_constraint import CONTRADICTION, Row, relative_gap
@@ -21,12 +19,14 @@ from ssp_lp.column_generation.pricing.constrained import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import CERTIFYING
 from ssp_lp.methods.risk import risk_bound
-from ssp_lp.problem import Problem, WithLimits, compiled_constrained
+from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
+from ssp_lp.problem import Problem, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.solution import Solution
 
 _BUDGET_ROUNDING = 1e-12
+_ENOUGH = 1e-290  # a bound below it is 0
 
 _STEEP_PRICES = (1e1, 1e3, 1e5)
 """Prices of failure, in values of the policy, at which least failure is proved best."""
@@ -81,13 +81,17 @@ def certify(solution: Solution) -> Certificate:
     found = evaluate(solution.policy, problem)
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
-    if isinstance(problem, WithLimits):
-        return _limits_certificate(solution, compiled_constrained(problem), found, failure)
+    measure = problem.semantics.measure
+    if conditions_of(problem):
+        risk = measure is not None and not measure.maximised
+        proved = _risk_certificate if risk else _limits_certificate
+        certificate, reason = proved(solution, found, failure), _broken_limit(problem, found)
+        return replace(certificate, accepted=False, reason=reason) if reason else certificate
     if problem.semantics.aim is not Aim.LEAST_COST:
         return _goal_certificate(problem, found, failure)
-    if problem.semantics.measure is not None:
-        maximised = problem.semantics.measure.maximised
-        return (_worth_certificate if maximised else _risk_certificate)(solution, found, failure)
+    if measure is not None:
+        proof = _worth_certificate if measure.maximised else _risk_certificate
+        return proof(solution, found, failure)
     if problem.failure_budget is None:
         return _least_failure_certificate(problem, found, failure)
     price, values = solution.failure_price, solution.value_function
@@ -110,36 +114,66 @@ def certify(solution: Solution) -> Certificate:
     return _certificate(found, failure, bound, tail, allowed, "")
 
 
-def _limits_certificate(
-    solution: Solution, stated: CompiledConstrained, found: Evaluation, failure: float
-) -> Certificate:
-    """All rows of the policy against their bounds, and the bound that the prices prove."""
-    compiled, values = stated.settled(), solution.value_function
+def _broken_limit(problem: Problem, found: Evaluation) -> str:
+    """Which constraint the policy breaks, in words; empty: none."""
+    for condition in conditions_of(problem):
+        spent = found.secondary_costs[condition.name]
+        for row in condition.rows:
+            taken, room = row.activity(spent), 2.0 * ATTAINABLE * max(abs(row.bound), _ENOUGH)
+            if taken > row.bound + room:
+                return f"the policy spends {taken:.12g} of {row.told!r}, {row.bound:.12g} allowed"
+    return ""
+
+
+def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -> Certificate:
+    """The bound that the prices prove.
+
+    Raises:
+        ModelError: the value function does not fit.
+    """
+    stated, values = compiled_constrained(solution.problem), solution.value_function
+    compiled = stated.settled()
     if values is None:
         raise ModelError("a certificate needs the prices and their value function")
+    values = np.asarray(values)
+    compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget = least if stated.budget is None else max(stated.budget, least)
-    bounds, spent = compiled.bounds, np.array([failure, *found.secondary_costs.values()])
+    spent = [failure]
+    for condition in conditions_of(solution.problem):
+        value = found.secondary_costs[condition.name]
+        spent += [row.activity(value) for row in condition.rows]
     prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():
         return _certificate(found, failure, 0.0, 0.0, budget, "a price is not a number >= 0")
-    limited = np.isfinite(bounds)
-    bounds = np.where(limited, bounds, 0.0)
-    raised = np.where(limited, np.clip(spent, bounds, bounds * (1.0 + ATTAINABLE)), 0.0)
+    limited = np.isfinite(compiled.bounds)
+    bounds = np.where(limited, compiled.bounds, 0.0)
+    room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
+    raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
     prices = np.where(limited, prices, 0.0)
-    weights = np.concatenate([[1.0], prices])
-    proof = compiled.pricing.check(weights, np.asarray(values))
-    broken = 1 + np.flatnonzero(spent[1:] > bounds[1:] * (1.0 + 2.0 * ATTAINABLE))
-    reason = ""  # of the failure row ``_certificate`` knows
-    if broken.size:
-        row = int(broken[0])
-        reason = (
-            f"the policy spends {spent[row]:.12g} of {compiled.names[row]!r}, {bounds[row]:.12g} "
-            "allowed"
-        )
-    lower = max(lagrange_bound(proof.bound, prices, raised), 0.0)
+    lower = _rows_bound(compiled, prices, raised, values, found.objective)
     budget = float(raised[0]) if limited[0] else budget
-    return _certificate(found, failure, lower, 0.0, budget, reason)
+    if compiled.constant is None:
+        return _certificate(found, failure, lower, 0.0, budget, "")
+    proved = _certificate(found, failure, found.objective, 0.0, budget, "")
+    return replace(proved, upper_bound=max(compiled.worth(lower), found.objective))
+
+
+def _rows_bound(
+    compiled: CompiledConstrained,
+    prices: FloatArray,
+    bounds: FloatArray,
+    values: FloatArray,
+    objective: float,
+) -> float:
+    """The lower bound that prices and a value function prove, by one checked backup."""
+    found = [0.0]
+    for ratio in ratios_below(objective) if compiled.ratio else (0.0,):
+        weights = np.append(1.0, prices)
+        weights[1] += ratio
+        proof = compiled.pricing.check(weights, values)
+        found.append(rows_bound(compiled, prices, bounds, ratio, proof))
+    return max(found)
 
 
 def _lower_bound(
@@ -216,10 +250,9 @@ def _worth_certificate(solution: Solution, found: Evaluation, failure: float) ->
 
 def _risk_certificate(solution: Solution, found: Evaluation, failure: float) -> Certificate:
     """A risk given success, and a bound below it that is searched for afresh."""
-    compiled = solution.problem.compile()
-    if not isinstance(compiled, CompiledArrivalCost) or not np.isfinite(found.objective):
+    if not np.isfinite(found.objective):
         return _certificate(found, failure, 0.0, 0.0, 1.0, "the goal is never reached")
-    bound, allowed = risk_bound(solution.problem, compiled, found.objective, CERTIFYING)
+    bound, allowed = risk_bound(solution.problem, found.objective, CERTIFYING)
     return _certificate(found, failure, bound, 0.0, allowed, "")
 
 

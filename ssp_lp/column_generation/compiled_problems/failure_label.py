@@ -44,14 +44,18 @@ class CompiledFailureLabel:
     def _restricted_to(self, usable: BoolArray | None) -> ExplicitPricing:
         """Pricing over all pairs (None) or, without giving up, over some, [model pairs]."""
         if self.semantics.forbids_failing:
-            self._check_sure()
+            self.check_sure()
         return ExplicitPricing(
             label_failure(self.model, self.start, self.semantics, self.discount, usable),
             self.precise,
         )
 
-    def _check_sure(self) -> None:
-        """Check that the goal can be reached surely, as must be where failing is forbidden."""
+    def check_sure(self) -> None:
+        """Check that the goal can be reached surely, as must be where failing is forbidden.
+
+        Raises:
+            InfeasibleError: it cannot.
+        """
         sure, _ = surely_reaching(self.model)
         unsure = np.flatnonzero(~sure & (self.start > 0.0))
         if not unsure.size:

@@ -18,25 +18,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
-from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
+from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
 from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 from ssp_lp.dynamic_programming.policy_iteration.settled import Settled
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.contraction import Contraction, bound_of, contract
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.failure_label import FailureLabelled
 
 LARGEST = 1e150
 """Prices and values beyond this are no numbers: products of two such overflow."""
 
+_ROUNDED = 1e-13  # of what every episode pays: less than that is nothing
 _UNIT = np.ones(1)
 _NONE = Work()
 
@@ -64,11 +65,28 @@ class Checked:
     work: Work
 
 
+class Augmentation(Protocol):
+    """A process with its way back to the model."""
+
+    @property
+    def process(self) -> ExplicitProcess:
+        """The process."""
+        ...
+
+    def nearer_goal(self) -> IntArray | None:
+        """A pair of each state by which it may come nearer to the goal, or -1; None: unknown."""
+        ...
+
+    def policy(self, choice: IntArray) -> Policy:
+        """One pair of each state of the process as a policy on the model."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class ConstrainedPricing:
     """Minimises and measures weighted totals of several rewards of a process."""
 
-    labelled: FailureLabelled
+    augmented: Augmentation
     rewards: FloatArray  # [pairs, rewards] cost, failure, secondary costs
     precise: bool = False  # compare pairs in twice the working precision
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is counted
@@ -76,13 +94,14 @@ class ConstrainedPricing:
     @property
     def process(self) -> ExplicitProcess:
         """The process that is minimised over."""
-        return self.labelled.process
+        return self.augmented.process
 
     @cached_property
     def _first(self) -> IntArray:
         """A policy that leaves, towards the goal where it can, [states]."""
-        choice = ExplicitPricing(self.labelled).first().choice
-        return np.zeros(0, dtype=np.int32) if choice is None else choice
+        process = self.process
+        nearer = self.augmented.nearer_goal()
+        return leaving_choice(process.dynamics, process.goal, nearer).astype(np.int32)
 
     def first(self) -> Point:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
@@ -174,6 +193,22 @@ class ConstrainedPricing:
         checked = bound_of(process, self._contracted(weights), priced, values)
         return Checked(checked.at(process.start), checked.values, work)
 
-    def policy(self, point: Point) -> DeterministicPolicy:
+    def check_less(self, weights: FloatArray, paid: float, values: FloatArray) -> float:
+        """A certified bound of the weighted totals less what every episode pays, at the start.
+
+        ``check`` says the same but for rounding; this is exact where nothing else is paid.
+
+        Args:
+            weights: of the rewards, >= 0, [rewards].
+            paid: on ending, whatever the end.
+            values: lower values of the weighted totals, [states].
+        """
+        process = self.process
+        left = weighted(self.rewards, weights) - paid * (process.goal + process.failure)
+        values = np.where(np.abs(values) <= LARGEST, values, 0.0) - paid
+        values = np.where(np.abs(values) <= _ROUNDED * paid, 0.0, values)
+        return bound_of(process, self._contracted(weights), left, values, -paid).at(process.start)
+
+    def policy(self, point: Point) -> Policy:
         """The policy on the original states."""
-        return self.labelled.policy(point.choice)
+        return self.augmented.policy(point.choice)

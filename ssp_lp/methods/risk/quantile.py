@@ -12,7 +12,7 @@ import time
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
 from ssp_lp.methods.refinement import SolveOptions
-from ssp_lp.methods.risk.trial import Question, Trial, attempt
+from ssp_lp.methods.risk.trial import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.arrival_cost import Late
 from ssp_lp.solution import Run, Solution
@@ -36,7 +36,7 @@ def least_quantile(
     kept: Trial | None = None
     while kept is None or (high - low > 1 and not late):
         middle = high if kept is None else (low + high) // 2
-        trial = attempt(question, Late(question.cost_of(middle)), options)
+        trial = question.attempt(Late(cost_of(question, middle)), options)
         calls += trial.calls
         if trial.value <= allowed(level):
             kept, high = trial, middle
@@ -50,12 +50,12 @@ def least_quantile(
         problem=problem,
         policy=kept.policy,
         objective=objective,
-        lower_bound=min(question.cost_of(refuted + 1), objective),
+        lower_bound=min(cost_of(question, refuted + 1), objective),
         failure_price=None,
         value_function=None,
         budget_used=1.0 - law.goal,
         run=Run(options.engine, f"bisection over cost bounds, {calls} pricing calls", calls, 0.0),
-        note=question.remarks(in_time=high - low <= 1),
+        note=remarks(question, in_time=high - low <= 1),
     )
 
 
@@ -63,12 +63,12 @@ def quantile_bound(
     question: Question, level: float, quantile: float, options: SolveOptions
 ) -> float:
     """Prove afresh that no policy has a lower quantile than this one; 0 if that fails."""
-    below = question.layer_of(quantile) - 1
+    below = layer_of(question, quantile) - 1
     if below < 0 or not is_refuted(
-        attempt(question, Late(question.cost_of(below)), options), level
+        question.attempt(Late(cost_of(question, below)), options), level
     ):
         return 0.0
-    return question.cost_of(below + 1)
+    return cost_of(question, below + 1)
 
 
 def allowed(level: float) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import SolveOptions
 from ssp_lp.methods.risk.quantile import least_quantile, quantile_bound
@@ -13,21 +12,18 @@ from ssp_lp.processes.layered.law_measure import CostQuantileOf, TailMeanOf
 from ssp_lp.solution import Solution
 
 
-def solve_for_risk(
-    problem: Problem, compiled: CompiledArrivalCost, options: SolveOptions
-) -> Solution:
+def solve_for_risk(problem: Problem, options: SolveOptions) -> Solution:
     """The least quantile, or the least conditional value at risk, of the cost given success.
 
     Args:
         problem: its measure says which, and at which level.
-        compiled: the accumulated-cost process, whose ratio is the cost given success.
         options: engine, tolerance and limits.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
         ModelError: another measure, or a table of costs that would be too large.
     """
-    question = pose(problem, compiled)
+    question = pose(problem)
     match problem.semantics.measure:
         case CostQuantileOf(level):
             return least_quantile(problem, question, level, options)
@@ -36,21 +32,18 @@ def solve_for_risk(
     raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
 
 
-def risk_bound(
-    problem: Problem, compiled: CompiledArrivalCost, attained: float, options: SolveOptions
-) -> tuple[float, float]:
+def risk_bound(problem: Problem, attained: float, options: SolveOptions) -> tuple[float, float]:
     """Prove a lower bound of the least risk afresh, from the model alone.
 
     Args:
         problem: the problem.
-        compiled: its process.
         attained: the risk of the policy in question.
         options: tolerance and limits.
 
     Returns:
         The bound, and the failure that is allowed.
     """
-    question = pose(problem, compiled)
+    question = pose(problem)
     match problem.semantics.measure:
         case CostQuantileOf(level):
             return quantile_bound(question, level, attained, options), question.allowed

@@ -12,11 +12,12 @@ at most level / (1 - level) of it; all that are dearer than the optimum because 
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.methods.refinement import SolveOptions
-from ssp_lp.methods.risk.trial import Question, Trial, attempt, charging, refuted_below
+from ssp_lp.methods.risk.trial import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.arrival_cost import Excess
@@ -35,6 +36,7 @@ class Best:
     layer: int  # the policy's quantile
     kappa: float  # price of failure
     calls: int
+    prices: Mapping[str, float]  # of constraints, by name
 
     @property
     def price(self) -> float:
@@ -54,20 +56,20 @@ class _Search:
 
     def charge(self, layer: int) -> Excess:
         """The integrand at a threshold."""
-        return Excess(layer, 1.0 - self.level, self.question.compiled.base.exact_unit)
+        return Excess(layer, 1.0 - self.level, self.question.base.exact_unit)
 
     def attempt(self, layer: int, best: Best | None, kappa: float = 0.0) -> tuple[Best, Trial]:
         """The better of the best so far and the best policy at a threshold, and the trial."""
-        trial = attempt(self.question, self.charge(layer), self.options, kappa)
+        trial = self.question.attempt(self.charge(layer), self.options, kappa)
         law = success_costs(trial.policy, self.problem)
         value = law.tail_mean(self.level)
-        quantile = self.question.layer_of(law.quantile(self.level))
+        quantile = layer_of(self.question, law.quantile(self.level))
         calls = trial.calls + (0 if best is None else best.calls)
         tied = _TIED if quantile == layer else -_TIED  # of equals the one whose z is its quantile
         if best is not None and value > best.value * (1.0 + tied):
             return replace(best, calls=calls), trial
         failure = 1.0 - law.goal
-        return Best(value, trial.policy, failure, quantile, trial.kappa, calls), trial
+        return Best(value, trial.policy, failure, quantile, trial.kappa, calls, trial.prices), trial
 
     def alternate(self, best: Best, bounds: dict[int, float]) -> Best:
         """Go on at the best policy's own quantile until its threshold has been tried.
@@ -99,9 +101,9 @@ class _Search:
         """
         question, least = self.question, best.value
         slope = self.level / (1.0 - self.level) if step > 0 else 1.0
-        kappa = best.kappa
+        kappa, prices = best.kappa, best.prices
         while layer >= 0:
-            if question.cost_of(layer) >= (target := self.target(best)):  # as F(z) >= z
+            if cost_of(question, layer) >= (target := self.target(best)):  # as F(z) >= z
                 if step > 0:
                     break
                 layer -= 1
@@ -109,13 +111,12 @@ class _Search:
             if not self._in_time:
                 return best, float("-inf")
             priced = max(kappa, target)
-            compiled = charging(question, self.charge(layer), priced)
-            here = refuted_below(question, compiled, priced, slack=kappa <= target)
+            here = question.refuted_below(self.charge(layer), priced, prices, slack=kappa <= target)
             if here < target:
                 best, trial = self.attempt(layer, best, kappa)
-                here, kappa = max(here, trial.lower_bound), trial.kappa
+                here, kappa, prices = max(here, trial.lower_bound), trial.kappa, trial.prices
             room = max(here - self.target(best), 0.0)
-            skipped = int(room / (slope * question.unit))
+            skipped = int(room / (slope * question.base.unit))
             least = min(least, here if skipped == 0 else self.target(best))
             layer += step * (1 + skipped)
         return best, min(least, self.target(best))
@@ -143,7 +144,8 @@ def least_tail_mean(
         value_function=None,
         budget_used=best.failure,
         run=Run(options.engine, reason, best.calls, 0.0),
-        note=question.remarks(in_time=in_time),
+        note=remarks(question, in_time=in_time),
+        prices=best.prices,
     )
 
 

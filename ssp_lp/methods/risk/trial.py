@@ -2,53 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from fractions import Fraction
+from typing import Protocol
 
 import numpy as np
 
+from ssp_lp.analysis.total_cost.cost_law import CostLaw, success_costs
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
+from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import SolveOptions, optimise
+from ssp_lp.methods.rows.optimum import Truth, rows_optimum
+from ssp_lp.methods.rows.proof import bound_at
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem
-from ssp_lp.processes.layered.arrival_cost import Charge
+from ssp_lp.problem import Problem, compiled_constrained, conditions_of
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.layered.arrival_cost import Charge, Excess, Late, TotalCost
+from ssp_lp.processes.quantities.rows import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
 _ROUNDING = 1e-14
 """A budget above the least failure by this share of the success is meant to be equal to it."""
-
-
-@dataclass(frozen=True, eq=False)
-class Question:
-    """The policies among which the least risk is sought."""
-
-    compiled: CompiledArrivalCost  # of the total cost
-    budget: float | None  # of failure; None: only policies of least failure
-    least: float  # the least failure
-    note: str = ""
-
-    def remarks(self, *, in_time: bool) -> str:
-        """The note, and whether time ran out."""
-        return "; ".join(told for told in (self.note, "" if in_time else CUT_SHORT) if told)
-
-    @property
-    def allowed(self) -> float:
-        """The failure that is allowed: the budget, or what is least."""
-        return self.least if self.budget is None else self.budget
-
-    @property
-    def unit(self) -> float:
-        """Cost of a layer."""
-        return self.compiled.base.unit
-
-    def cost_of(self, layer: int) -> float:
-        """The total cost of so many layers, as the nearest float."""
-        return float(layer * self.compiled.base.exact_unit)
-
-    def layer_of(self, cost: float) -> int:
-        """The layer of a total cost."""
-        return round(cost / self.unit)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,79 +38,224 @@ class Trial:
     policy: MixedPolicy
     kappa: float  # price of failure at the optimum
     calls: int
+    prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
 
 
-def pose(problem: Problem, compiled: CompiledArrivalCost) -> Question:
+class Question(Protocol):
+    """The policies among which the least risk is sought."""
+
+    @property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        ...
+
+    @property
+    def budget(self) -> float | None:
+        """Of failure; None: only policies of least failure."""
+        ...
+
+    @property
+    def allowed(self) -> float:
+        """The failure that is allowed: the budget, or what is least."""
+        ...
+
+    @property
+    def note(self) -> str:
+        """What a reader should know."""
+        ...
+
+    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+        """Minimise E[charge | goal].
+
+        Args:
+            charge: of the total cost.
+            options: engine, tolerance and limits.
+            kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
+        """
+        ...
+
+    def refuted_below(
+        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> float:
+        """A lower bound of E[charge | goal] at a guess of what failing is worth.
+
+        Args:
+            charge: of the total cost.
+            kappa: the guess.
+            prices: guesses of the multipliers of further rows, by name.
+            slack: the budget is thought to be slack: success is counted rather than failure, which
+                is exact where it is best to fail.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class WithinBudget:
+    """Failure alone is limited."""
+
+    compiled: CompiledArrivalCost  # of the total cost
+    budget: float | None  # of failure; None: only policies of least failure
+    least: float  # the least failure
+    note: str = ""
+
+    @property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        return self.compiled.base
+
+    @property
+    def allowed(self) -> float:
+        """The failure that is allowed: the budget, or what is least."""
+        return self.least if self.budget is None else self.budget
+
+    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+        """Minimise E[charge | goal] by one search."""
+        compiled = self._charging(charge, kappa)
+        if self.budget is None:
+            pricing = compiled.pricing()
+            column = pricing.minimise(0.0)
+            policy = MixedPolicy((pricing.policy(column),), np.ones(1))
+            value = column.cost / column.goal
+            return Trial(value, min(self._bound(compiled, 0.0), value), policy, 0.0, 2)
+        outcome = optimise(compiled, self.budget, options)
+        found = outcome.found
+        return Trial(
+            found.objective, found.lower_bound, outcome.lottery, found.price, outcome.calls
+        )
+
+    def refuted_below(
+        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> float:
+        """One sweep's bound; policies of least failure all fail alike: there no price matters."""
+        return self._bound(self._charging(charge, kappa), kappa, slack=slack)
+
+    def _charging(self, charge: Charge, kappa: float) -> CompiledArrivalCost:
+        """The process with a charge, as large as a price of failure asks for."""
+        compiled = self.compiled.charging(charge)
+        if kappa <= 0.0 or self.budget is None:
+            return compiled
+        return self.compiled.charging(charge, compiled.lossless_layers(kappa))
+
+    def _bound(self, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False) -> float:
+        """One sweep's bound at a price of failure."""
+        if self.budget is None:
+            proof = compiled.pricing().best_bound(0.0)
+            return max(proof.bound, 0.0) / min(float(compiled.start @ compiled.greatest.bound), 1.0)
+        return Row(self.budget, ratio=True).lower_bound(
+            compiled.pricing().best_bound(kappa, slack=slack)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class WithinRows:
+    """Other quantities are limited, too."""
+
+    problem: Problem
+    compiled: CompiledConstrained  # of the total cost
+
+    @property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        return self.compiled.base
+
+    @property
+    def budget(self) -> float | None:
+        """Of failure; None: only policies of least failure."""
+        return self.compiled.budget
+
+    @property
+    def allowed(self) -> float:
+        """The failure that is allowed: the budget, or what is least."""
+        if self.budget is not None:
+            return self.budget
+        return max(1.0 - self.compiled.least_goal, 0.0)
+
+    @property
+    def note(self) -> str:
+        """Nothing."""
+        return ""
+
+    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+        """Minimise E[charge | goal] by column generation with all rows."""
+        del kappa  # the table grows until its gap is closed
+        found = rows_optimum(self.compiled.charging(charge), options, self._truth(charge))
+        failing = found.prices.get(FAILURE_ROW, 0.0) + found.value
+        return Trial(found.value, found.bound, found.policy, failing, found.calls, found.prices)
+
+    def refuted_below(
+        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> float:
+        """The bound at the prices of another charge's optimum."""
+        del slack
+        ratio = kappa - prices.get(FAILURE_ROW, 0.0)
+        return bound_at(self.compiled.charging(charge), prices, ratio)
+
+    def _truth(self, charge: Charge) -> Truth:
+        """The charge of a lottery given success, by the law of its total cost."""
+
+        def value(policy: MixedPolicy) -> float:
+            law = success_costs(policy, self.problem)
+            return _expected(charge, law, self.base.exact_unit) / law.goal
+
+        return value
+
+
+def _expected(charge: Charge, law: CostLaw, unit: Fraction) -> float:
+    """E[charge; goal].
+
+    Raises:
+        ModelError: no charge of a risk.
+    """
+    match charge:
+        case TotalCost():
+            return law.cost
+        case Late(bound):
+            return law.goal - law.within(bound)
+        case Excess(threshold, share):
+            value = float(threshold * unit)
+            return value * law.goal + law.excess(value) / share
+    raise ModelError(f"{charge!r} is no charge of a risk")
+
+
+def pose(problem: Problem) -> Question:
     """Check the budget, and say which policies count.
 
     A budget above the least failure by no more than rounding counts as equal to it.
 
     Args:
-        problem: says the budget.
-        compiled: the accumulated-cost process, whose ratio is the cost given success.
+        problem: a criterion given success.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
+        ModelError: the problem is not compiled to accumulated costs.
     """
-    budget = problem.failure_budget
+    if conditions_of(problem):
+        return WithinRows(problem, compiled_constrained(problem).settled())
+    compiled, budget = problem.compile(), problem.failure_budget
+    if not isinstance(compiled, CompiledArrivalCost):
+        raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
     column = checked_least_failure(compiled, budget).column
     least = column.failure
     if budget is not None and budget > least + _ROUNDING * column.goal:
-        return Question(compiled, budget, least)
+        return WithinBudget(compiled, budget, least)
     note = ""
     if budget is not None and budget != least:
         side = "below" if budget < least else "above"
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return Question(compiled.safest(), None, least, note)
+    return WithinBudget(compiled.safest(), None, least, note)
 
 
-def attempt(question: Question, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
-    """Minimise E[charge | goal].
-
-    Args:
-        question: the policies that count.
-        charge: of the total cost.
-        options: engine, tolerance and limits.
-        kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
-    """
-    compiled = charging(question, charge, kappa)
-    if question.budget is None:
-        pricing = compiled.pricing()
-        column = pricing.minimise(0.0)
-        policy = MixedPolicy((pricing.policy(column),), np.ones(1))
-        value = column.cost / column.goal
-        return Trial(value, min(refuted_below(question, compiled, 0.0), value), policy, 0.0, 2)
-    outcome = optimise(compiled, question.budget, options)
-    found = outcome.found
-    return Trial(found.objective, found.lower_bound, outcome.lottery, found.price, outcome.calls)
+def cost_of(question: Question, layer: int) -> float:
+    """The total cost of so many layers, as the nearest float."""
+    return float(layer * question.base.exact_unit)
 
 
-def charging(question: Question, charge: Charge, kappa: float) -> CompiledArrivalCost:
-    """The process with a charge, as large as a price of failure asks for."""
-    compiled = question.compiled.charging(charge)
-    if kappa <= 0.0 or question.budget is None:
-        return compiled
-    return question.compiled.charging(charge, compiled.lossless_layers(kappa))
+def layer_of(question: Question, cost: float) -> int:
+    """The layer of a total cost."""
+    return round(cost / question.base.unit)
 
 
-def refuted_below(
-    question: Question, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False
-) -> float:
-    """One sweep's lower bound of E[charge | goal], at a guess of the price of failure.
-
-    Policies of least failure all fail alike: there the price is 0, whatever the guess.
-
-    Args:
-        question: the policies that count.
-        compiled: with the charge.
-        kappa: the guess.
-        slack: the budget is thought to be slack: success is counted rather than failure, which
-            is exact where it is best to fail.
-    """
-    if question.budget is None:
-        proof = compiled.pricing().best_bound(0.0)
-        return max(proof.bound, 0.0) / min(float(compiled.start @ compiled.greatest.bound), 1.0)
-    return Row(question.budget, ratio=True).lower_bound(
-        compiled.pricing().best_bound(kappa, slack=slack)
-    )
+def remarks(question: Question, *, in_time: bool) -> str:
+    """The note, and whether time ran out."""
+    return "; ".join(told for told in (question.note, "" if in_time else CUT_SHORT) if told)

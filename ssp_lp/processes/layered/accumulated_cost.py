@@ -89,6 +89,7 @@ def accumulate_cost(
     *,
     arrivals: bool = False,
     usable: BoolArray | None = None,
+    also_free: BoolArray | None = None,
 ) -> AccumulatedCost:
     """Build the process of case S.
 
@@ -100,12 +101,15 @@ def accumulate_cost(
             of the total cost can be charged.
         usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
             the second stage of a least-failure problem (mathematics, section 4).
+        also_free: pairs that are free in everything else that counts, [model pairs]; None: all.
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
     survival = survival_of(discount)
     free = costless_pairs(model) if discount is None else None
+    if free is not None and also_free is not None:
+        free = free & also_free
     exits = attention_states(model) if usable is None else None
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0

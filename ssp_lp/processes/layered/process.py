@@ -6,13 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Charge, TailValues, TotalCost
+from ssp_lp.processes.layered.arrival_charges import ArrivalCharges
+from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Charge, TailValues
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,10 +62,6 @@ class Tails:
         return np.where(saved > 0, layer, np.where(owed < 0, -np.inf, np.inf))
 
 
-_TABLE = 1_000_000
-"""Charges, layers x pairs or x layers of a step, that are worked out together."""
-
-
 @dataclass(frozen=True, eq=False)
 class LayeredProcess:
     """States (node, layer) for layers below ``cap``; beyond it a policy follows a tail for good."""
@@ -76,41 +72,23 @@ class LayeredProcess:
     charge: Charge = TOTAL_COST
 
     @cached_property
-    def _growth(self) -> FloatArray:
-        """What a layer adds to the charge of each pair in case S, [pairs]."""
-        return np.asarray(self.base.gain * self.base.unit)
+    def _charges(self) -> ArrivalCharges:
+        """What arriving is charged from each layer."""
+        return ArrivalCharges(self.base, self.charge, self.cap)
 
     @property
     def grows_evenly(self) -> bool:
         """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
-        return isinstance(self.charge, TotalCost)
+        return self._charges.grow_evenly
 
     def charged(self, layer: int) -> PairCost:
         """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
-        base = self.base
-        if self.grows_evenly or base.arrivals is None:
-            return PairCost(base.gain_cost, self._growth, float(layer))
-        size = max(_TABLE // max(*base.arrivals.shape, 1), 1)
-        block, place = divmod(layer, size)
-        if block not in self._charges:
-            width, layers = base.arrivals.shape[1], min(size, self.cap)
-            ahead = block * size + np.arange(layers + width - 1)
-            windows = sliding_window_view(self.charge.at(ahead, base.exact_unit), width)
-            self._charges.clear()
-            self._charges[block] = np.ascontiguousarray((base.arrivals @ windows.T).T)
-        return PairCost(self._charges[block][place])
-
-    @cached_property
-    def _charges(self) -> dict[int, FloatArray]:
-        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
-        return {}
+        return self._charges.from_layer(layer)
 
     @property
     def start_charge(self) -> float:
         """Charge of the start mass that lies on goals."""
-        base = self.base
-        at_once = float(self.charge.at(np.zeros(1, dtype=np.int64), base.exact_unit)[0])
-        return base.start_goal * at_once
+        return self._charges.at_start
 
     def threshold(self, price: float) -> FloatArray:
         """Layer from which the last tail is followed at a price of failure, [nodes].

@@ -12,12 +12,18 @@ _ROUNDING = 1e-9  # of the greatest coefficient: a solver's tolerance
 
 
 @dataclass(frozen=True, eq=False)
-class Constraint:
+class ProgramRow:
     """``<coefficients, x> <= bound``: a quantity of the visits and how much of it is allowed."""
 
     name: str
     coefficients: FloatArray  # [pairs]
     bound: float
+    told: str = ""  # what is bounded, in words; empty: the name
+
+    @property
+    def words(self) -> str:
+        """What is bounded, in words."""
+        return self.told or self.name
 
     @property
     def largest(self) -> float:

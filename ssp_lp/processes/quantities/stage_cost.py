@@ -1,96 +1,64 @@
-"""Secondary costs with upper bounds: the side rows of a constrained problem (C-SSP).
-
-A secondary cost is counted exactly as the model's own cost is: it is the own cost of the same
-model with other costs. So whatever measures the one measures the other.
-"""
+"""Secondary costs as users state them, spread over the outcomes of a model and checked."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import dataclass
 from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BoolArray, FloatArray, read_only
+from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.processes.expectations import costless_pairs
-
-FAILURE_ROW = "failure"
-"""Name of the row of the failure budget; no secondary cost may bear it."""
-
-RESERVED = {
-    FAILURE_ROW: "the failure budget",
-    "balance": "the rows of flow balance",
-    "normaliser": "the row that makes a ratio linear",
-}
-"""Names of rows that every program has."""
-
-NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
+from ssp_lp.processes.quantities.quantity import Constraint, NestedCosts, secondary_cost
 
 
 @dataclass(frozen=True, eq=False)
 class CostLimit:
-    """An upper bound on the expected total of a secondary cost.
+    """An upper bound on the expected total of a secondary cost: ``secondary_cost(cost) <= bound``.
 
     Args:
         cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
             [pairs], or [outcomes].
-        bound: the largest expected total, in the unit of the cost.
+        bound: the largest expected total, in the unit of the cost, >= 0.
     """
 
     cost: NestedCosts | npt.ArrayLike
     bound: float
 
 
-@dataclass(frozen=True, eq=False)
-class SideRow:
-    """A secondary cost of a model, checked, by outcome."""
-
-    name: str
-    model: SSP  # the model with the secondary cost in place of its own
-    bound: float
-
-    @property
-    def costs(self) -> FloatArray:
-        """The secondary cost, [outcomes]."""
-        return self.model.costs
-
-    @cached_property
-    def free(self) -> BoolArray:
-        """Pairs that cost nothing in it, [pairs]."""
-        return costless_pairs(self.model)
-
-
-def side_rows(model: SSP, limits: Mapping[str, CostLimit]) -> tuple[SideRow, ...]:
-    """Check limits and spread their costs over the outcomes of a model.
-
-    Args:
-        model: the model.
-        limits: name -> limit.
+def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
+    """Limits of secondary costs as constraints.
 
     Raises:
-        ModelError: a name that is no text or is reserved, a bound or a cost that is not a finite
-            number >= 0, an array of the wrong length, an unknown state or action.
+        ModelError: no mapping, no limit, or a bound that is not a finite number >= 0.
     """
     if not isinstance(limits, Mapping):
         raise ModelError(f"limits must be {{name: CostLimit(cost, bound)}}, not {limits!r}")
-    return tuple(_side_row(model, name, limit) for name, limit in limits.items())
+    for name, limit in limits.items():
+        if not isinstance(limit, CostLimit):
+            raise ModelError(f"limit {name!r} must be CostLimit(cost, bound), not {limit!r}")
+        if not is_amount(limit.bound):
+            raise ModelError(
+                f"the bound of limit {name!r} must be finite and >= 0: {limit.bound!r}"
+            )
+    return {name: secondary_cost(limit.cost) <= limit.bound for name, limit in limits.items()}
 
 
-def _side_row(model: SSP, name: str, limit: CostLimit) -> SideRow:
-    if not isinstance(name, str) or not name:
-        raise ModelError(f"the name of a limit must be a word, not {name!r}")
-    if name in RESERVED:
-        raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
-    if not isinstance(limit, CostLimit):
-        raise ModelError(f"limit {name!r} must be CostLimit(cost, bound), not {limit!r}")
-    if not _is_amount(limit.bound):
-        raise ModelError(f"the bound of limit {name!r} must be finite and >= 0: {limit.bound!r}")
-    cost = limit.cost
+def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> FloatArray:
+    """A cost by outcome, [outcomes].
+
+    Args:
+        model: the model.
+        name: of the limit, for errors.
+        cost: ``{state: {action: cost}}``, or an array, [pairs] or [outcomes].
+
+    Raises:
+        ModelError: a cost that is not a finite number >= 0, an array of the wrong length, an
+            unknown state or action.
+    """
     if isinstance(cost, Mapping):
         given = np.repeat(_listed(model, name, cost), np.diff(model.outcome_offsets))
     else:
@@ -104,11 +72,10 @@ def _side_row(model: SSP, name: str, limit: CostLimit) -> SideRow:
             f"limit {name!r}, {model.describe_pair(pair)}: the cost must be finite and >= 0, not "
             f"{float(costs[outcome])!r}"
         )
-    other = replace(model, costs=costs, exact_costs={})
-    return SideRow(name, other, float(limit.bound))
+    return costs
 
 
-def _is_amount(value: object) -> bool:
+def is_amount(value: object) -> bool:
     """Whether a value is a finite number >= 0, and no integer beyond all floats."""
     if not isinstance(value, Real):
         return False
@@ -134,7 +101,7 @@ def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
         for action, value in actions.items():
             if action not in pair_of:
                 raise ModelError(f"limit {name!r}: state {state!r} has no action {action!r}")
-            if not _is_amount(value):
+            if not is_amount(value):
                 raise ModelError(
                     f"limit {name!r}, action {action!r} of state {state!r}: the cost must be "
                     f"finite and >= 0, not {value!r}"

@@ -1,0 +1,90 @@
+"""What a policy's chain makes of costs, visits and ends: each quantity that a problem speaks of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ssp_lp.analysis.chain import Chain, reaching
+from ssp_lp.analysis.failure_costs import give_up_costs, lost_costs
+from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.problem import Problem, conditions_of
+from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
+from ssp_lp.processes.quantities.rows import Steps, Term
+
+
+def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArray:
+    """Nodes at which failure has not been declared, [nodes].
+
+    That is where the goal can still be reached; but where a constraint asks for another end, a
+    policy on its way there has not failed until it arrives or gives up.
+    """
+    if not any(condition.wants_ends for condition in conditions_of(problem)):
+        return hopeful
+    return reaching(chain, (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
+
+
+def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
+    """The value of each constrained quantity, counted as the cost is."""
+    survival = survival_of(problem.discount)
+    return {
+        condition.name: condition.constant
+        + sum(w * _value(chain, counted, problem, term, survival) for w, term in condition.terms)
+        for condition in conditions_of(problem)
+    }
+
+
+def _value(
+    chain: Chain, counted: BoolArray, problem: Problem, term: Term, survival: float
+) -> float:
+    """One term: a cost on the same chain, visits as a cost of arriving, or a way to end."""
+    if isinstance(term, Steps):
+        other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
+        return until_failure(other, counted, problem.semantics, survival)
+    there = term.states[chain.state].astype(np.float64)
+    if not term.final:
+        entering = replace(chain, cost=survival * there[chain.target])
+        plain = FailureSemantics(problem.semantics.give_up)
+        return until_failure(entering, counted, plain, survival)
+    ended = ending(chain, there[:, None], survival)[0]
+    return complement(ended) if term.others else ended
+
+
+def ending(chain: Chain, at_end: FloatArray, survival: float) -> FloatArray:
+    """Probability of ending in some nodes, discounted, [ways].
+
+    Args:
+        chain: the chain.
+        at_end: which goals and dead-ends belong to each way, [nodes, ways].
+        survival: the discount.
+    """
+    final = (chain.goal > 0) | (chain.dead > 0)
+    settling = reaching(chain, final | (chain.give_up > 0)) & ~final
+    hits = survival * (chain.matrix @ at_end)
+    totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
+    return np.asarray(chain.start @ (totals + at_end))
+
+
+def until_failure(
+    chain: Chain, hopeful: BoolArray, semantics: FailureSemantics, survival: float
+) -> float:
+    """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs."""
+    lost = lost_costs(chain, hopeful, semantics, survival)
+    if semantics.forbids_failing:
+        lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
+    charged = chain.give_up * give_up_costs(chain, semantics)
+    endless = np.isinf(lost)
+    if endless.any() and (chain.start[reaching(chain, endless)] > 0).any():
+        return float("inf")
+    lost = np.where(endless, 0.0, lost)
+    alive = hopeful & (chain.goal == 0) & (chain.dead == 0)
+    stage = chain.per_node(chain.cost) + charged + survival * (chain.matrix @ lost)
+    return float(
+        chain.start @ (lost + chain.accumulate(np.where(alive, stage, 0.0), alive, survival))
+    )
+
+
+def complement(probability: float) -> float:
+    """1 less a probability, within [0, 1]."""
+    return min(max(1.0 - probability, 0.0), 1.0)

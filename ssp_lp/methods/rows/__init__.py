@@ -1,0 +1,1 @@
+"""Several rows at once: phase 1, the search, its proof, and the solution."""

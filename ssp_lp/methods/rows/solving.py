@@ -1,0 +1,94 @@
+"""From a problem with rows to its solution."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
+from ssp_lp.errors import ModelError
+from ssp_lp.methods.refinement import SolveOptions
+from ssp_lp.methods.rows.optimum import RowsOptimum, Truth, rows_optimum
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.problem import Problem, compiled_constrained
+from ssp_lp.processes.quantities.rows import FAILURE_ROW
+from ssp_lp.solution import Run, Solution
+
+
+def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
+    """Solve a problem with constraints beside its failure budget.
+
+    Args:
+        problem: the problem; no measure of risk.
+        options: engine, tolerance and limits.
+
+    Raises:
+        InfeasibleError: no policy keeps to the failure budget and the limits; names the smallest
+            conflict that was found.
+        SolverError: the time ran out before any such policy was found, or the linear program's
+            answer fails its check.
+    """
+    found = optimum_of(problem, compiled_constrained(problem), options)
+    return _solution(problem, found, options)
+
+
+def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
+    """The best lottery within all rows, its value taken from its own evaluation."""
+    return rows_optimum(stated, options, _truth(problem, stated))
+
+
+def check_options(problem: Problem, options: SolveOptions) -> None:
+    """Check that engine and backend go with rows.
+
+    Raises:
+        ModelError: they do not.
+    """
+    name = type(problem).__name__
+    if options.engine == "game":
+        raise ModelError(f"engine='game' knows one row only, not {name}: take 'columns' or 'lp'")
+    if options.backend == "highs-warm":
+        raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
+
+
+def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
+    """The true value of a lottery, where the process truncates it."""
+    if stated.charge is None:
+        return None
+
+    def value(policy: MixedPolicy) -> float:
+        attained = evaluate(policy, problem).objective
+        return attained if stated.constant is None else stated.constant - attained
+
+    return value
+
+
+def _solution(problem: Problem, found: RowsOptimum, options: SolveOptions) -> Solution:
+    """The optimum in the problem's own terms."""
+    compiled = found.compiled
+    many = int(np.isfinite(compiled.bounds).sum())
+    reason = f"column generation with {many} rows, {found.calls} pricing calls"
+    if found.program:
+        reason = f"the full linear program, as asked, then {reason}"
+    if compiled.charge is not None:
+        reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
+    objective, bound = compiled.worth(found.value), compiled.worth(found.bound)
+    maximised = compiled.constant is not None
+    return Solution(
+        problem=problem,
+        policy=found.policy,
+        objective=objective,
+        lower_bound=objective if maximised else bound,
+        failure_price=failure_price(problem, found.prices),
+        value_function=found.values,
+        budget_used=found.failure,
+        run=Run(options.engine, reason, found.calls, 0.0, found.work, found.program),
+        note=found.note,
+        upper_bound=bound if maximised else None,
+        prices=found.prices,
+    )
+
+
+def failure_price(problem: Problem, prices: dict[str, float]) -> float | None:
+    """The multiplier of the failure row, and the penalty; None at least failure."""
+    price = prices.get(FAILURE_ROW)
+    return None if price is None else price + problem.semantics.penalty

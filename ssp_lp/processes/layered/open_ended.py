@@ -1,0 +1,122 @@
+"""The accumulated-cost process written out up to a cap, and one place for all costs beyond it.
+
+Beyond the cap a policy goes on as it likes, but does not count the cost any more: arriving there is
+charged as if the cap had just been reached. That is too little, so that the least objective bounds
+every policy's from below; everything else (failing, visits, secondary costs, ends) is exact. As
+every policy of this process is one of the model, too, its true objective bounds the optimum from
+above, and the two meet as the cap grows (paper, section 3.5, with a tail that is free to choose).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.processes.counting import Counting
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.failure_semantics import FailureSemantics
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.layered.arrival_charges import ArrivalCharges
+from ssp_lp.processes.layered.arrival_cost import Charge
+
+
+@dataclass(frozen=True, eq=False)
+class OpenEnded:
+    """States (node, layer) below the cap, then the nodes beyond it, then the source."""
+
+    base: AccumulatedCost
+    charge: Charge
+    shift: float  # what every episode is charged on top
+    cap: int  # layers told apart, at least 1
+    start: FloatArray  # [states]
+
+    @property
+    def n_nodes(self) -> int:
+        """States of one layer."""
+        return self.base.n_nodes
+
+    @cached_property
+    def process(self) -> ExplicitProcess:
+        """All layers written out."""
+        base, n, copies = self.base, self.n_nodes, self.cap + 1
+        counts = np.append(np.tile(np.diff(base.pair_offsets), copies), 1)
+        start = np.zeros(copies * n + 1)
+        start[-1] = 1.0
+        entry = sp.csr_array(np.append(base.start, np.zeros(len(start) - n))[None, :])
+        return ExplicitProcess(
+            pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+            transitions=sp.csr_array(sp.vstack([self._steps(len(start)), entry])),
+            start=start,
+            cost=self._cost(),
+            failure=self.everywhere(base.failure, base.start_failure),
+            goal=self.everywhere(base.survival * base.gain, base.start_goal),
+        )
+
+    def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
+        """What does not depend on the accumulated cost, at all pairs of the process.
+
+        Args:
+            per_pair: [pairs of a layer].
+            at_source: at the only pair of the source.
+        """
+        return np.append(np.tile(per_pair, self.cap + 1), at_source)
+
+    def counting(self) -> Counting:
+        """How anything else is counted at the pairs of a layer."""
+        base = self.base
+        goal, semantics = base.survival * base.gain, FailureSemantics()
+        return Counting(
+            base.quotient, base.departs, goal, base.failure, self.start, semantics, base.survival
+        )
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """One decision for each state and accumulated cost, the last for all beyond the cap.
+
+        Args:
+            choice: one pair of each state of the process, [process states].
+        """
+        base, n = self.base, self.n_nodes
+        quotient, model = base.quotient, base.quotient.model
+        inner = choice[: (self.cap + 1) * n].reshape(-1, n) % max(len(base.gain), 1)
+        pairs = [quotient.pull_back(layer) for layer in inner]
+        most = int(np.diff(model.pair_offsets).max(initial=1))
+        decision = np.empty((self.cap, model.n_states), dtype=least_integer_type(most))
+        for layer, pair in enumerate(pairs[:-1]):
+            decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
+        never = np.full(model.n_states, np.inf)
+        return CostAwarePolicy(model, base.unit, decision, pairs[-1][None, :], never)
+
+    def nearer_goal(self) -> None:
+        """Has to be found on the process itself."""
+        return
+
+    def _cost(self) -> FloatArray:
+        """Charges of arriving, with the shift, [process pairs]."""
+        base = self.base
+        charges = ArrivalCharges(base, self.charge, self.cap + 1)
+        layers = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
+        ends = base.survival * base.gain + base.failure
+        cost = np.concatenate(layers) + self.shift * np.tile(ends, self.cap + 1)
+        started = charges.at_start + self.shift * (base.start_goal + base.start_failure)
+        return np.append(cost, started)
+
+    def _steps(self, n_states: int) -> sp.csr_array:
+        """Transitions of the pairs of all layers; whatever passes the cap stays beyond it."""
+        base, n, copies = self.base, self.n_nodes, self.cap + 1
+        steps = sp.csr_array(base.steps)
+        ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
+        layer = np.arange(copies)[:, None]
+        columns = np.minimum(layer + ahead, self.cap) * n + node
+        row_ends = np.append(0, layer * steps.nnz + steps.indptr[1:])
+        index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
+        matrix = sp.csr_array(
+            (np.tile(steps.data, copies), columns.ravel().astype(index), row_ends.astype(index)),
+            shape=(copies * len(base.gain), n_states),
+        )
+        matrix.sum_duplicates()
+        return matrix

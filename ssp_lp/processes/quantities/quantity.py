@@ -1,0 +1,165 @@
+"""What can be counted and limited: named linear functionals of an occupation measure.
+
+A quantity says what it counts in the model's own words; what it is at the pairs of an augmented
+process is worked out when a problem is stated (``processes.quantities.rows``). Quantities add and
+scale, and comparing one with a number makes a constraint:
+
+    secondary_cost(fuel) + 2.0 * visits("ward") <= 12.0
+    end_probability("wall") >= 0.1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy.typing as npt
+
+from ssp_lp.errors import ModelError
+
+NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
+
+
+@dataclass(frozen=True, eq=False)
+class StageCosts:
+    """A cost of steps: None: the model's own; else by pair, by outcome, or nested dicts."""
+
+    cost: NestedCosts | npt.ArrayLike | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Visits:
+    """How often some states are entered or started in; names are states or labels of states."""
+
+    of: tuple[Hashable, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """The probability of ending in one of several ways, or, as ``others``, in none of them."""
+
+    ways: tuple[Hashable, ...]
+    others: bool = False
+
+
+Counted = StageCosts | Visits | Ends
+
+
+@dataclass(frozen=True, eq=False)
+class Quantity:
+    """A weighted sum of what is counted, and a constant."""
+
+    terms: tuple[tuple[float, Counted], ...]
+    constant: float = 0.0
+
+    def __add__(self, other: Quantity | float) -> Quantity:
+        """The sum."""
+        if isinstance(other, Quantity):
+            return Quantity(self.terms + other.terms, self.constant + other.constant)
+        return Quantity(self.terms, self.constant + _number(other))
+
+    def __mul__(self, factor: float) -> Quantity:
+        """The multiple."""
+        times = _number(factor)
+        terms = tuple((weight * times, counted) for weight, counted in self.terms)
+        return Quantity(terms, self.constant * times)
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __neg__(self) -> Quantity:
+        """The opposite."""
+        return self * -1.0
+
+    def __sub__(self, other: Quantity | float) -> Quantity:
+        """The difference."""
+        return self + (-other)
+
+    def __rsub__(self, other: float) -> Quantity:
+        """The difference."""
+        return -self + other
+
+    def __le__(self, bound: float) -> Constraint:
+        """At most a number."""
+        return Constraint(self, upper=_number(bound))
+
+    def __ge__(self, bound: float) -> Constraint:
+        """At least a number."""
+        return Constraint(self, lower=_number(bound))
+
+    def __eq__(self, value: float) -> Constraint:  # type: ignore[override]
+        """Exactly a number."""
+        return Constraint(self, lower=_number(value), upper=_number(value))
+
+
+@dataclass(frozen=True, eq=False)
+class Constraint:
+    """A quantity with bounds."""
+
+    quantity: Quantity
+    lower: float | None = None
+    upper: float | None = None
+
+    def __bool__(self) -> bool:
+        """Refused: ``0.1 <= quantity <= 0.2`` would silently drop its first half.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError("a constraint has no truth value: state two, each under its own name")
+
+
+def expected_cost() -> Quantity:
+    """The model's own expected total cost, counted as the criterion counts costs."""
+    return Quantity(((1.0, StageCosts()),))
+
+
+def secondary_cost(cost: NestedCosts | npt.ArrayLike) -> Quantity:
+    """The expected total of another cost, counted as the model's own is.
+
+    Args:
+        cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
+            [pairs], or [outcomes]; finite and >= 0.
+    """
+    return Quantity(((1.0, StageCosts(cost)),))
+
+
+def visits(*states: Hashable) -> Quantity:
+    """How often some states are entered or started in, in expectation; staying counts each time.
+
+    Args:
+        states: states, or labels of states.
+    """
+    return Quantity(((1.0, Visits(states)),))
+
+
+def end_probability(*ways: Hashable) -> Quantity:
+    """The probability that an episode ends in one of some ways.
+
+    Args:
+        ways: "goal", a label of dead-ends, "dead_end" (one without a label), as in the ``ends`` of
+            reports; or a state at which episodes end.
+    """
+    return Quantity(((1.0, Ends(ways)),))
+
+
+def goal_probability() -> Quantity:
+    """The probability of reaching the goal."""
+    return end_probability("goal")
+
+
+def failure_probability() -> Quantity:
+    """The probability of never reaching the goal."""
+    return Quantity(((1.0, Ends(("goal",), others=True)),))
+
+
+def _number(value: object) -> float:
+    if isinstance(value, Real):
+        try:
+            number = float(value)
+        except OverflowError:
+            number = float("inf")
+        if float("-inf") < number < float("inf"):
+            return number
+    raise ModelError(f"a quantity goes with finite numbers, not with {value!r}")

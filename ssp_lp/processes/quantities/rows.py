@@ -1,0 +1,285 @@
+"""Constraints on a model, checked, and the rows of a program that they become.
+
+Every row reads ``<coefficients, x> <= bound`` with coefficients >= 0, so that every price of it
+makes a cost: a lower bound on a probability is an upper bound on its complement. Visits and costs
+have no upper limit of their own, so that nothing bounds them from below in this form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import pairs_into
+from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.processes.counting import Counting
+from ssp_lp.processes.expectations import costless_pairs
+from ssp_lp.processes.quantities.quantity import Constraint, Counted, Ends, StageCosts, Visits
+from ssp_lp.processes.quantities.stage_cost import outcome_costs
+
+FAILURE_ROW = "failure"
+"""Name of the row of the failure budget; no other constraint may bear it."""
+
+RESERVED = {
+    FAILURE_ROW: "the failure budget",
+    "balance": "the rows of flow balance",
+    "normaliser": "the row that makes a ratio linear",
+}
+"""Names of rows that every program has."""
+
+
+@dataclass(frozen=True, eq=False)
+class Steps:
+    """A cost of steps: that of a model which has it in place of its own."""
+
+    model: SSP
+
+    @property
+    def free(self) -> BoolArray:
+        """Pairs that never cost anything, [pairs]."""
+        return costless_pairs(self.model)
+
+    def at(self, counting: Counting) -> tuple[FloatArray, float]:
+        """The cost, [pairs], and at the source."""
+        return counting.cost(self.model)
+
+
+@dataclass(frozen=True, eq=False)
+class Arrivals:
+    """Arrivals in some states, the start counted; or, as ``others``, endings anywhere else."""
+
+    model: SSP
+    states: BoolArray  # [states]
+    final: bool = False  # episodes end in all of them
+    others: bool = False
+
+    @property
+    def free(self) -> BoolArray:
+        """Pairs that never lead there, [pairs]; endings are no steps."""
+        if self.final:
+            return np.ones(self.model.n_pairs, dtype=np.bool_)
+        return ~pairs_into(self.model, self.states)
+
+    def at(self, counting: Counting) -> tuple[FloatArray, float]:
+        """Their probability, [pairs], and at the source."""
+        if self.others:
+            return counting.other_endings(self.states)
+        return counting.arrivals(self.states)
+
+
+Term = Steps | Arrivals
+
+
+@dataclass(frozen=True, eq=False)
+class UpperRow:
+    """``<coefficients, x> <= bound``: terms with weights > 0 and a constant >= 0."""
+
+    name: str
+    told: str  # what is bounded, in words
+    terms: tuple[tuple[float, Term], ...]
+    constant: float
+    bound: float
+    condition: Condition
+    sign: float  # the row is ``offset + sign * quantity``
+    offset: float
+
+    @cached_property
+    def free(self) -> BoolArray:
+        """Pairs of the model that add nothing to it, [pairs]."""
+        result = np.ones(self.condition.model.n_pairs, dtype=np.bool_)
+        for _, term in self.terms:
+            result &= term.free
+        return result
+
+    def activity(self, value: float) -> float:
+        """What the row takes where the quantity has a value."""
+        return self.offset + self.sign * value
+
+    def at(self, counting: Counting) -> tuple[FloatArray, float]:
+        """Its coefficient at each pair, [pairs], and at the source."""
+        constant = np.zeros(len(counting.goal)), 0.0
+        if self.constant > 0.0:
+            constant = counting.endings()
+        row, source = self.constant * constant[0], self.constant * constant[1]
+        for weight, term in self.terms:
+            pairs, there = term.at(counting)
+            row, source = row + weight * pairs, source + weight * there
+        return row, source
+
+
+@dataclass(frozen=True, eq=False)
+class Condition:
+    """A constraint whose words have been looked up in a model."""
+
+    name: str
+    model: SSP
+    terms: tuple[tuple[float, Term], ...]
+    constant: float  # what the quantity is at the start already
+    lower: float | None
+    upper: float | None
+
+    @property
+    def wants_ends(self) -> bool:
+        """Whether it asks for an end other than the goal.
+
+        A policy on its way to such an end has not failed before it is there, though it will not
+        reach the goal any more.
+        """
+        goal = self.model.goal_mask
+        return any(
+            isinstance(term, Arrivals) and term.others and not (term.states == goal).all()
+            for row in self.rows
+            for _, term in row.terms
+        )
+
+    @property
+    def rows(self) -> tuple[UpperRow, ...]:
+        """One row for each bound.
+
+        Raises:
+            ModelError: costs or visits are bounded from below.
+        """
+        found = []
+        if self.upper is not None:
+            found.append(self._row(self.name, 1.0, self.upper))
+        if self.lower is not None:
+            name = self.name if self.upper is None else f"{self.name}, at least"
+            found.append(self._row(name, -1.0, -self.lower))
+        return tuple(found)
+
+    def _row(self, name: str, sign: float, bound: float) -> UpperRow:
+        """``sign * quantity <= bound`` with weights >= 0."""
+        terms, offset = [], 0.0
+        for stated, term in self.terms:
+            weight = sign * stated
+            if weight < 0.0:
+                if not (isinstance(term, Arrivals) and term.final):
+                    raise ModelError(
+                        f"constraint {self.name!r} bounds a cost or visits from below: there is no "
+                        "best policy then but programs; take program().to_cvxpy() and add the row"
+                    )
+                offset -= weight
+                term, weight = replace(term, others=not term.others), -weight
+            if weight > 0.0:
+                terms.append((weight, term))
+        constant = sign * self.constant
+        shift = max(-constant, 0.0)  # no coefficient may be negative
+        told = self.name if sign > 0.0 and offset == 0.0 else f"{_signed(offset, sign)}{self.name}"
+        return UpperRow(
+            name=name,
+            told=told,
+            terms=tuple(terms),
+            constant=constant + shift,
+            bound=bound + offset + shift,
+            condition=self,
+            sign=sign,
+            offset=offset + shift,
+        )
+
+
+def _signed(offset: float, sign: float) -> str:
+    return f"{offset:g} {'+' if sign > 0.0 else '-'} "
+
+
+def conditions(
+    model: SSP, start: FloatArray, constraints: Mapping[str, Constraint]
+) -> tuple[Condition, ...]:
+    """Check constraints, and look up what they count.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        constraints: name -> constraint.
+
+    Raises:
+        ModelError: a name that is no text or is reserved, no constraint, an unknown state, action,
+            label or end, costs of the wrong shape or below 0, or a lower bound of costs or visits.
+    """
+    if not isinstance(constraints, Mapping):
+        raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
+    found = tuple(_condition(model, start, name, c) for name, c in constraints.items())
+    named = [row.name for condition in found for row in condition.rows]
+    if len(set(named)) < len(named):
+        twice = next(name for name in named if named.count(name) > 1)
+        raise ModelError(f"two rows would be named {twice!r}: give one constraint another name")
+    return found
+
+
+def _condition(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
+    if not isinstance(name, str) or not name:
+        raise ModelError(f"the name of a limit must be a word, not {name!r}")
+    if name in RESERVED:
+        raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
+    if not isinstance(constraint, Constraint):
+        raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
+    quantity = constraint.quantity
+    terms = tuple((weight, _term(model, name, c)) for weight, c in quantity.terms if weight != 0.0)
+    live = end_marks(model) < 0
+    begun = sum(
+        weight * float(start[term.states & live].sum())
+        for weight, term in terms
+        if isinstance(term, Arrivals) and not term.final
+    )
+    stated = constraint.lower, constraint.upper
+    return Condition(name, model, terms, quantity.constant + begun, *stated)
+
+
+def _term(model: SSP, name: str, counted: Counted) -> Term:
+    match counted:
+        case StageCosts(cost):
+            if cost is None:
+                return Steps(model)
+            costs = outcome_costs(model, name, cost)
+            return Steps(replace(model, costs=costs, exact_costs={}))
+        case Visits(of):
+            mask = _members(model, name, of)
+            if (mask & (end_marks(model) >= 0)).any():
+                raise ModelError(
+                    f"limit {name!r}: episodes end there, so that no visits are counted: take "
+                    "end_probability(...)"
+                )
+            return Arrivals(model, mask)
+        case Ends(ways, others):
+            return Arrivals(model, _final_states(model, name, ways), final=True, others=others)
+
+
+def _members(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
+    """States by their own names or by that of a label, [states]."""
+    mask = np.zeros(model.n_states, dtype=np.bool_)
+    for one in of:
+        if isinstance(one, str) and one in model.state_labels:
+            mask[model.state_labels[one]] = True
+            continue
+        try:
+            mask[model.index_of(one)] = True
+        except ModelError as error:
+            raise ModelError(f"limit {name!r}: {error}") from error
+    return mask
+
+
+def _final_states(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArray:
+    """States in which an episode ends in one of some ways, [states]."""
+    marks = end_marks(model)
+    named: list[Hashable] = ["goal", *model.state_labels, "dead_end"]
+    mask = np.zeros(model.n_states, dtype=np.bool_)
+    for way in ways:
+        if way in named:
+            mask |= marks == named.index(way)
+            continue
+        try:
+            state = model.index_of(way)
+        except ModelError as error:
+            known = ", ".join(repr(k) for k in named)
+            raise ModelError(
+                f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
+            ) from error
+        if marks[state] < 0:
+            raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")
+        mask[state] = True
+    return mask
