@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from robot import RobotGrid, grid_model, start_state
 from ssp_lp import ModelError, certify, solve
 from ssp_lp.compiled import accelerator
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima

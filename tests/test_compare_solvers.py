@@ -9,12 +9,16 @@ from pathlib import Path
 
 import pytest
 
-import compare_solvers
-from comparison_growth import growth_text
-from comparison_instances import DEFAULT_INSTANCES, Instance, parse_instance
-from comparison_memory import process_memory
-from comparison_process import Limits, watch
-from comparison_results import (
+from examples.solver_comparison import compare_solvers
+from examples.solver_comparison.instances.instance import (
+    DEFAULT_INSTANCES,
+    Instance,
+    parse_instance,
+)
+from examples.solver_comparison.measuring.memory import process_memory
+from examples.solver_comparison.measuring.process import Limits, watch
+from examples.solver_comparison.reporting.growth import growth_text
+from examples.solver_comparison.reporting.results import (
     Outcome,
     SolverRun,
     completed,
@@ -22,8 +26,8 @@ from comparison_results import (
     run_from_json,
     run_to_json,
 )
-from comparison_solvers import SOLVERS, Order, Solver
-from comparison_table import table_text
+from examples.solver_comparison.reporting.table import table_text
+from examples.solver_comparison.solvers.catalogue import SOLVERS, Order, Solver
 
 SMALL = "random-400-M"
 
@@ -120,13 +124,13 @@ def test_a_process_over_its_memory_is_ended() -> None:
 
 
 def test_what_is_not_installed_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    import comparison_worker
+    from examples.solver_comparison.measuring import worker
 
     absent = Solver("absent", "nowhere", package="a_package_nobody_has", pip="pip install it")
-    monkeypatch.setattr(comparison_worker, "solver_named", lambda name: absent)
+    monkeypatch.setattr(worker, "solver_named", lambda name: absent)
     report = tmp_path / "report"
     order = {"instance": SMALL, "solver": "absent", "time_limit": 1.0, "repeat": 1}
-    comparison_worker.main([json.dumps({**order, "tolerance": 1e-9}), str(report)])
+    worker.main([json.dumps({**order, "tolerance": 1e-9}), str(report)])
     entries = [json.loads(line) for line in report.read_text(encoding="utf-8").splitlines()]
     assert entries[-1] == {"outcome": "not installed", "note": "pip install it", "phase": "done"}
 

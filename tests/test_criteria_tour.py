@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-import criteria_tour
+from examples.formulating import criteria_tour
 from formulations import AlphaMCMP, CostLimit, MaxProb, compare_criteria
 from small_models import EXACT, TWO_MOVES, model_of
 from ssp_lp import solve

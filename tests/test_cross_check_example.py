@@ -2,7 +2,7 @@
 
 import re
 
-import cross_check
+from examples.paper_walkthrough import cross_check
 
 
 def test_the_example_says_that_the_methods_agree(capsys):

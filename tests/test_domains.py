@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from bisimulation import compare
-from domains.domain import Domain
-from domains.navigation import GONE, navigation
-from domains.rectangle_tireworld import WRECK, rectangle_tireworld
-from domains.river import river
-from domains.triangle_tireworld import Car, triangle_tireworld
+from examples.domains.domain import Domain
+from examples.domains.navigation import GONE, navigation
+from examples.domains.rectangle_tireworld import WRECK, rectangle_tireworld
+from examples.domains.river import river
+from examples.domains.triangle_tireworld import Car, triangle_tireworld
 from formulations import MCMP, S3P
 from ssp_lp import ModelError, solve
 from ssp_lp.analysis.goal_probability import max_goal_probability, min_goal_probability

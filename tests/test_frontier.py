@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from robot import RobotGrid, grid_model, start_state
 from ssp_lp import SSP, InfeasibleError, ModelError, evaluate, solve, trace_frontier
 
 ROADS = SSP.from_transitions(

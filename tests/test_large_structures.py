@@ -14,7 +14,15 @@ import pytest
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-from comparison_families import corridor, grid, layered, ring, river, rooms, scattered
+from examples.solver_comparison.instances.families import (
+    corridor,
+    grid,
+    layered,
+    ring,
+    river,
+    rooms,
+    scattered,
+)
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import SSP, Solution, certify, solve
 from ssp_lp.policies import DeterministicPolicy

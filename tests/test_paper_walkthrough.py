@@ -6,17 +6,17 @@ from pathlib import Path
 
 import pytest
 
-import paper_walkthrough
-from robot_grid import RobotGrid
-from walkthrough_model import Row
-from walkthrough_robot import robot_text
+from examples.paper_robot.grid import RobotGrid
+from examples.paper_walkthrough import walkthrough
+from examples.paper_walkthrough.model import Row
+from examples.paper_walkthrough.robot import robot_text
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("title", paper_walkthrough.SECTIONS)
+@pytest.mark.parametrize("title", walkthrough.SECTIONS)
 def test_section(title: str) -> None:
-    rows = paper_walkthrough.SECTIONS[title]()
+    rows = walkthrough.SECTIONS[title]()
     assert rows
     wrong = [row for row in rows if not row.agrees]
     assert not wrong
@@ -30,9 +30,9 @@ def test_rows_tell_what_does_not_agree() -> None:
 
 
 def test_it_prints_all_sections(capsys: pytest.CaptureFixture[str]) -> None:
-    paper_walkthrough.main([])
+    walkthrough.main([])
     told = capsys.readouterr().out
-    assert all(title in told for title in paper_walkthrough.SECTIONS)
+    assert all(title in told for title in walkthrough.SECTIONS)
 
 
 def cells(text: str) -> list[list[str]]:

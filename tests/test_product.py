@@ -212,7 +212,7 @@ def test_what_is_refused() -> None:
 
 def test_the_example_draws_a_task(tmp_path, capsys) -> None:
     pytest.importorskip("matplotlib")
-    import key_and_door
+    from examples.formulating import key_and_door
 
     key_and_door.main(["--output", str(tmp_path / "plan.png")])
     assert "ends at D" in capsys.readouterr().out

@@ -10,11 +10,11 @@ import pytest
 
 from bisimulation import compare
 from cases import Case, load_case
-from domains.domain import Domain
-from domains.navigation import navigation
-from domains.rectangle_tireworld import rectangle_tireworld
-from domains.river import river
-from domains.triangle_tireworld import triangle_tireworld
+from examples.domains.domain import Domain
+from examples.domains.navigation import navigation
+from examples.domains.rectangle_tireworld import rectangle_tireworld
+from examples.domains.river import river
+from examples.domains.triangle_tireworld import triangle_tireworld
 from formulations import MCMP, S3P
 from ssp_lp import SSP, solve
 from ssp_lp.analysis.goal_probability import max_goal_probability

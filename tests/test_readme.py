@@ -25,5 +25,5 @@ def test_there_are_two_commands() -> None:
     commands = re.findall(r"```bash\n(.*?)\n```", README, flags=re.DOTALL)
     assert len(commands) == 2
     assert all("\n" not in command for command in commands)
-    assert "examples/obstacle_avoidance.py" in commands[0]
+    assert "examples/paper_robot/obstacle_avoidance.py" in commands[0]
     assert "pytest" in commands[1]

@@ -10,8 +10,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from progress_bar import progress_bar
-from robot import (
+from examples.paper_robot.arena import TOLERANCE
+from examples.paper_robot.grid import N_ACTIONS, NOISE, START_POINT, STEP_LENGTH, TURN_STEP
+from examples.paper_robot.progress_bar import progress_bar
+from examples.paper_robot.robot import (
     Arena,
     Box,
     ContinuousRobot,
@@ -22,8 +24,6 @@ from robot import (
     grid_model,
     start_state,
 )
-from robot_arena import TOLERANCE
-from robot_grid import N_ACTIONS, NOISE, START_POINT, STEP_LENGTH, TURN_STEP
 
 SMALL = RobotGrid(segments=10, headings=8, quadrature=3)
 GRIDS = [RobotGrid(), SMALL, RobotGrid(quadrature=2, along_segment=True)]

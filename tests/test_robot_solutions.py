@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from robot import RobotGrid, grid_model, start_state
 from ssp_lp import SSP, certify, evaluate, simulate, solve
 
 BUDGET = 0.05

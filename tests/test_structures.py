@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from comparison_families import FAMILIES, grid
+from examples.solver_comparison.instances.families import FAMILIES, grid
 from formulations import MCMP, S3P, ConstrainedCost, FinitePenalty, MaxProb
 from ssp_lp import SSP, SolverError, certify, evaluate, solve
 from ssp_lp.column_generation.failure_constraint import least_of

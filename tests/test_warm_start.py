@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from checks import CLOSE, check_bounds, check_certificate
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from robot import RobotGrid, grid_model, start_state
 from ssp_lp import SSP, Solution, solve
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.linear_programming.answer import residuals
