@@ -20,7 +20,7 @@ from games import (
     stake,
     without_dead_choices,
 )
-from plain_policies import stationary_policies
+from plain_policies import library_policy, stationary_policies
 from references import mcmp, s3p
 from references.chain import mean, start_distribution
 from references.frontier import constrained_ratio
@@ -31,7 +31,6 @@ from ssp_lp.game.best_responses.best_response import BestResponse
 from ssp_lp.game.equilibrium import crossing
 from ssp_lp.game.stationary import stationary_player
 from strategies import Draw, acyclic_problems, problems
-from test_theorems import library_policy
 
 few = settings(max_examples=30, deadline=None, derandomize=True)
 some = settings(max_examples=50, deadline=None, derandomize=True)

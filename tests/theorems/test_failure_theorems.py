@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from checks import library_model, plain
 from formulations import MCMP, S3P
 from games import drawn_problem
-from plain_policies import memory_chain, stationary_policies
+from plain_policies import library_policy, memory_chain, stationary_policies
 from references import s3p
 from references.chain import long_run_average, mean, start_distribution
 from ssp_lp import evaluate
@@ -16,7 +16,6 @@ from ssp_lp.game import bayes_adaptive, stationary_game
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.timed import TimedPolicy
 from strategies import problems
-from test_theorems import library_policy
 
 few = settings(max_examples=30, deadline=None, derandomize=True)
 

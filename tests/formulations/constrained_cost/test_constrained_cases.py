@@ -2,39 +2,14 @@
 
 import pytest
 
+from constrained_models import FUEL, RISKY, THREE, TIME, check
 from formulations import ConstrainedCost, CostLimit
-from small_models import EXACT, FREE_LOOP, FREE_PAIR, each_meaning, model_of
+from small_models import EXACT, FREE_LOOP, FREE_PAIR, each_engine, each_meaning, model_of
 from ssp_lp import (
     InfeasibleError,
-    SolverError,
-    certify,
     evaluate,
     solve,
 )
-
-each_engine = pytest.mark.parametrize("engine", ["columns", "lp"])
-THREE = model_of({"a": {"x": [(1.0, "g", 1)], "y": [(1.0, "g", 2)], "z": [(1.0, "g", 5)]}})
-FUEL = {"a": {"x": 4, "y": 2}}
-TIME = {"a": {"x": 1, "y": 4, "z": 1}}
-
-
-def attempt(problem, **arguments):
-    """The solution, or the error that says that there is none."""
-    try:
-        return solve(problem, **arguments)
-    except (InfeasibleError, SolverError) as error:
-        return error
-
-
-def check(solution, objective, **prices):
-    """The value, its proof, and the prices by name."""
-    assert solution.objective == pytest.approx(objective, **EXACT)
-    certificate = certify(solution)
-    assert certificate.accepted, certificate.reason
-    assert certificate.gap <= 1e-9
-    assert solution.evaluation.objective == pytest.approx(objective, **EXACT)
-    for name, price in prices.items():
-        assert solution.prices[name] == pytest.approx(price, **EXACT), name
 
 
 @each_engine
@@ -182,18 +157,6 @@ def test_a_start_distribution_shares_the_bound(engine):
     limits = {"fuel": CostLimit({"a": {"x": 4}, "b": {"x": 4}}, 3)}
     solution = solve(ConstrainedCost(model, {"a": 0.5, "b": 0.5}, limits), engine)
     check(solution, 2, fuel=1)
-
-
-RISKY = model_of(
-    {
-        "a": {
-            "fast": [(0.95, "g", 1), (0.05, "d", 1)],
-            "slow": [(1.0, "g", 3.5)],
-            "dear": [(1.0, "g", 4)],
-        },
-        "d": {},
-    }
-)
 
 
 @each_engine

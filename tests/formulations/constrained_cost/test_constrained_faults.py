@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from constrained_models import FUEL, THREE, check
 from formulations import MCMP, ConstrainedCost, CostLimit
-from small_models import EXACT, model_of
+from small_models import EXACT, each_engine, model_of
 from ssp_lp import InfeasibleError, ModelError, certify, solve
-from test_constrained_cases import FUEL, THREE, check, each_engine
 
 
 @pytest.mark.parametrize("budget", [1e-11, 5e-11, 9e-11])

@@ -8,7 +8,9 @@ import scipy.sparse as sp
 from hypothesis import given, settings
 from scipy.optimize import linprog
 
+from charged_problems import charged_problems, limits_of, meanings
 from checks import CLOSE, library_model
+from constrained_models import FUEL, RISKY, THREE, TIME, attempt, check
 from formulations import MCMP, ConstrainedCost, CostLimit
 from small_models import EXACT, model_of
 from ssp_lp import (
@@ -34,9 +36,7 @@ from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.secondary_costs import side_rows
 from ssp_lp.programs.compiling import rows_program
-from strategies import problems
-from test_constrained_cases import FUEL, RISKY, THREE, TIME, attempt, check
-from test_constrained_cost import charged_problems, discounts, limits_of, meanings
+from strategies import discounts, problems
 
 
 def ring_model(n, rng):

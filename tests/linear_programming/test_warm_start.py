@@ -11,13 +11,13 @@ import pytest
 from checks import CLOSE, check_bounds, check_certificate
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
+from random_models import drawn_model
 from ssp_lp import SSP, Solution, solve
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.linear_programming.answer import residuals
 from ssp_lp.linear_programming.highs import solve_with_highs
 from ssp_lp.methods.policy_basis import policy_basis
 from ssp_lp.programs.compiling import occupation_program
-from test_larger_models import drawn_model
 
 TIGHT, SLACK = 0.4, 1.0
 

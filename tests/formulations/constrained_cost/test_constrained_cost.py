@@ -1,24 +1,18 @@
 """ConstrainedCost (C-SSP) on drawn models: all policies enumerated, and a program of lotteries."""
 
-import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from charged_problems import charged_problems, limits_of, meanings
 from checks import CLOSE, GAP, library_model, plain
-from formulations import ConstrainedCost, CostLimit
+from formulations import ConstrainedCost
 from references import constrained, mcmp
 from references.frontier import least_failure
 from ssp_lp import InfeasibleError, certify, solve
-from strategies import discounts, problems
+from strategies import discounts
 
 ENGINES = ("columns", "lp")
-meanings = st.fixed_dictionaries(
-    {
-        "give_up": st.sampled_from(["anywhere", "attention", "dead_ends"]),
-        "charge_failing_step": st.booleans(),
-    }
-)
 shares = st.sampled_from([0.5, 0.25, 0.9, 0.75, 0.1, 0.5, 0.0, 1.0, 2.0, -0.5, "zero"])
 """Where a bound lies between the least attainable total and that of the cheapest policy."""
 
@@ -29,43 +23,6 @@ budgets = st.sampled_from([0.1, None, 0.0, 0.25, 0.5, 1.0, "below"])
 def often(examples):
     """The same settings everywhere; only the number of examples differs."""
     return settings(max_examples=examples, deadline=None, derandomize=True)
-
-
-@st.composite
-def charged_problems(draw, most_rows=3):
-    """A problem and one to three secondary costs of its outcomes, mostly at odds with the cost."""
-    drawn = draw(problems(most_live=3, most_actions=3))
-    amounts = st.sampled_from([0, 1, 0, 2, 5])
-    charges = []
-    for _ in range(draw(st.integers(1, most_rows))):
-        against = draw(st.sampled_from([3, 5, 0]))
-        charges.append(
-            {
-                state: {
-                    action: [max(against - cost, 0) + draw(amounts) for _, _, cost in outcomes]
-                    for action, outcomes in acts.items()
-                }
-                for state, acts in drawn.choices.items()
-            }
-        )
-    return drawn, charges
-
-
-def by_outcome(model, charge):
-    """A secondary cost as an array, [outcomes]."""
-    costs = []
-    for state in model.states:
-        for outcomes in charge.get(state, {}).values():
-            costs += outcomes
-    return np.array(costs, dtype=float)
-
-
-def limits_of(model, charges, bounds):
-    """Limits named r0, r1, ..."""
-    return {
-        f"r{k}": CostLimit(by_outcome(model, charge), bound)
-        for k, (charge, bound) in enumerate(zip(charges, bounds, strict=True))
-    }
 
 
 def bounds_of(every, places, budget):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from checks import library_model, plain
 from formulations import MCMP, S3P
+from laws import law_of, one_way
 from ledger import Ledger
 from plain_policies import memory_chain
 from references import cost_law as reference
@@ -53,18 +54,6 @@ SHARES = ((1.0,), (0.5, 0.5), (0.25, 0.75))
 def often(examples):
     """The same settings everywhere; only the number of examples differs."""
     return settings(max_examples=examples, deadline=None, derandomize=True)
-
-
-def one_way(outcomes, **more):
-    """The law of the only policy of a model in which each state has one action, "go"."""
-    model = SSP.from_transitions(
-        {"a": {"go": outcomes}, **more}, goal={"G"}, treat_actionless_as_dead_ends=True
-    )
-    return law_of(model, {s: "go" for s in ["a", *more] if s != "pit"})
-
-
-def law_of(model, actions, start="a"):
-    return success_costs(DeterministicPolicy.from_actions(model, actions), S3P(model, start=start))
 
 
 @st.composite

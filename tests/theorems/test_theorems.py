@@ -6,21 +6,14 @@ from hypothesis import strategies as st
 
 from checks import CLOSE, library_model, plain
 from formulations import MCMP, S3P
-from plain_policies import stationary_policies
+from plain_policies import library_policy, stationary_policies
 from references import mcmp, s3p
-from references.chain import STOP, long_run_average, mean, start_distribution
-from ssp_lp import GIVE_UP, evaluate
-from ssp_lp.policies import DeterministicPolicy
+from references.chain import long_run_average, mean, start_distribution
+from ssp_lp import evaluate
 from strategies import discounts, problems
 
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
 drawn_settings = settings(max_examples=100, deadline=None, derandomize=True)
-
-
-def library_policy(model, decisions):
-    """The decisions as a policy of the library."""
-    actions = {s: GIVE_UP if a == STOP else a for s, a in decisions.items()}
-    return DeterministicPolicy.from_actions(model, actions)
 
 
 @drawn_settings

@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from laws import law_of, one_way
 from ssp_lp import SSP
 from ssp_lp.analysis.total_cost import arrivals
-from test_cost_law import law_of, one_way
 
 LEAVING = (1e-3, 1e-6, 1e-9, 1e-12)
 LEVELS = (0.0, 0.1, 0.5, 0.9, 0.999)

@@ -11,7 +11,7 @@ from examples.paper_walkthrough import walkthrough
 from examples.paper_walkthrough.model import Row
 from examples.paper_walkthrough.robot import robot_text
 
-README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("title", walkthrough.SECTIONS)

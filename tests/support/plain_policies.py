@@ -10,6 +10,7 @@ from references import mcmp, s3p
 from references.chain import STOP, PlainModel, Policy, State, mean, plain_model
 from references.frontier import Point
 from ssp_lp import GIVE_UP, SSP
+from ssp_lp.policies import DeterministicPolicy
 
 
 def member_actions(member: Any) -> dict[State, Any]:
@@ -120,3 +121,9 @@ def stationary_policies(draw, drawn, model: PlainModel, give_up: str):
             st.sampled_from([*model.choices[state], STOP] if stop else [*model.choices[state]])
         )
     return decisions
+
+
+def library_policy(model, decisions):
+    """The decisions as a policy of the library."""
+    actions = {s: GIVE_UP if a == STOP else a for s, a in decisions.items()}
+    return DeterministicPolicy.from_actions(model, actions)
