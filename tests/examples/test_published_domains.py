@@ -1,6 +1,6 @@
 """The generators of `examples/domains` beside the published models of the same domains.
 
-The published models lie outside the repository (see `cases`); the tests are skipped without them.
+The published models are those of `cases`.
 """
 
 from fractions import Fraction

@@ -208,12 +208,3 @@ def test_what_is_refused() -> None:
     made = product(model, TASKS["the key before the door"], start=["hall"])
     with pytest.raises(ModelError, match="nowhere"):
         made.start("nowhere")
-
-
-def test_the_example_draws_a_task(tmp_path, capsys) -> None:
-    pytest.importorskip("matplotlib")
-    from examples.formulating import key_and_door
-
-    key_and_door.main(["--output", str(tmp_path / "plan.png")])
-    assert "ends at D" in capsys.readouterr().out
-    assert (tmp_path / "plan.png").stat().st_size > 10_000

@@ -13,4 +13,5 @@ def one_way(outcomes, **more):
 
 
 def law_of(model, actions, start="a"):
+    """The law of the policy that plays the actions."""
     return success_costs(DeterministicPolicy.from_actions(model, actions), S3P(model, start=start))

@@ -123,7 +123,7 @@ def stationary_policies(draw, drawn, model: PlainModel, give_up: str):
     return decisions
 
 
-def library_policy(model, decisions):
+def library_policy(model: SSP, decisions: Mapping[State, Any]) -> DeterministicPolicy:
     """The decisions as a policy of the library."""
     actions = {s: GIVE_UP if a == STOP else a for s, a in decisions.items()}
     return DeterministicPolicy.from_actions(model, actions)

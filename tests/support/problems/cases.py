@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-FOLDER = Path(__file__).parents[1] / "data"
+FOLDER = Path(__file__).parents[2] / "data"
 
 NAMES = sorted(path.name.removesuffix(".json.gz") for path in (FOLDER / "models").iterdir())
 
