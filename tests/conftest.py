@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from robot import RobotGrid, grid_model, start_state
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from ssp_lp import SSP
 
 

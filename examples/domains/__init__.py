@@ -1,6 +1,6 @@
 """Dead-end domains of the literature, as generators of any size.
 
-    from domains.river import river
+    from examples.domains.river import river
     model, start = river(width=10, height=10)
     problem = MCMP(model, start=start, failure_budget=0.05)
 

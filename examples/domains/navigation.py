@@ -16,9 +16,9 @@ probability s^(height - 2); a column k further to the left costs 2 k moves more.
 
 from collections.abc import Sequence
 
-from domains.domain import Domain
-from domains.outcomes import Actions, attempt
-from domains.parameters import Number, check_cost, check_count, check_probability
+from examples.domains.domain import Domain
+from examples.domains.outcomes import Actions, attempt
+from examples.domains.parameters import Number, check_cost, check_count, check_probability
 from ssp_lp import SSP, ModelError
 
 GONE = "gone"

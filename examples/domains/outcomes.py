@@ -3,7 +3,7 @@
 from collections.abc import Hashable
 from typing import Any
 
-from domains.parameters import Number
+from examples.domains.parameters import Number
 
 Outcomes = list[tuple[Any, Hashable, Any]]
 """(probability, successor, cost) of each thing that can happen; both numbers are of type Number."""

@@ -20,9 +20,9 @@ cost of failing is charged.
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from domains.domain import Domain
-from domains.outcomes import Actions, attempt
-from domains.parameters import Number, check_cost, check_count, check_probability
+from examples.domains.domain import Domain
+from examples.domains.outcomes import Actions, attempt
+from examples.domains.parameters import Number, check_cost, check_count, check_probability
 from ssp_lp import SSP, ModelError
 
 WRECK = "wreck"

@@ -18,9 +18,9 @@ belongs to the waterfall and is a dead-end. Walking needs
 survives with probability (1 - current)^(width - 2).
 """
 
-from domains.domain import Domain
-from domains.outcomes import Actions, attempt
-from domains.parameters import Number, check_cost, check_count, check_probability
+from examples.domains.domain import Domain
+from examples.domains.outcomes import Actions, attempt
+from examples.domains.parameters import Number, check_cost, check_count, check_probability
 from ssp_lp import SSP
 
 Cell = tuple[int, int]

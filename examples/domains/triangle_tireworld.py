@@ -24,9 +24,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from domains.domain import Domain
-from domains.outcomes import Actions, attempt
-from domains.parameters import Number, check_cost, check_count, check_probability
+from examples.domains.domain import Domain
+from examples.domains.outcomes import Actions, attempt
+from examples.domains.parameters import Number, check_cost, check_count, check_probability
 from ssp_lp import SSP, ModelError
 
 Place = tuple[int, int]

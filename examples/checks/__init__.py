@@ -1,0 +1,1 @@
+"""Checks of many drawn models: against exact fractions, and on models of every structure."""

@@ -1,0 +1,1 @@
+"""Small random models solved in exact fractions, by enumeration of their policies."""

@@ -1,0 +1,184 @@
+"""Every criterion on models of every structure: certified, and equal to linear programs and Storm.
+
+    python examples/checks/structure_check.py --family grid --sizes 50 100 --seeds 10
+    python examples/checks/structure_check.py --family corridor --sizes 12000 --storm
+    SSP_LP_ACCELERATOR=none python examples/checks/structure_check.py --family grid --sizes 50
+
+Each model is asked for the greatest goal probability, for the cheapest policy of least failure
+(MCMP and S3P), for budgets above it under every `give_up`, and with a limit on expected steps too.
+Each answer must be certified, with a gap of at most 1e-9; up to `--program-states` states it must
+equal the full linear program's to 1e-6, and with `--storm` Storm's to its precision.
+"""
+
+import argparse
+import multiprocessing
+import queue
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from examples.solver_comparison.instances.families import FAMILIES, RANDOM, SQUARES
+from formulations import MCMP, S3P, ConstrainedCost, MaxProb
+from ssp_lp import SSP, Solution, SSPError, certify, evaluate, solve
+from ssp_lp.formulation import CostLimit
+from ssp_lp.problem import Problem
+from ssp_lp.processes.failure_semantics import GiveUp
+
+GAP = 1e-9
+PROGRAM = 1e-6  # relative difference from the full linear program
+STORM = 1e-3  # absolute and relative difference from Storm, whose precision is 1e-4
+SHARES = (0.05, 0.3)  # of the failure that could be allowed, in budgets
+LONGEST = 30.0  # seconds that Storm is given
+WINDS = (0.0, 0.1, 0.3)
+
+
+@dataclass
+class Tally:
+    """What was found."""
+
+    counts: Counter[str] = field(default_factory=Counter)
+    worst_gap: float = 0.0
+    seconds: float = 0.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Check models from the command line; 1 if anything was found."""
+    options, tally = _parse(arguments), Tally()
+    for name, model in models(options):
+        began = time.process_time()
+        for told in check(model, options, tally):
+            print(f"{name}: {told}", flush=True)
+        seconds = time.process_time() - began
+        tally.seconds += seconds
+        print(f"{name}: {model.n_states:,} states, {seconds:.1f} s", flush=True)
+    found = ", ".join(f"{count} {what}" for what, count in sorted(tally.counts.items()))
+    print(f"{found}; worst gap {tally.worst_gap:.1e}; {tally.seconds:.0f} s")
+    return int(tally.counts["wrong"] > 0)
+
+
+def models(options: argparse.Namespace) -> Iterator[tuple[str, SSP]]:
+    """The models asked for, with their names."""
+    family = FAMILIES[options.family]
+    for size in options.sizes:
+        sizes = (size,) if options.family in SQUARES else (size, max(options.width, 2))
+        for seed in range(options.seeds if options.family in RANDOM else 1):
+            drawn = {"seed": seed} if options.family in RANDOM else {}
+            for wind in WINDS if options.family == "grid" else (None,):
+                windy = {} if wind is None else {"wind": wind}
+                told = "".join(f" {key} {value}" for key, value in {**drawn, **windy}.items())
+                yield f"{options.family} {size}{told}", family(*sizes, **drawn, **windy)
+
+
+def check(model: SSP, options: argparse.Namespace, tally: Tally) -> Iterator[str]:
+    """Put all problems about one model; yield what is wrong."""
+    small = model.n_states <= options.program_states
+    for problem in problems(model):
+        tally.counts["problems"] += 1
+        told = f"{type(problem).__name__}({problem.failure_budget}, {problem.semantics.give_up})"
+        try:
+            solution = solve(problem)
+            proof = certify(solution)
+        except SSPError as error:
+            tally.counts["wrong"] += 1
+            yield f"{told}: {type(error).__name__}: {error}"
+            continue
+        tally.worst_gap = max(tally.worst_gap, solution.gap, proof.gap)
+        wrong = [] if proof.accepted else [f"refused: {proof.reason}"]
+        if max(solution.gap, proof.gap) > GAP:
+            wrong.append(f"gaps {solution.gap:.1e} and {proof.gap:.1e}; {solution.note}")
+        if small:
+            wrong += disagreement(solution, _by_program(problem), PROGRAM, "linear program")
+            tally.counts["linear programs"] += 1
+        if options.storm and is_for_storm(problem):
+            told_by_storm = _in_time(_by_storm, problem)
+            if told_by_storm is not None:
+                wrong += disagreement(solution, told_by_storm, STORM, "Storm")
+            tally.counts["without end by Storm" if told_by_storm is None else "by Storm"] += 1
+        tally.counts["wrong"] += len(wrong)
+        yield from (f"{told}: {reason}" for reason in wrong)
+
+
+def is_for_storm(problem: Problem) -> bool:
+    """Whether Storm is asked: where giving up is free its search hardly ever ends."""
+    asked = isinstance(problem, MCMP) and problem.failure_budget is not None
+    return asked and problem.semantics.give_up is GiveUp.DEAD_ENDS
+
+
+def _in_time(call: Callable[[Problem], float], problem: Problem) -> float | None:
+    """What a call returns, in a process of its own; None where it takes too long."""
+    context = multiprocessing.get_context("fork")
+    answers = context.Queue()
+    process = context.Process(target=lambda: answers.put(call(problem)))
+    process.start()
+    try:
+        return float(answers.get(timeout=LONGEST))
+    except queue.Empty:
+        return None
+    finally:
+        process.kill()
+        process.join()
+
+
+def problems(model: SSP) -> Iterator[Problem]:
+    """The problems of one model, each with the model's start 0."""
+    yield MaxProb(model, 0)
+    least = 1.0 - solve(MaxProb(model, 0)).objective
+    if least >= 1.0:
+        return
+    yield MCMP(model, 0)
+    yield S3P(model, 0)
+    budgets = [least + share * (1.0 - least) for share in SHARES]
+    for give_up in ("anywhere", "attention", "dead_ends"):
+        yield MCMP(model, 0, budgets[0], give_up=give_up)
+    yield MCMP(model, 0, budgets[1], give_up="dead_ends")
+    yield _hurried(model, budgets[0])
+
+
+def _hurried(model: SSP, budget: float) -> ConstrainedCost:
+    """A limit on expected steps half-way between the fewest and those of the cheapest policy."""
+    each = np.ones(model.n_pairs)
+    slow = ConstrainedCost(model, 0, {"steps": CostLimit(each, 1e300)}, budget)
+    taken = evaluate(solve(slow).policy, slow).secondary_costs["steps"]
+    fewest = solve(MCMP(replace(model, costs=np.ones(model.n_outcomes)), 0, budget)).objective
+    return replace(slow, limits={"steps": CostLimit(each, 0.5 * (taken + fewest))})
+
+
+def disagreement(solution: Solution, other: float, room: float, name: str) -> list[str]:
+    """What is wrong if an objective differs from a peer's by more than its precision."""
+    if abs(solution.objective - other) <= room * max(1.0, abs(other)):
+        return []
+    return [f"{solution.objective!r}, {name} {other!r}"]
+
+
+def _by_program(problem: Problem) -> float:
+    return solve(problem, engine="lp").objective
+
+
+def _by_storm(problem: MCMP) -> float:
+    import stormpy
+
+    from examples.solver_comparison.solvers.explicit import reachable_part
+    from examples.solver_comparison.solvers.storm import least_cost_within, storm_model
+
+    model = storm_model(reachable_part(problem.compile().explicit()))
+    result = stormpy.model_checking(model, least_cost_within(problem.failure_budget))
+    return float(result.get_value(model.initial_states[0]))
+
+
+def _parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--family", choices=sorted(FAMILIES), default="grid")
+    parser.add_argument("--sizes", nargs="+", type=int, default=[50, 100])
+    parser.add_argument("--width", type=int, default=100, help="the other size, where there is one")
+    parser.add_argument("--seeds", type=int, default=3, help="models of each size that are drawn")
+    parser.add_argument("--program-states", type=int, default=0, help="up to here also by HiGHS")
+    parser.add_argument("--storm", action="store_true", help="also by Storm, budgets only")
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,156 @@
+"""Pictures of the robot example: the arena, trajectories, and cost against failure.
+
+Colours are Okabe and Ito's, which people with any colour vision can tell apart; what they say is
+also said by markers.
+"""
+
+from pathlib import Path
+
+import matplotlib as mpl
+
+mpl.use("Agg")
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
+
+from examples.paper_robot.arena import FloatArray
+from examples.paper_robot.grid import START_BOX
+from examples.paper_robot.robot import Arena, Box, Place
+from examples.paper_robot.study import FrontierPoint
+
+INK, PALE = "#333333", "#777777"
+ENDS = {
+    Place.GOAL: ("#0072B2", "o", "reached the goal"),
+    Place.OBSTACLE: ("#D55E00", "X", "hit obstacle A or B"),
+    Place.WALL: ("#AA3377", "s", "hit the wall"),
+    Place.FREE: ("#000000", "D", "failed otherwise"),
+}
+"""How an episode ended -> colour, marker, words."""
+
+CRITERIA = {
+    "S": ("#0072B2", "o", 8.0, "S: cost of the episodes that reach the goal"),
+    "M": ("#E69F00", "s", 4.5, "M: cost until the goal or failure"),
+}
+"""Criterion -> colour, marker, marker size (unequal: the curves all but meet), words."""
+
+_NUDGE = 1e-6  # look this far (in steps) beyond a path's last point to see what it touches
+
+
+def save_arena(arena: Arena, path: Path) -> None:
+    """Draw the arena with its start and goal (the paper's figure 1)."""
+    figure, axes = _arena_axes(arena)
+    middle = sum(START_BOX) / 2
+    axes.arrow(middle, middle, 0.1, 0.0, width=0.004, color=INK, length_includes_head=True)
+    axes.text(0.24, middle, "one step, 0.1", va="center", color=INK)
+    _save(figure, path)
+
+
+def save_trajectories(arena: Arena, paths: list[FloatArray], title: str, path: Path) -> None:
+    """Draw episodes of the continuous world, coloured by how they end: paths [steps + 1, 3]."""
+    figure, axes = _arena_axes(arena)
+    ends = [_end_of(arena, trajectory) for trajectory in paths]
+    for trajectory, end in sorted(zip(paths, ends, strict=True), key=lambda pair: pair[1] != 1):
+        colour, marker, _ = ENDS[end]
+        faint = end is Place.GOAL
+        x, y = trajectory[:, 0], trajectory[:, 1]
+        axes.plot(x, y, color=colour, linewidth=0.9, alpha=0.45 if faint else 0.95)
+        axes.plot(x[-1:], y[-1:], marker, color=colour, markersize=4 if faint else 7, zorder=4)
+    handles = [
+        Line2D([], [], color=colour, marker=marker, label=f"{ends.count(end)} {words}")
+        for end, (colour, marker, words) in ENDS.items()
+        if end in ends
+    ]
+    axes.set_title(title, loc="left", fontsize=11)
+    axes.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False
+    )
+    _save(figure, path)
+
+
+def save_frontier(
+    curves: dict[str, list[FrontierPoint]], budget: float, title: str, path: Path
+) -> None:
+    """Draw the least cost against the failure budget: one curve per criterion, "S" and "M"."""
+    figure = Figure(figsize=(6.4, 4.4), layout="constrained")
+    axes = figure.subplots()
+    axes.axvline(budget, color=PALE, linewidth=0.8, linestyle="--", zorder=1)
+    for name, points in curves.items():
+        colour, marker, size, words = CRITERIA[name]
+        axes.plot(
+            [p.budget for p in points],
+            [p.objective for p in points],
+            color=colour,
+            marker=marker,
+            markersize=size,
+            linewidth=0.3 * size,
+            label=words,
+        )
+    axes.set_xscale("log")
+    axes.annotate(
+        f"the paper's budget, {budget:g}",
+        (budget, 0.97),
+        xycoords=("data", "axes fraction"),
+        xytext=(-5, 0),
+        textcoords="offset points",
+        ha="right",
+        va="top",
+        color=PALE,
+    )
+    axes.set_xlabel("failure budget (leftmost: the least failure possible)")
+    axes.set_ylabel("least expected cost (steps)")
+    axes.set_title(title, loc="left", fontsize=11)
+    axes.legend(loc="lower left", frameon=False)
+    axes.grid(color="#e5e5e5", linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    _save(figure, path)
+
+
+def _arena_axes(arena: Arena) -> tuple[Figure, Axes]:
+    """Return axes with the arena drawn in them."""
+    figure = Figure(figsize=(5.6, 6.0), layout="constrained")
+    axes = figure.subplots()
+    for name, box in zip("ABCDEFGH", arena.obstacles, strict=False):
+        _draw_box(axes, box, name, face="#bdbdbd", edge="#555555")
+    _draw_box(axes, arena.goal, "", face="#cfe8dc", edge="#009E73")
+    _write(axes, (arena.goal.left + arena.goal.right) / 2, arena.goal.top + 0.025, "goal")
+    low, high = START_BOX
+    _draw_box(axes, Box(low, high, low, high), "", face="#f6e7b8", edge=INK)
+    _write(axes, (low + high) / 2, low - 0.035, "start")
+    axes.add_patch(Rectangle((0, 0), arena.side, arena.side, fill=False, edgecolor=INK, lw=2.0))
+    margin = 0.11 * arena.side  # a step may end 0.1 beyond the wall
+    axes.set(xlim=(-margin, arena.side + margin), ylim=(-margin, arena.side + margin))
+    axes.set(xlabel="x", ylabel="y", aspect="equal")
+    axes.spines[:].set_visible(False)
+    axes.tick_params(length=0)
+    return figure, axes
+
+
+def _draw_box(axes: Axes, box: Box, name: str, *, face: str, edge: str) -> None:
+    width, height = box.right - box.left, box.top - box.bottom
+    axes.add_patch(
+        Rectangle((box.left, box.bottom), width, height, facecolor=face, edgecolor=edge, lw=1.0)
+    )
+    _write(axes, box.left + width / 2, box.bottom + height / 2, name)
+
+
+def _write(axes: Axes, x: float, y: float, words: str) -> None:
+    """Write over whatever is drawn, with a pale rim that keeps it legible."""
+    rim = withStroke(linewidth=3, foreground="white")
+    axes.text(x, y, words, ha="center", va="center", color=INK, zorder=6, path_effects=[rim])
+
+
+def _end_of(arena: Arena, trajectory: FloatArray) -> Place:
+    """Return what a path ran into: the place at, or a hair beyond, its last point."""
+    if len(trajectory) < 2:
+        return Place.FREE
+    last = trajectory[-1, :2]
+    beyond = last + _NUDGE * (last - trajectory[-2, :2])
+    return Place(int(arena.classify(np.array([beyond[0]]), np.array([beyond[1]]))[0]))
+
+
+def _save(figure: Figure, path: Path) -> None:
+    figure.savefig(path, dpi=160, bbox_inches="tight")

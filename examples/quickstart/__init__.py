@@ -1,0 +1,1 @@
+"""The shortest way in: one model, one criterion, one answer."""

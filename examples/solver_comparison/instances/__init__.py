@@ -1,0 +1,1 @@
+"""What is solved: instances by name, and their models."""

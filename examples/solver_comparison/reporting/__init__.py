@@ -1,0 +1,1 @@
+"""What is shown: rows, a table, a plot."""

@@ -1,0 +1,1 @@
+"""Who solves it: the library, HiGHS and Storm behind one function, `prepare`."""

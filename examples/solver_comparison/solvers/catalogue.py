@@ -1,0 +1,103 @@
+"""The solvers of the comparison: this library's engines and its peers, by name.
+
+Nothing heavy is imported here: a solver's own module is imported in the process that runs it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+LIBRARY, HIGHS, STORM = (f"{__package__}.{name}" for name in ("library", "highs", "storm"))
+PLAIN = {"SSP_LP_ACCELERATOR": "none"}
+"""Without numba: a peer's memory is then its own, not that of compiling our model building."""
+
+
+@dataclass(frozen=True)
+class Solver:
+    """A way to solve an instance."""
+
+    name: str
+    module: str  # its `prepare(ready, order, **options)` makes an instance ready for the solver
+    package: str  # what it needs; its import is timed
+    pip: str = ""  # how that is installed
+    also_needs: str = ""  # a second package that must be there
+    options: Mapping[str, Any] = field(default_factory=dict)
+    environment: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a process of the comparison is asked to do."""
+
+    instance: str
+    solver: str
+    time_limit: float  # seconds for one call
+    repeat: int  # calls, where a call is short
+    tolerance: float  # relative gap asked of this library
+
+
+def _engine(
+    name: str, engine: str, backend: str | None = None, environment: Mapping[str, str] | None = None
+) -> Solver:
+    return Solver(
+        name,
+        LIBRARY,
+        package="ssp_lp",
+        pip="pip install ssp-lp",
+        options={"engine": engine, "backend": backend},
+        environment=environment or {},
+    )
+
+
+def _highs(method: str, also_needs: str = "", pip: str = "pip install highspy") -> Solver:
+    return Solver(
+        f"highs-{method}",
+        HIGHS,
+        package="highspy",
+        pip=pip,
+        also_needs=also_needs,
+        options={"method": method},
+        environment=PLAIN,
+    )
+
+
+def _storm(name: str, sound: bool, precision: str | None = None) -> Solver:
+    return Solver(
+        name,
+        STORM,
+        package="stormpy",
+        pip="pip install 'stormpy>=2'",
+        options={"sound": sound, "precision": precision},
+        environment=PLAIN,
+    )
+
+
+SOLVERS = (
+    _engine("columns", "columns"),
+    _engine("columns-numpy", "columns", environment=PLAIN),
+    _engine("lp-simplex", "lp", "highs-simplex"),
+    _engine("lp-ipx", "lp", "highs-ipx"),
+    _engine("lp-clarabel", "lp", "clarabel"),
+    _engine("lp-cvxpy", "lp", "cvxpy"),
+    _highs("ipx"),
+    _highs("hipo", also_needs="highspy_extras", pip="pip install highspy-extras"),
+    _highs("pdlp"),
+    _highs("hipdlp"),
+    _storm("storm", sound=False),
+    _storm("storm-sound", sound=True),
+    _storm("storm-1e-9", sound=False, precision="1/1000000000"),
+)
+"""The solvers that are always compared; the engines of a later release join them."""
+
+
+def solver_named(name: str) -> Solver:
+    """Return the solver of a name; a name that is none of SOLVERS is taken for an engine."""
+    return next((s for s in SOLVERS if s.name == name), _engine(name, name))
+
+
+def solver_names() -> tuple[str, ...]:
+    """Return the names of all solvers, with those of engines that `solve` knows besides."""
+    from ssp_lp.solve import ENGINES
+
+    others = [e for e in ENGINES if e not in ("auto", "columns", "lp")]
+    return (*(s.name for s in SOLVERS), *others)

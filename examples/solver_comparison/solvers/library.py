@@ -1,0 +1,63 @@
+"""This library's engines in the comparison."""
+
+import math
+import time
+
+from examples.solver_comparison.instances.models import ReadyInstance, build
+from examples.solver_comparison.solvers.answer import Answer, Prepared, joined
+from examples.solver_comparison.solvers.catalogue import Order
+from ssp_lp import Solution, SolverError, solve
+from ssp_lp.compiled.accelerator import has_accelerator
+
+
+def prepare(ready: ReadyInstance, order: Order, *, engine: str, backend: str | None) -> Prepared:
+    """Make ready to solve an instance with an engine.
+
+    The first call compiles inner loops where numba is installed, so that column generation solves
+    a small instance first; it is what the other engines end with.
+    """
+    failure_budget = ready.instance.failure_budget
+
+    def call() -> Answer:
+        began = time.perf_counter()
+        try:
+            solution = solve(
+                ready.problem(),
+                engine,
+                backend=backend,
+                tolerance=order.tolerance,
+                time_limit=order.time_limit,
+            )
+        except SolverError as error:
+            if time.perf_counter() - began < order.time_limit:
+                raise
+            return Answer(math.nan, details=str(error), in_time=False)
+        return _answer(solution, order, failure_budget)
+
+    small = ready if ready.instance.warm_up == ready.instance else None
+
+    def warm_up() -> Solution:
+        problem = (small or build(ready.instance.warm_up)).problem()
+        if small is None and has_accelerator():  # the loops of large models, on a small one
+            from ssp_lp.compiled.loops import on_all_cores
+
+            with on_all_cores():
+                solve(problem, "columns")
+        return solve(problem, "columns")
+
+    return Prepared(call, warm_up)
+
+
+def _answer(solution: Solution, order: Order, failure_budget: float) -> Answer:
+    run = solution.run
+    loops = "numba" if has_accelerator() else "numpy"
+    return Answer(
+        objective=solution.objective,
+        gap=solution.gap,
+        note=joined(f"{run.pricing_calls} pricing calls", loops, solution.note),
+        details=run.program,
+        in_time=solution.gap <= order.tolerance or run.seconds < order.time_limit,
+        backups=run.backups,
+        products=run.products,
+        excess=lambda: max(solution.budget_used - failure_budget, 0.0),
+    )

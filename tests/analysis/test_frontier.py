@@ -1,0 +1,130 @@
+"""The frontier: convex, exact at every budget, and tangent to the prices."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import MCMP, S3P
+from ssp_lp import SSP, InfeasibleError, ModelError, evaluate, solve, trace_frontier
+
+ROADS = SSP.from_transitions(
+    {
+        "s": {
+            "a": [(0.70, "g", 1.0), (0.30, "d", 1.0)],
+            "b": [(0.90, "t", 2.0), (0.10, "d", 1.0)],
+            "c": [(0.99, "t", 4.0), (0.01, "d", 1.0)],
+            "worse": [(0.90, "t", 3.0), (0.10, "d", 1.0)],
+        },
+        "t": {
+            "x": [(0.80, "g", 1.0), (0.20, "d", 2.0)],
+            "y": [(0.95, "g", 2.0), (0.05, "s", 1.0)],
+            "z": [(1.0, "g", 6.0)],
+        },
+        "d": {"stay": [(1.0, "d", 1.0)]},
+    },
+    goal={"g"},
+)
+
+PROBLEMS: list[Any] = [
+    MCMP(ROADS, "s"),
+    MCMP(ROADS, "s", give_up="anywhere", charge_failing_step=False),
+    MCMP(ROADS, {"s": 0.5, "t": 0.5}, 0.5, discount=0.9),
+    S3P(ROADS, "s"),
+    S3P(ROADS, {"s": 0.5, "t": 0.4, "g": 0.1}, 0.5, discount=0.9),
+]
+
+
+def with_budget(problem: Any, budget: float) -> Any:
+    parts = {part.name: getattr(problem, part.name) for part in dataclasses.fields(problem)}
+    return type(problem)(**(parts | {"failure_budget": budget}))
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: f"{type(p).__name__}-{p.discount}")
+def test_the_frontier_is_what_solve_says_at_every_budget(problem: Any) -> None:
+    frontier = trace_frontier(problem)
+    assert (np.diff(frontier.failure) > 0).all()
+    assert (np.diff(frontier.cost) < 0).all()
+    assert (np.diff(frontier.price) < 0).all()
+    least = frontier.failure[0]
+    for budget in np.linspace(least, 1.0, 23):
+        solution = solve(with_budget(problem, float(budget)))
+        assert frontier.objective_at(budget) == pytest.approx(solution.objective, rel=1e-8)
+    with pytest.raises(InfeasibleError):
+        frontier.objective_at(least - 1e-6)
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: f"{type(p).__name__}-{p.discount}")
+def test_policies_of_the_frontier_attain_it(problem: Any) -> None:
+    frontier = trace_frontier(problem)
+    for budget in [*frontier.failure, *(0.5 * (frontier.failure[1:] + frontier.failure[:-1]))]:
+        policy = frontier.policy_at(float(budget))
+        found = evaluate(policy, problem)
+        assert found.objective == pytest.approx(frontier.objective_at(budget), rel=1e-9)
+        failure = found.failure_probability if problem.discount is None else None
+        failure = found.discounted_failure if failure is None else failure
+        assert failure == pytest.approx(budget, abs=1e-12)
+        assert len(policy.policies) <= 2
+
+
+def test_prices_are_the_slopes() -> None:
+    frontier = trace_frontier(PROBLEMS[0])
+    middle = 0.5 * (frontier.failure[1:] + frontier.failure[:-1])
+    for budget, price in zip(middle, frontier.price, strict=True):
+        solution = solve(with_budget(PROBLEMS[0], float(budget)))
+        assert solution.failure_price == pytest.approx(price, rel=1e-9)
+
+
+def test_two_pricing_calls_a_turning_point_on_the_robot() -> None:
+    grid = RobotGrid()
+    calls: list[int] = []
+    problem = MCMP(grid_model(grid), start_state(grid))
+    frontier = trace_frontier(problem, gap=1e-3, progress=lambda n, _: calls.append(n))
+    assert frontier.pricing_calls <= 2 * len(frontier.failure) + 5
+    assert calls[-1] == frontier.pricing_calls
+    exact = solve(with_budget(problem, 0.05)).objective
+    assert exact <= frontier.objective_at(0.05) * (1 + 1e-12)
+    assert frontier.objective_at(0.05) <= exact * (1 + 2e-3)
+    few = trace_frontier(problem, gap=1e-6, point_limit=10)
+    assert len(few.failure) == 10
+    assert few.gap > 1e-6
+
+
+def test_frontiers_without_an_edge() -> None:
+    sure = SSP.from_transitions({"s": {"go": [(1.0, "g", 2.0)]}}, goal={"g"})
+    for criterion in (MCMP, S3P):
+        frontier = trace_frontier(criterion(sure, "s"))
+        assert frontier.objective_at(0.0) == pytest.approx(2.0)
+        assert frontier.objective_at(1.0) == pytest.approx(2.0)
+    with pytest.raises(ModelError):
+        trace_frontier(MCMP(sure, "s"), gap=0.0)
+    with pytest.raises(InfeasibleError):
+        trace_frontier(S3P(ROADS, "d"))
+
+
+@pytest.mark.parametrize("problem", [PROBLEMS[0], PROBLEMS[3]], ids=["MCMP", "S3P"])
+def test_a_frontier_from_a_price_on_is_the_rest_of_the_whole(problem: Any) -> None:
+    whole = trace_frontier(problem)
+    steepest = float(np.sqrt(whole.price[0] * whole.price[1]))  # between two kinks
+    part = trace_frontier(problem, steepest_price=steepest)
+    assert not part.complete
+    assert part.failure == pytest.approx(whole.failure[1:], abs=1e-12)
+    assert part.cost == pytest.approx(whole.cost[1:], rel=1e-12)
+    with pytest.raises(ModelError, match="steeper"):
+        part.objective_at(float(whole.failure[0]))
+
+
+def test_tracing_stops_early_and_says_how_far_it_came() -> None:
+    few = trace_frontier(PROBLEMS[0], point_limit=2)
+    assert len(few.failure) == 2
+    assert few.gap > 1e-9
+    assert len(trace_frontier(PROBLEMS[0], time_limit=1e-9).failure) == 2
+    for wrong in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ModelError, match="steepest_price"):
+            trace_frontier(PROBLEMS[0], steepest_price=wrong)
+    with pytest.raises(ModelError, match="best to fail"):
+        trace_frontier(PROBLEMS[3], steepest_price=1e-3)

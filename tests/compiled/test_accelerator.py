@@ -1,0 +1,210 @@
+"""Compiled loops and their numpy twins: the same numbers, bit by bit where sums are ordered."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import MCMP, S3P
+from ssp_lp import ModelError, certify, solve
+from ssp_lp.compiled import accelerator
+from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
+from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.model import SSP
+from ssp_lp.processes.live_rows import RowChoice, live_rows
+
+pytest.importorskip("numba")
+
+Switch = Callable[[bool], None]
+
+
+@pytest.fixture
+def accelerate(monkeypatch: pytest.MonkeyPatch) -> Switch:
+    """Run every loop compiled, or none."""
+
+    def switch(on: bool) -> None:
+        monkeypatch.setattr(accelerator, "has_accelerator", lambda: on)
+        monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
+
+    return switch
+
+
+def both(accelerate: Switch, work: Callable[[], object]) -> tuple[object, object]:
+    accelerate(True)
+    compiled = work()
+    accelerate(False)
+    return compiled, work()
+
+
+def random_pairs(rng: np.random.Generator, states: int = 60) -> tuple[np.ndarray, sp.csr_array]:
+    """Pairs of random numbers of successors, some empty; some states without pairs."""
+    offsets = np.append(0, np.cumsum(rng.integers(0, 5, states))).astype(np.int32)
+    lengths = rng.integers(0, 7, offsets[-1])
+    indptr = np.append(0, np.cumsum(lengths)).astype(np.int32)
+    data = rng.random(indptr[-1]) / 8
+    columns = rng.integers(0, states, indptr[-1]).astype(np.int32)
+    return offsets, sp.csr_array((data, columns, indptr), shape=(len(lengths), states))
+
+
+def assert_same(one: object, other: object) -> None:
+    if isinstance(one, tuple):
+        for a, b in zip(one, other, strict=True):
+            assert_same(a, b)
+    elif isinstance(one, sp.csr_array):
+        for name in ("indptr", "indices", "data"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    else:
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_backups_are_the_same_to_the_last_bit(accelerate: Switch, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    offsets, transitions = random_pairs(rng)
+    values = rng.normal(size=60)
+    fixed = np.round(rng.random(transitions.shape[0]), 1)
+    cost = PairCost(fixed, rng.random(fixed.size), 3.0)
+    held = np.minimum(offsets[:-1], fixed.size - 1)
+    some = np.diff(offsets) > 0
+
+    def work() -> tuple[np.ndarray, ...]:
+        backup = best_pairs(offsets, transitions, cost, values, held)
+        safe = safe_minima(offsets, transitions, cost, fixed, fixed, values)
+        return backup.minima, backup.choice[some], backup.here[some], safe
+
+    assert_same(*both(accelerate, work))
+
+
+@pytest.mark.parametrize("vectors", [1, 2, 3, 4])
+def test_chains_are_the_same(accelerate: Switch, vectors: int) -> None:
+    rng = np.random.default_rng(vectors)
+    _, transitions = random_pairs(rng, 3_000)
+    choice = rng.integers(0, transitions.shape[0], 3_000).astype(np.int32)
+    reward = rng.random((3_000, vectors))
+
+    def work() -> tuple[np.ndarray, ...]:
+        rows = ChosenRows(transitions, choice)
+        return rows @ reward, rows.gathered() @ reward
+
+    compiled, plain = both(accelerate, work)
+    assert_same(compiled, plain)
+    chain = sp.csr_array(transitions[choice])
+    exits = 1.0 - chain.sum(axis=1)
+    solved = both(accelerate, lambda: System(chain, exits).solve(reward))
+    np.testing.assert_allclose(*solved, rtol=1e-13)
+    x = solved[0]
+    np.testing.assert_allclose(x, reward + transitions[choice] @ x, rtol=1e-13)
+
+
+@pytest.mark.parametrize("slow", [0.86, 0.99, 0.9999])
+def test_slowly_leaving_chains_are_solved_too(accelerate: Switch, slow: float) -> None:
+    """Beyond the reach of sweeps: a ring that leaks little; every total is 1 / (1 - slow)."""
+    n = 2_000
+    after = (np.arange(n) + 1) % n
+    ring = sp.csr_array((np.full(n, slow), (np.arange(n), after)), shape=(n, n))
+    rows = sp.csr_array(0.5 * ring + 0.5 * slow * sp.eye_array(n, format="csr"))
+    for on in (True, False):
+        accelerate(on)
+        totals = System(rows, np.full(n, 1.0 - slow)).solve(np.ones(n))
+        np.testing.assert_allclose(totals, 1.0 / (1.0 - slow), rtol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("departing", [False, True])
+def test_rows_are_the_same(accelerate: Switch, seed: int, departing: bool) -> None:
+    rng = np.random.default_rng(seed)
+    lengths = rng.integers(1, 6, 80)
+    offsets = np.append(0, np.cumsum(lengths))
+    weights = rng.integers(0, 3, offsets[-1]) + (np.diff(offsets, prepend=0).sum() == 0)
+    weights[offsets[:-1]] += 1
+    chance = weights / np.repeat(np.add.reduceat(weights, offsets[:-1]), lengths)
+    model = SSP.from_arrays(
+        pair_offsets=np.append(np.arange(0, 81, 2), 80),
+        outcome_offsets=offsets,
+        successors=rng.integers(0, 41, offsets[-1]),
+        probabilities=chance,
+        costs=1.0,
+        goal_states=[40],
+    )
+    node_of = np.where(rng.random(41) < 0.8, np.arange(41), -1).astype(np.int32)
+    pair_at = np.where(rng.random(80) < 0.1, -1, np.arange(80)).astype(np.int32)
+    home = model.pair_state.astype(np.int32) if departing else None
+    ahead = rng.integers(0, 3, offsets[-1]).astype(np.int32)
+    for choice in (
+        RowChoice(model, node_of, 41, pair_at, home),
+        RowChoice(model, node_of, 41, pair_at, home, ahead, 3),
+    ):
+        assert_same(*both(accelerate, lambda c=choice: live_rows(c, 0.9)))
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("discount", [None, 0.999])
+def test_solutions_are_the_same_with_and_without(
+    accelerate: Switch, criterion: type, discount: float | None
+) -> None:
+    grid = RobotGrid(segments=12, headings=8)
+    problem = criterion(grid_model(grid), start_state(grid), 0.12, discount=discount)
+    accelerate(False)
+    plain = solve(problem)
+    accelerate(True)
+    compiled = solve(problem)
+    assert compiled.objective == pytest.approx(plain.objective, rel=1e-12)
+    assert max(compiled.gap, plain.gap) <= 1e-9
+    assert compiled.failure_probability == pytest.approx(plain.failure_probability, abs=1e-12)
+    assert compiled.run.backups > 0
+    assert compiled.run.products > 0
+    if discount is None:  # the same loops once more, on all cores
+        from ssp_lp.compiled.loops import on_all_cores
+
+        with on_all_cores():
+            everywhere = solve(problem)
+        assert everywhere.objective == pytest.approx(plain.objective, rel=1e-12)
+
+
+def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    from ssp_lp.column_generation.pricing import layered
+
+    grid = RobotGrid(segments=10, headings=6)
+    problem = S3P(grid_model(grid), start_state(grid), 0.2)
+    kept = solve(problem)
+    monkeypatch.setattr(layered, "_KEPT_VALUES", 0)
+    dropped = solve(problem)
+    assert np.isinf(dropped.value_function).all()
+    assert dropped.value_function.shape == kept.value_function.shape
+    assert dropped.lower_bound == kept.lower_bound
+    assert certify(dropped).gap == pytest.approx(certify(kept).gap, abs=1e-12)
+
+
+def test_the_switch_knows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    for word, on in (("none", False), ("numba", True), ("", True)):
+        monkeypatch.setenv(accelerator.SWITCH, word)
+        accelerator.has_accelerator.cache_clear()
+        assert accelerator.has_accelerator() is on
+    monkeypatch.setenv(accelerator.SWITCH, "fortran")
+    accelerator.has_accelerator.cache_clear()
+    with pytest.raises(ModelError, match="SSP_LP_ACCELERATOR"):
+        accelerator.has_accelerator()
+    accelerator.has_accelerator.cache_clear()
+
+
+def test_rows_are_filled_within_their_arrays() -> None:
+    """As plain Python, where reading beyond an array's end is an error rather than luck."""
+    from ssp_lp.compiled import rows
+
+    n, none = 5, np.zeros(0, dtype=np.int32)
+    numbers = np.arange(n + 1, dtype=np.int32)
+    departs, counts = np.empty(n), np.empty(n, dtype=np.int32)
+    outcomes = numbers, np.zeros(n, dtype=np.int32), np.ones(n)
+    node_of, pair_at = np.zeros(1, dtype=np.int32), numbers[:n]
+    indices, data = np.empty(n, dtype=np.int32), np.empty(n)
+    for home, kept in ((none, n), (np.ones(n, dtype=np.int32), n)):
+        rows.count.py_func(*outcomes, node_of, pair_at, home, counts, departs, np.empty(n))
+        assert counts.sum() == kept
+        rows.fill.py_func(
+            *outcomes, none, node_of, 1, pair_at, home, departs, 1.0, numbers, indices, data
+        )
+        np.testing.assert_array_equal(data, np.ones(n))

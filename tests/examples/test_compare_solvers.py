@@ -1,0 +1,210 @@
+"""The solver comparison: rows for all that can happen to a solver, and numbers that agree."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from examples.solver_comparison import compare_solvers
+from examples.solver_comparison.instances.instance import (
+    DEFAULT_INSTANCES,
+    Instance,
+    parse_instance,
+)
+from examples.solver_comparison.measuring.memory import process_memory
+from examples.solver_comparison.measuring.process import Limits, watch
+from examples.solver_comparison.reporting.growth import growth_text
+from examples.solver_comparison.reporting.results import (
+    Outcome,
+    SolverRun,
+    completed,
+    judged,
+    run_from_json,
+    run_to_json,
+)
+from examples.solver_comparison.reporting.table import table_text
+from examples.solver_comparison.solvers.catalogue import SOLVERS, Order, Solver
+
+SMALL = "random-400-M"
+
+
+def solved(solver: str, seconds: float, **more: object) -> SolverRun:
+    entries = {"instance": SMALL, "solver": solver, "outcome": "solved", "time_limit": 60.0}
+    return run_from_json({**entries, "seconds": seconds, "calls": 1, **more})
+
+
+@pytest.mark.parametrize("name", DEFAULT_INSTANCES)
+def test_names_of_instances_are_read_back(name: str) -> None:
+    assert parse_instance(name).name == name
+
+
+def test_names_carry_caps_and_discounts() -> None:
+    assert parse_instance("robot-20x12-S80").cost_cap == 80.0
+    assert parse_instance("robot-20x12-M@0.999") == Instance("robot", (20, 12), "M", None, 0.999)
+    for name in ("robot-20-M", "random-5x5-M", "maze-20-M", "robot-20x12-X"):
+        with pytest.raises(ValueError, match="is no instance"):
+            parse_instance(name)
+
+
+def test_large_instances_are_warmed_up_on_a_small_one() -> None:
+    assert parse_instance("robot-80x36-S80").warm_up.name == "robot-20x12-S80"
+    assert parse_instance("robot-6x6-M").warm_up.name == "robot-6x6-M"
+
+
+def test_solvers_agree_each_in_a_process_of_its_own(tmp_path: Path) -> None:
+    chosen = ["columns", "highs-ipx"]
+    runs = compare_solvers.main(
+        ["--instances", SMALL, "--solvers", *chosen, "--repeat", "2", "--output", str(tmp_path)]
+    )
+    assert [run.solver for run in runs] == chosen
+    assert {run.outcome for run in runs} == {Outcome.SOLVED}
+    columns = runs[0]
+    assert columns.gap is not None
+    assert columns.gap <= 1e-9
+    assert columns.calls == 2
+    for run in runs:
+        assert run.objective == pytest.approx(columns.objective, rel=1e-6)
+        assert run.excess is not None
+        assert run.excess <= 1e-9
+        assert run.peak_memory is not None
+        assert run.peak_memory >= (run.ready_memory or 0) > 0
+    saved = json.loads((tmp_path / "comparison.json").read_text(encoding="utf-8"))
+    assert [run_from_json(entry) for entry in saved["runs"]] == runs
+    assert (tmp_path / "comparison.png").stat().st_size > 10_000
+
+
+def test_a_solver_that_hangs_is_ended_with_all_it_started(tmp_path: Path) -> None:
+    mark = tmp_path / "grandchild"
+    late = f"import time; time.sleep(2); open({str(mark)!r}, 'w')"
+    hanging = (
+        "import json, subprocess, sys\n"
+        "open(sys.argv[1], 'a').write(json.dumps({'phase': 'solving', 'states': 7}) + '\\n')\n"
+        f"subprocess.run([sys.executable, '-c', {late!r}])\n"
+    )
+    began = time.monotonic()
+    order = Order(SMALL, "columns", time_limit=0.2, repeat=1, tolerance=1e-9)
+    limits = Limits(prepare_seconds=20.0, call_seconds=0.2)
+    run = compare_solvers.run_solver(order, limits, [sys.executable, "-c", hanging])
+    assert time.monotonic() - began < 2.0
+    assert run.outcome is Outcome.TIME_OUT
+    assert run.states == 7  # what it had said is kept
+    assert "> 0" in table_text([run])
+    time.sleep(max(0.0, began + 2.6 - time.monotonic()))
+    assert not mark.exists()
+
+
+def test_a_crash_is_a_row_with_its_reason() -> None:
+    order = Order(SMALL, "columns", time_limit=9.0, repeat=1, tolerance=1e-9)
+    for code, reason in (
+        ("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)", "SIGSEGV"),
+        ("raise SystemExit('out of luck')", "exit status 1: out of luck"),
+    ):
+        run = compare_solvers.run_solver(order, Limits(9.0, 9.0), [sys.executable, "-c", code])
+        assert run.outcome is Outcome.FAILED
+        assert run.note == reason
+
+
+def test_a_solver_that_is_refused_memory_ran_out_of_it() -> None:
+    order = Order(SMALL, "columns", time_limit=9.0, repeat=1, tolerance=1e-9)
+    aborted = "import os, sys; print('std::bad_alloc', file=sys.stderr, flush=True); os.abort()"
+    run = compare_solvers.run_solver(order, Limits(9.0, 9.0), [sys.executable, "-c", aborted])
+    assert run.outcome is Outcome.OUT_OF_MEMORY
+    assert run.note == "SIGABRT: std::bad_alloc"
+
+
+@pytest.mark.skipif(process_memory(1) is None, reason="the memory of others cannot be read here")
+def test_a_process_over_its_memory_is_ended() -> None:
+    greedy = "x = bytearray(200_000_000)\nimport time; time.sleep(30)"
+    ending = watch([sys.executable, "-c", greedy], Limits(9.0, 9.0, memory=100e6))
+    assert ending.outcome is Outcome.OUT_OF_MEMORY
+
+
+def test_what_is_not_installed_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from examples.solver_comparison.measuring import worker
+
+    absent = Solver("absent", "nowhere", package="a_package_nobody_has", pip="pip install it")
+    monkeypatch.setattr(worker, "solver_named", lambda name: absent)
+    report = tmp_path / "report"
+    order = {"instance": SMALL, "solver": "absent", "time_limit": 1.0, "repeat": 1}
+    worker.main([json.dumps({**order, "tolerance": 1e-9}), str(report)])
+    entries = [json.loads(line) for line in report.read_text(encoding="utf-8").splitlines()]
+    assert entries[-1] == {"outcome": "not installed", "note": "pip install it", "phase": "done"}
+
+
+def test_an_error_in_a_solver_is_a_row() -> None:
+    order = Order(SMALL, "no-such-engine", time_limit=9.0, repeat=1, tolerance=1e-9)
+    run = compare_solvers.run_solver(order, Limits(60.0, 9.0))
+    assert run.outcome is Outcome.FAILED
+    assert run.note.startswith("ModelError: engine must be one of")
+
+
+def test_larger_instances_are_left_out_after_a_time_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def late(order: Order, limits: Limits) -> SolverRun:
+        asked.append(order.instance)
+        return SolverRun(order.instance, order.solver, Outcome.TIME_OUT, limits.call_seconds)
+
+    monkeypatch.setattr(compare_solvers, "run_solver", late)
+    names = ["robot-20x12-M", "robot-40x24-M", "robot-40x24-S80"]
+    options = compare_solvers._parse(["--instances", *names, "--solvers", "columns"])
+    runs = list(compare_solvers.compare(options, Limits()))
+    assert asked == ["robot-20x12-M", "robot-40x24-S80"]
+    assert [run.outcome for run in runs] == ["time-out", "skipped", "time-out"]
+
+
+def test_the_table_has_a_row_per_run_and_ratios() -> None:
+    runs = [
+        solved("columns", 0.5, objective=1.25, gap=1e-12),
+        solved("storm", 2.0),
+        SolverRun(SMALL, "lp-ipx", Outcome.TIME_OUT, 60.0),
+        SolverRun(SMALL, "highs-hipo", Outcome.NOT_INSTALLED, 60.0, note="pip install hipo"),
+    ]
+    head, _, *rows = table_text(runs).splitlines()
+    assert len(rows) == len(runs)
+    assert "x columns" in head
+    assert rows[1].split()[4:7] == ["storm", "2", "4"]
+    assert "> 60" in rows[2]
+    assert "> 120" in rows[2]
+    assert rows[3].endswith("not installed: pip install hipo")
+
+
+def test_an_answer_far_from_the_certified_one_is_wrong() -> None:
+    near, far = 10.0 * (1 + 1e-5), 10.0 * (1 + 1e-3)
+    runs = [solved("storm", 1.0, objective=far), solved("columns", 1.0, objective=10.0)]
+    runs = judged([*runs, solved("lp-ipx", 1.0, objective=near)])
+    assert [run.outcome for run in runs] == ["wrong", "solved", "solved"]
+    assert runs[0].note == "off the certified value by 0.001"
+
+
+def test_rows_without_sizes_take_those_of_the_instance() -> None:
+    late = SolverRun(SMALL, "storm", Outcome.SKIPPED, 60.0)
+    rows = completed([solved("columns", 1.0, states=3, pairs=4, transitions=5), late])
+    assert (rows[1].states, rows[1].pairs, rows[1].transitions) == (3, 4, 5)
+
+
+def test_runs_survive_json() -> None:
+    run = solved("columns", 0.5, objective=1.25, gap=1e-12, backups=3, note="words")
+    assert run_from_json(json.loads(json.dumps(run_to_json(run)))) == run
+
+
+def test_every_solver_says_how_it_is_installed() -> None:
+    assert all(solver.pip.startswith("pip install") for solver in SOLVERS)
+    assert len({solver.name for solver in SOLVERS}) == len(SOLVERS)
+
+
+def test_growth_compares_a_refinement_with_the_one_before() -> None:
+    def member(name: str, transitions: int, backups: int, seconds: float) -> SolverRun:
+        sizes = {"instance": name, "transitions": transitions, "states": 10, "pairs": 50}
+        return solved("columns", seconds, **sizes, backups=backups, products=50)
+
+    runs = [member("robot-20x12-M", 1000, 10, 1.0), member("robot-40x24-M", 2000, 20, 3.0)]
+    _, first, second = growth_text(runs).splitlines()
+    assert first.split()[3] == "20"  # 10 sweeps and 50 products of a fifth of a sweep each
+    assert second.split()[4] == "1.50"
+    assert float(second.split()[5]) == pytest.approx(1e9 * 3.0 / (30 * 2000))
+    assert growth_text([solved("columns", 1.0)]) == ""

@@ -1,0 +1,101 @@
+"""The tour of the criteria: they are one picture, and the table says what each attains."""
+
+import math
+
+import numpy as np
+import pytest
+
+from examples.formulating import criteria_tour
+from formulations import AlphaMCMP, CostLimit, MaxProb, compare_criteria
+from small_models import EXACT, TWO_MOVES, model_of
+from ssp_lp import solve
+
+STOPS = list(criteria_tour.tour())
+
+
+@pytest.mark.parametrize(("name", "domain"), STOPS, ids=[name for name, _ in STOPS])
+def test_every_criterion_lies_on_the_frontier(name, domain):
+    """Alpha-MCMP walks along it, and the finite penalty D is its tangent of slope D."""
+    frontier = criteria_tour.free_frontier(domain)
+    rows = criteria_tour.shares(domain, frontier) + criteria_tour.tangents(domain, frontier)
+    assert len(rows) == len(criteria_tour.FRACTIONS) + len(criteria_tour.PENALTIES)
+    for what, found, theory in rows:
+        assert found == pytest.approx(theory, rel=1e-8, abs=1e-12), what
+
+
+@pytest.mark.parametrize(("name", "domain"), STOPS, ids=[name for name, _ in STOPS])
+def test_the_cost_of_a_share_is_linear_up_to_the_best_ratio(name, domain):
+    """Giving up at the start is free: linear up to the least cost per probability, then convex."""
+    model, start = domain
+    frontier = criteria_tour.free_frontier(domain)
+    goal = 1.0 - frontier.failure
+    greatest = solve(MaxProb(model, start)).objective
+    ratios = frontier.cost[goal > 1e-9] / goal[goal > 1e-9]
+    ratio = float(ratios.min())
+    reach = float(goal[goal > 1e-9][ratios <= ratio * (1.0 + 1e-9)].max())
+    shares = np.append(np.linspace(0.0, 1.0, 21), reach / greatest)
+    for share in shares:
+        cost = solve(AlphaMCMP(model, start, float(min(share, 1.0)))).objective
+        line = ratio * share * greatest
+        if share * greatest <= reach * (1.0 + 1e-12):
+            assert cost == pytest.approx(line, rel=1e-8, abs=1e-12)
+        else:
+            assert cost > line
+    costs = [solve(AlphaMCMP(model, start, float(share))).objective for share in shares[:-1]]
+    assert (np.diff(costs, 2) >= -1e-9 * max(costs)).all()
+
+
+def test_the_tour_prints_a_table_for_each_domain(capsys):
+    criteria_tour.main()
+    printed = capsys.readouterr().out
+    assert printed.count("MaxProb") == printed.count("one picture") == len(STOPS)
+
+
+def test_the_comparison_has_a_row_for_each_question():
+    """Slow costs 2 for sure; fast costs 1 and fails with 1/20."""
+    compared = compare_criteria(
+        model_of(TWO_MOVES), "x", failure_budgets=(0.02, 0.05), penalties=(10.0, 30.0)
+    )
+    assert compared["MCMP, failure budget 0.02"].solution.objective == pytest.approx(1.6, **EXACT)
+    assert compared["S3P, failure budget 0.02"].numbers[2] == pytest.approx(79 / 49, rel=1e-9)
+    assert compared["FinitePenalty, penalty 10"].numbers[0] == pytest.approx(1.5, **EXACT)
+    assert compared["FinitePenalty, penalty 30"].numbers[0] == pytest.approx(2.0, **EXACT)
+    assert compared["MaxProb"].numbers[0] == 1.0
+    with pytest.raises(KeyError):
+        compared["no such criterion"]
+
+
+def test_what_nobody_can_do_stays_in_the_table():
+    model = model_of({"x": {"go": [(0.5, "g", 1), (0.5, "d", 1)]}, "d": {}})
+    compared = compare_criteria(model, "x")
+    row = compared["MCMP, failure budget 0.05"]
+    assert row.solution is None
+    assert row.numbers == (None,) * 5
+    assert "0.5" in row.note
+    assert row.note in compared.summary()
+
+
+def test_the_comparison_asks_for_risk_utility_and_limits():
+    """Slow costs 2 and burns 4 for sure; fast costs 1, burns 1 and fails with 1/20."""
+    fuel = CostLimit({"x": {"slow": 4.0, "fast": 1.0}}, bound=2.5)
+    compared = compare_criteria(
+        model_of(TWO_MOVES),
+        "x",
+        failure_budgets=(0.05,),
+        cost_bounds=(1,),
+        levels=(0.9,),
+        exponential_utilities=((-1.0, 1.0),),
+        limits={"fuel": fuel},
+    )
+    objectives = {row.criterion: row.numbers[0] for row in compared.rows}
+    assert objectives["CostBoundedReach, cost 1"] == pytest.approx(0.95, **EXACT)
+    assert objectives["CostBoundedReach, cost 1, failure budget 0.05"] == pytest.approx(0.95)
+    assert objectives["CostQuantile 0.9, least failure"] == 2.0
+    assert objectives["CostQuantile 0.9, failure budget 0.05"] == 1.0
+    assert objectives["CVaR 0.9, failure budget 0.05"] == pytest.approx(1.0, rel=1e-8)
+    utility = max(math.exp(-2.0) + 1.0, 0.95 * (math.exp(-1.0) + 1.0))
+    name = "EGUBS, risk factor -1, goal bonus 1"
+    assert objectives[name] == pytest.approx(utility, **EXACT)
+    assert objectives["ConstrainedCost, least failure"] is None
+    assert "'fuel' is at least 4" in compared["ConstrainedCost, least failure"].note
+    assert objectives["ConstrainedCost, failure budget 0.05"] == pytest.approx(1.0, **EXACT)

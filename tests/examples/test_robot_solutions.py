@@ -1,0 +1,109 @@
+"""The paper's robot (section 4): the engines agree and the answers are certified."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from formulations import MCMP, S3P
+from ssp_lp import SSP, certify, evaluate, simulate, solve
+
+BUDGET = 0.05
+
+
+@pytest.fixture(scope="module")
+def small_robot() -> tuple[SSP, int]:
+    """A coarse grid, whose accumulated-cost process a linear program can still take."""
+    grid = RobotGrid(segments=6, headings=6, quadrature=2)
+    return grid_model(grid), start_state(grid)
+
+
+@pytest.mark.parametrize("discount", [None, 0.999])
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_answers_are_certified(robot: Any, criterion: Any, discount: float | None) -> None:
+    model, start = robot
+    problem = criterion(model, start=start, failure_budget=BUDGET, discount=discount)
+    solution = solve(problem)
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.gap <= 1e-8
+    assert solution.gap <= 1e-8
+    assert len(solution.policy.policies) <= 2
+    limited = solution.discounted_failure if discount else solution.failure_probability
+    assert limited is not None
+    assert limited <= BUDGET + 1e-12
+    assert solution.failure_probability <= limited + 1e-12  # t2-2
+    assert evaluate(solution.policy, problem).objective == pytest.approx(
+        solution.objective, rel=1e-10
+    )
+
+
+@pytest.mark.parametrize("discount", [None, 0.999])
+def test_the_full_linear_program_agrees_in_case_m(robot: Any, discount: float | None) -> None:
+    model, start = robot
+    problem = MCMP(model, start=start, failure_budget=BUDGET, discount=discount)
+    by_columns, by_program = solve(problem, "columns"), solve(problem, "lp")
+    assert by_program.engine == "lp"
+    assert by_program.objective == pytest.approx(by_columns.objective, rel=1e-7)
+    assert by_program.failure_price == pytest.approx(by_columns.failure_price, rel=1e-6)
+    assert float(by_program.run.program.split()[1].rstrip(",")) == pytest.approx(
+        by_columns.objective, rel=1e-7
+    )
+
+
+@pytest.mark.parametrize("backend", ["highs-ipx", "clarabel", "cvxpy"])
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_every_backend_agrees_on_a_coarse_robot(
+    small_robot: Any, criterion: Any, backend: str
+) -> None:
+    model, start = small_robot
+    least = solve(criterion(model, start=start))
+    budget = least.failure_probability + 0.1
+    for discount in (None, 0.999):
+        extra = {"cost_cap": 12.0} if criterion is S3P else {}
+        problem = criterion(model, start=start, failure_budget=budget, discount=discount, **extra)
+        by_columns = solve(problem, "columns")
+        by_program = solve(problem, "lp", backend=backend)
+        assert by_program.objective == pytest.approx(by_columns.objective, rel=1e-7)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_the_equivalent_randomised_policy(robot: Any, criterion: Any) -> None:
+    """Section 2.2: one randomised stationary policy does what the lottery does."""
+    model, start = robot
+    for discount in (None, 0.999):
+        problem = criterion(model, start=start, failure_budget=BUDGET, discount=discount)
+        solution = solve(problem)
+        found = evaluate(solution.randomised_policy, problem)
+        assert found.objective == pytest.approx(solution.objective, rel=1e-9)
+        limited = found.failure_probability if discount is None else found.discounted_failure
+        assert limited == pytest.approx(BUDGET, abs=1e-11)
+
+
+def test_simulation_agrees_with_evaluation(robot: Any) -> None:
+    model, start = robot
+    problem = MCMP(model, start=start, failure_budget=BUDGET)
+    solution = solve(problem)
+    report = simulate(
+        solution.policy, problem, episodes=40_000, rng=np.random.default_rng(7), confidence=0.9999
+    )
+    exact = solution.evaluation
+    for name in ("goal_probability", "conditional_cost", "expected_cost"):
+        estimate = getattr(report, name)
+        assert estimate.low <= getattr(exact, name) <= estimate.high
+    assert sum(report.ends.values()) == report.episodes
+
+
+def test_a_dearer_wall_changes_only_case_m() -> None:
+    values = {}
+    for wall_cost in (1.0, 100.0):
+        grid = RobotGrid(wall_cost=wall_cost)
+        model, start = grid_model(grid), start_state(grid)
+        for criterion in (MCMP, S3P):
+            problem: Any = criterion(model, start=start, failure_budget=BUDGET)
+            values[criterion, wall_cost] = solve(problem).objective
+    assert values[S3P, 100.0] == pytest.approx(values[S3P, 1.0], rel=1e-12)
+    assert values[MCMP, 100.0] > values[MCMP, 1.0] + 0.1

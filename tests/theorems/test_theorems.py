@@ -1,0 +1,106 @@
+"""A user's own stationary policies: exact evaluation, and the paper's theorems of section 2.5."""
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from checks import CLOSE, library_model, plain
+from formulations import MCMP, S3P
+from plain_policies import library_policy, stationary_policies
+from references import mcmp, s3p
+from references.chain import long_run_average, mean, start_distribution
+from ssp_lp import evaluate
+from strategies import discounts, problems
+
+meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
+drawn_settings = settings(max_examples=100, deadline=None, derandomize=True)
+
+
+@drawn_settings
+@given(problems(most_live=3), meanings, st.booleans(), discounts, st.data())
+def test_evaluation_under_case_m(drawn, give_up, charge, discount, data):
+    """Tau comes from the policy's own chain; a class that pays for ever costs infinity."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, give_up))
+    begin = start_distribution(drawn.start)
+    problem = MCMP(
+        model,
+        start=drawn.start,
+        failure_budget=1.0,
+        discount=discount,
+        give_up=give_up,
+        charge_failing_step=charge,
+    )
+    evaluation = evaluate(library_policy(model, decisions), problem)
+    failure, cost = mcmp.evaluate(reference, begin, decisions, give_up, charge)
+    assert evaluation.failure_probability == pytest.approx(failure, abs=1e-12)
+    assert evaluation.goal_probability == pytest.approx(1 - failure, abs=1e-12)
+    assert evaluation.expected_cost == pytest.approx(cost, **CLOSE)
+    if discount is None:
+        assert evaluation.objective == pytest.approx(cost, **CLOSE)
+        assert evaluation.discounted_failure is None
+    else:
+        failure, cost = mcmp.evaluate(reference, begin, decisions, give_up, charge, discount)
+        assert evaluation.discounted_failure == pytest.approx(failure, abs=1e-12)
+        assert evaluation.objective == pytest.approx(cost, **CLOSE)
+
+
+@drawn_settings
+@given(problems(most_live=3), discounts, st.data())
+def test_evaluation_under_case_s(drawn, discount, data):
+    """Cost on success, its ratio to the success, exact and discounted."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, "dead_ends"))
+    begin = start_distribution(drawn.start)
+    problem = S3P(model, start=drawn.start, failure_budget=1.0, discount=discount)
+    evaluation = evaluate(library_policy(model, decisions), problem)
+    weight, cost = (mean(begin, part) for part in s3p.values(reference, decisions, None))
+    assert evaluation.goal_probability == pytest.approx(weight, abs=1e-12)
+    assert evaluation.success_cost == pytest.approx(cost, **CLOSE)
+    if weight > 0:
+        assert evaluation.conditional_cost == pytest.approx(cost / weight, **CLOSE)
+        weight, cost = (mean(begin, part) for part in s3p.values(reference, decisions, discount))
+        assert evaluation.objective == pytest.approx(cost / weight, **CLOSE)
+
+
+@drawn_settings
+@given(problems(), meanings, st.data())
+def test_failure_is_the_long_run_average_of_not_being_at_the_goal(drawn, give_up, data):
+    """Theorem t2-0; stopping and dead-ends stay where they are."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, give_up))
+    problem = MCMP(model, start=drawn.start, failure_budget=1.0, give_up=give_up)
+    evaluation = evaluate(library_policy(model, decisions), problem)
+    average = long_run_average(reference, start_distribution(drawn.start), decisions)
+    assert evaluation.failure_probability == pytest.approx(average, abs=1e-6)
+
+
+@drawn_settings
+@given(problems(), meanings, st.data())
+def test_discounted_failure_falls_to_the_failure(drawn, give_up, data):
+    """Theorems t2-1 and t2-2: F <= L(gamma) <= F + (1 - gamma) E[T; goal], and L falls in gamma."""
+    reference, model = plain(drawn), library_model(drawn)
+    decisions = data.draw(stationary_policies(drawn, reference, give_up))
+    policy = library_policy(model, decisions)
+    steps = plain(
+        type(drawn)(
+            {
+                s: {a: [(p, t, 1.0) for p, t, _ in outcomes] for a, outcomes in actions.items()}
+                for s, actions in drawn.choices.items()
+            },
+            drawn.goals,
+            drawn.start,
+        )
+    )
+    time = mean(start_distribution(drawn.start), s3p.values(steps, decisions, None)[1])
+    before = 1.0
+    for gamma in (0.5, 0.9, 0.999, 1 - 1e-6, 1 - 1e-9):
+        problem = MCMP(
+            model, start=drawn.start, failure_budget=1.0, discount=gamma, give_up=give_up
+        )
+        evaluation = evaluate(policy, problem)
+        failure, surrogate = evaluation.failure_probability, evaluation.discounted_failure
+        assert surrogate >= failure - 1e-12
+        assert surrogate <= failure + (1 - gamma) * time + 1e-12
+        assert surrogate <= before + 1e-12
+        before = surrogate
