@@ -46,7 +46,8 @@ def _value(
     if not term.final:
         entering = replace(chain, cost=survival * there[chain.target])
         plain = FailureSemantics(problem.semantics.give_up)
-        return until_failure(entering, counted, plain, survival)
+        at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
+        return until_failure(entering, counted, plain, survival) + float(at_once)
     ended = ending(chain, there[:, None], survival)[0]
     return complement(ended) if term.others else ended
 

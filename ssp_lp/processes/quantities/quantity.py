@@ -128,6 +128,8 @@ def secondary_cost(cost: NestedCosts | npt.ArrayLike) -> Quantity:
 def visits(*states: Hashable) -> Quantity:
     """How often some states are entered or started in, in expectation; staying counts each time.
 
+    Counted until the goal is reached or failure declared; a dead-end is entered once at most.
+
     Args:
         states: states, or labels of states.
     """

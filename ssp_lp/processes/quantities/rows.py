@@ -238,13 +238,7 @@ def _term(model: SSP, name: str, counted: Counted) -> Term:
             costs = outcome_costs(model, name, cost)
             return Steps(replace(model, costs=costs, exact_costs={}))
         case Visits(of):
-            mask = _members(model, name, of)
-            if (mask & (end_marks(model) >= 0)).any():
-                raise ModelError(
-                    f"limit {name!r}: episodes end there, so that no visits are counted: take "
-                    "end_probability(...)"
-                )
-            return Arrivals(model, mask)
+            return Arrivals(model, _members(model, name, of))
         case Ends(ways, others):
             return Arrivals(model, _final_states(model, name, ways), final=True, others=others)
 
