@@ -10,7 +10,7 @@
 | `paper_robot` | the paper's experiment: a robot among obstacles |
 | `paper_walkthrough` | the paper, section by section, and its game as a second opinion |
 | `domains` | generators of the literature's dead-end domains, of any size |
-| `solver_comparison` | the library's engines beside their peers |
+| `solver_comparison` | the library's methods beside their peers |
 | `checks` | answers against exact fractions, full linear programs and Storm |
 
 `pip install -e` puts the checkout on Python's path, so that an example finds another as

@@ -46,6 +46,7 @@ class AlphaMCMP(Formulation):
         reach_fraction: alpha in [0, 1].
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the

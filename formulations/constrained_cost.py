@@ -57,6 +57,7 @@ class ConstrainedCost(Formulation):
         discount: None for exact numbers, or gamma in (0, 1).
         give_up: "anywhere", "attention" (the paper) or "dead_ends".
         charge_failing_step: charge the failing step (the paper's section 3.1.2).
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the

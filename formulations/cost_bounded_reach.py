@@ -50,6 +50,7 @@ class CostBoundedReach(Formulation):
         start: a state, or ``{state: probability}``; one budget for the mean.
         cost_bound: greatest total cost, a number or a fraction, not negative.
         failure_budget: largest failure probability; None: as low as possible.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,

@@ -49,6 +49,7 @@ class CostQuantile(Formulation):
         start: a state, or ``{state: probability}``; one budget for the mean.
         level: strictly between 0 and 1.
         failure_budget: largest failure probability; None: as low as possible.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least quantile as ``objective``, a certified ``lower_bound``, and a

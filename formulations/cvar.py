@@ -50,6 +50,7 @@ class CVaR(Formulation):
         start: a state, or ``{state: probability}``; one budget for the mean.
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least conditional value at risk as ``objective``, a certified

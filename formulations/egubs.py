@@ -49,6 +49,7 @@ class EGUBS(Formulation):
         start: a state, or ``{state: probability}``.
         risk_factor: lambda < 0, per unit of cost.
         goal_bonus: K_g >= 0.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the greatest expected utility as ``objective``, a certified

@@ -50,6 +50,7 @@ class FinitePenalty(Formulation):
         discount: None for exact probabilities, or gamma in (0, 1).
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step as well.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: cost and penalty together as ``objective``, a certified

@@ -50,6 +50,7 @@ class GUBS(Formulation):
         utility: non-increasing function of the total cost, on arrays.
         goal_bonus: K_g >= 0.
         utility_at_infinity: what the utility falls to, and what failing is worth.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the greatest expected utility as ``objective``, a certified

@@ -40,6 +40,7 @@ class ISSPUDE(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least cost given success as ``objective``, a certified

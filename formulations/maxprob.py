@@ -41,6 +41,7 @@ class MaxProb(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,

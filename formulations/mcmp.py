@@ -54,6 +54,7 @@ class MCMP(Formulation):
         charge_failing_step: charge the failing step (the paper's section 3.1.2); None: as above.
         reach_fraction: instead of a budget, the share of the greatest goal probability that must
             be attained (of the real one, also under a discount).
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the

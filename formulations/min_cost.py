@@ -40,6 +40,7 @@ class MinCost(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, and one

@@ -41,6 +41,7 @@ class MinProb(Formulation):
     Args:
         model: the model.
         start: a state, or ``{state: probability}``.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least probability as ``objective``, a certified ``lower_bound``,

@@ -49,6 +49,7 @@ class S3P(Formulation):
         cost_cap: fix the cap M on accumulated cost; None: chosen as above.
         reach_fraction: instead of a budget, the share of the greatest goal probability that must
             be attained (of the real one, also under a discount).
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
         the problem. Solved: the least cost given success as ``objective``, a certified

@@ -13,6 +13,7 @@ from ssp_lp.errors import (
     SSPError,
 )
 from ssp_lp.model import SSP
+from ssp_lp.options import ColumnGeneration, DeterministicPolicies, Game, LinearProgramming
 from ssp_lp.policies import (
     GIVE_UP,
     CostAwarePolicy,
@@ -52,16 +53,20 @@ __all__ = [
     "GIVE_UP",
     "SSP",
     "Certificate",
+    "ColumnGeneration",
     "Constraint",
     "CostAwarePolicy",
     "CostLaw",
     "CrossCheck",
+    "DeterministicPolicies",
     "DeterministicPolicy",
     "Evaluation",
     "Formulation",
     "Frontier",
+    "Game",
     "GiveUp",
     "InfeasibleError",
+    "LinearProgramming",
     "Memory",
     "MissingDependencyError",
     "MixedPolicy",

@@ -40,7 +40,7 @@ class InfeasibleError(SSPError):
 
 
 class SolverError(SSPError, RuntimeError):
-    """An engine did not deliver an answer that passes its check; says what was tried."""
+    """A method did not deliver an answer that passes its check; says what was tried."""
 
 
 class MissingDependencyError(SSPError, ImportError):

@@ -56,7 +56,7 @@ class Problem(Protocol):
         ...
 
     def compile(self) -> CompiledProblem:
-        """The augmented process, ready for an engine."""
+        """The augmented process, ready for a method."""
         ...
 
 

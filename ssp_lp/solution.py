@@ -18,10 +18,10 @@ from ssp_lp.processes.failure_semantics import Aim
 
 @dataclass(frozen=True)
 class Run:
-    """Which engine ran, why, and what it did."""
+    """Which method ran, why, and what it did."""
 
-    engine: str  # "columns", "lp" or "game"
-    reason: str  # why this engine, and what it had to do
+    method: str  # "columns", "lp" or "game"
+    reason: str  # why this method, and what it had to do
     pricing_calls: int
     seconds: float
     work: Work = field(default_factory=Work)  # passes over the process
@@ -144,9 +144,9 @@ class Solution:
         return mine / (mine + other) if mine + other > 0 else 1.0
 
     @property
-    def engine(self) -> str:
-        """Name of the engine that ran."""
-        return self.run.engine
+    def method(self) -> str:
+        """Name of the method that ran."""
+        return self.run.method
 
     @property
     def seconds(self) -> float:
@@ -184,7 +184,7 @@ class Solution:
             rows.append((limit, f"{spent:.6g}   (price {self.prices.get(limit, 0.0):.6g})"))
         lottery = ", ".join(f"{w:.4f}" for w in self.policy.weights)
         rows.append(("policy", f"lottery over {len(self.policy.weights)} ({lottery})"))
-        rows.append(("engine", f"{self.engine}: {self.run.reason}, {self.seconds:.3g} s"))
+        rows.append(("method", f"{self.method}: {self.run.reason}, {self.seconds:.3g} s"))
         if self.note:
             rows.append(("note", self.note))
         body = "\n".join(f"  {label:<20} {value}" for label, value in rows)

@@ -10,7 +10,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 ORDER = [
-    ("errors", "arrays"),
+    ("errors", "arrays", "options"),
     ("compiled",),
     ("model", "linear_programming"),
     ("policies", "dynamic_programming"),

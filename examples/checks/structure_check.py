@@ -155,7 +155,7 @@ def disagreement(solution: Solution, other: float, room: float, name: str) -> li
 
 
 def _by_program(problem: Problem) -> float:
-    return solve(problem, engine="lp").objective
+    return solve(problem, method="lp").objective
 
 
 def _by_storm(problem: MCMP) -> float:

@@ -96,7 +96,7 @@ def _try_all(model: SSP, grid: RobotGrid, episodes: int, seed: int, clock: Clock
         clock.say(
             f"{design.name}: cost {trial.solution.objective:.4f}, "
             f"failure {trial.solution.failure_probability:.6f}, "
-            f"solved in {trial.solution.seconds:.2f} s by {trial.solution.engine}"
+            f"solved in {trial.solution.seconds:.2f} s by {trial.solution.method}"
         )
     return trials
 

@@ -149,14 +149,14 @@ def section_duality() -> list[Row]:
     """
     rows = []
     for discount, gamma in ((None, ONE), (float(GAMMA), GAMMA)):
-        for engine in ("columns", "lp", "game")[: 2 if discount is None else 3]:
+        for method in ("columns", "lp", "game")[: 2 if discount is None else 3]:
             setting = "exact" if discount is None else f"gamma = {discount:g}"
             for name, make in (("M", MCMP), ("S", S3P)):
                 problem = make(
                     journey(), start=START, failure_budget=float(BUDGET), discount=discount
                 )
-                solution = solve(problem, engine=engine, tolerance=ACCURATE)
-                rows += _dual_rows(f"{name}, {setting}, {engine}: ", solution, gamma)
+                solution = solve(problem, method=method, tolerance=ACCURATE)
+                rows += _dual_rows(f"{name}, {setting}, {method}: ", solution, gamma)
     return [
         *rows,
         *_written_out(),

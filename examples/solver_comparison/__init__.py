@@ -1,1 +1,1 @@
-"""This library's engines beside their peers: `compare_solvers` runs them all."""
+"""This library's methods beside their peers: `compare_solvers` runs them all."""

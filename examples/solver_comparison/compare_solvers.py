@@ -1,4 +1,4 @@
-r"""This library's engines beside their peers: one run, one table.
+r"""This library's methods beside their peers: one run, one table.
 
 Runs every solver on every instance, each in a process of its own, and prints the size of the
 model, the seconds, the objective, the relative gap and the peak memory; saves the rows as JSON and

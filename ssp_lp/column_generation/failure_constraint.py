@@ -29,10 +29,14 @@ class Row:
         demanded = 1.0 - self.budget
         return column.goal - demanded if demanded < 0.5 else self.budget - column.failure
 
+    def breaks(self, column: Column) -> bool:
+        """Whether a policy breaks the budget by more than rounding."""
+        return self.spare(column) < -self.rounding
+
     @property
     def rounding(self) -> float:
         """By how much a policy may seem to miss a budget that it meets."""
-        return min(MACHINE_EPSILON, _SAME * max(min(self.budget, 1.0 - self.budget), 0.0))
+        return _SAME * max(min(self.budget, 1.0 - self.budget), 0.0)
 
     def objective(self, cost: float, goal: float) -> float:
         """Objective of a point of the hull."""

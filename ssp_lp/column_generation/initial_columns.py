@@ -91,12 +91,12 @@ def columns_by_pricing(
         try:
             last = pricing.minimise(price, last, inside, outside, deadline=Deadline(deadline))
         except OutOfTimeError:
-            if last is None or (inside is None and last.failure > row.budget):
+            if last is None or (inside is None and row.breaks(last)):
                 raise
             inside = last if inside is None else inside
             break
         work, value = work + last.work, row.objective(last.cost, last.goal)
-        if last.failure > row.budget:
+        if row.breaks(last):
             outside = last
         elif value < np.inf:
             inside = last

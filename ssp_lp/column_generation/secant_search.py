@@ -100,7 +100,7 @@ class Bracket:
 
         A column that never succeeds has no ratio: the price was too low, nothing is learnt.
         """
-        if self.row.spare(found) < -self.row.rounding:
+        if self.row.breaks(found):
             return replace(self, outside=found)
         if self.row.objective(found.cost, found.goal) == np.inf:
             return self
@@ -171,7 +171,7 @@ def _aligned(pricing: PricingProblem, bracket: Bracket, price: float) -> Bracket
         pricing.aligned(bracket.inside, price),
         pricing.aligned(bracket.outside, price),
     )
-    still = bracket.row.spare(inside) >= 0.0 > bracket.row.spare(outside)
+    still = bracket.row.breaks(outside) and not bracket.row.breaks(inside)
     return Bracket(bracket.row, inside, outside) if still else bracket
 
 

@@ -19,12 +19,12 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
     if not problem.semantics.counts_cost_alone:
         raise ModelError(
             f"the game is about cost and a failure budget, {type(problem).__name__} is not: leave "
-            "engine='game' out"
+            "method='game' out"
         )
     if discount is None:
         raise ModelError(
             "the game needs a discount (paper, section 2.5): give discount=0.999, or solve the "
-            "exact problem with engine='columns'"
+            "exact problem with method='columns'"
         )
     if budget is None or budget <= 0.0:
         raise ModelError(

@@ -9,8 +9,7 @@ from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.answer import LPAnswer, residuals
 from ssp_lp.linear_programming.basis import PolicyBasis
 from ssp_lp.linear_programming.linear_program import LinearProgram
-
-BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
+from ssp_lp.options import BACKENDS
 
 _SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
 _REMEDY = "column generation needs no LP solver"

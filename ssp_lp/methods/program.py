@@ -13,8 +13,9 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.layered import CompiledLayered
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.refinement import CERTIFYING, optimise
+from ssp_lp.methods.refinement import optimise
 from ssp_lp.methods.rows.solving import optimum_of
+from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
-from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
+from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
     LeastFailure,
@@ -22,6 +21,7 @@ from ssp_lp.column_generation.initial_columns import (
 from ssp_lp.column_generation.secant_search import SearchResult, search
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.methods.full_program import check_agreement, solve_program
+from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 
 _PATIENCE = 3
@@ -31,28 +31,6 @@ _TRIAL_TOLERANCE = 1e-2
 
 _NEAR = 1e-9  # of the budget: then it may be the least failure, whose own bound is exact
 _SPREAD = 1e-6  # relative uncertainty of a price that a search or a program ended with
-
-
-@dataclass(frozen=True)
-class SolveOptions:
-    """How to search and for how long."""
-
-    engine: str  # "columns" or "lp"
-    backend: str | None
-    tolerance: float
-    deadline: float  # on the clock of time.perf_counter
-    progress: Callable[[int, float, float], None] | None
-
-    def after(self, calls: int) -> SolveOptions:
-        """The same, where so many pricing calls have been made before."""
-        progress = self.progress
-        if progress is None:
-            return self
-        return replace(self, progress=lambda more, *rest: progress(calls + more, *rest))
-
-
-CERTIFYING = SolveOptions("columns", None, RELATIVE_GAP, float("inf"), None)
-"""The options of a certificate that has to search for its bound."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +62,14 @@ def optimise(compiled: CompiledProblem, budget: float, options: SolveOptions) ->
     Args:
         compiled: the problem to begin with.
         budget: failure budget.
-        options: engine, tolerance and limits.
+        options: method, tolerance and limits.
 
     Raises:
         InfeasibleError: no policy keeps to the budget.
         SolverError: the linear program's answer fails its check.
     """
     gaps: list[float] = []
-    compiled = compiled.for_program() if options.engine == "lp" else compiled
+    compiled = compiled if options.program is None else compiled.for_program()
     row = Row(budget, compiled.ratio, compiled.lowest)
     outcome = _attempt(compiled, row, None, options, None)
     while True:
@@ -133,17 +111,17 @@ def _attempt(
     options: SolveOptions,
     guess: DualGuess | None,
 ) -> Outcome:
-    """One search, started from the dual of the linear program where that is the engine.
+    """One search, started from the dual of the linear program where that is the method.
 
     A budget equal to the least failure needs no program, whose feasibility would hang on rounding:
     the first column is the answer, and its own bound holds.
     """
     optimum = None
-    if options.engine == "lp":
+    if options.program is not None:
         least = checked_least_failure(compiled, row.budget) if least is None else least
         row = replace(row, budget=max(row.budget, least.column.failure))
         if row.budget > least.column.failure + LEAST_BUDGET:
-            optimum = solve_program(compiled, row, options.backend, options.deadline)
+            optimum = solve_program(compiled, row, options.program.backend, options.deadline)
             guess = DualGuess(optimum.price, _SPREAD)
     if guess is None and row.budget >= 1.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found

@@ -13,7 +13,8 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     checked_least_failure,
 )
 from ssp_lp.column_generation.failure_constraint import relative_gap
-from ssp_lp.methods.refinement import Outcome, SolveOptions, optimise
+from ssp_lp.methods.refinement import Outcome, optimise
+from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Run, Solution, remarks
@@ -28,7 +29,7 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
     Args:
         problem: its measure is an expectation that is to be large.
         compiled: charges minus what an arrival is worth beyond failing.
-        options: engine, tolerance and limits.
+        options: method, tolerance and limits.
 
     Raises:
         InfeasibleError: the budget is below the least failure probability.
@@ -88,7 +89,7 @@ def _run(outcome: Outcome, options: SolveOptions) -> Run:
         layers = f"{process.cap:,} layers of accumulated cost"
         layers += f", exact from cost {horizon:.6g} on" if horizon > 0.0 else ""
     reason = f"backward sweeps over {layers}, {outcome.calls} pricing calls"
-    return Run(options.engine, reason, outcome.calls, 0.0, outcome.work, outcome.program)
+    return Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program)
 
 
 def _note(problem: Problem, outcome: Outcome, options: SolveOptions) -> str:

@@ -1,4 +1,4 @@
-"""A substochastic process in explicit form: what every engine for case M works on."""
+"""A substochastic process in explicit form: what every method for case M works on."""
 
 from __future__ import annotations
 

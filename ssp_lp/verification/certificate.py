@@ -17,9 +17,9 @@ from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFai
 from ssp_lp.column_generation.failure_constraint import CONTRADICTION, Row, relative_gap
 from ssp_lp.column_generation.pricing.constrained import LARGEST
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.refinement import CERTIFYING
 from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
+from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach

@@ -98,12 +98,12 @@ def cross_check(
         raise ModelError("tolerances must lie strictly between 0 and 1")
     if problem.semantics.measure is not None:
         raise ModelError(
-            f"the game knows costs only, not {type(problem).__name__}: engine='lp' compares the "
+            f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "
             "linear program with column generation"
         )
     if conditions_of(problem):
         raise ModelError(
-            f"the comparison knows one row only, not {type(problem).__name__}: engine='lp' "
+            f"the comparison knows one row only, not {type(problem).__name__}: method='lp' "
             "compares the linear program with column generation"
         )
     methods = [result_by(name, problem, lp_backend, time_limit) for name in METHODS]

@@ -9,7 +9,7 @@ from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.game.setting import checked_setting
-from ssp_lp.linear_programming.solving import BACKENDS
+from ssp_lp.options import BACKENDS, LinearProgramming, parse_method
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Solution
@@ -35,7 +35,7 @@ class Member:
 
 @dataclass(frozen=True)
 class MethodResult:
-    """What one engine says. A method that gave no answer has a note and no numbers."""
+    """What one method says. A method that gave no answer has a note and no numbers."""
 
     name: str
     note: str = ""
@@ -99,7 +99,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
 def result_by(
     name: str, problem: Problem, lp_backend: str | None = None, time_limit: float | None = None
 ) -> MethodResult:
-    """Ask one engine, unless it cannot be asked.
+    """Ask one method, unless it cannot be asked.
 
     Args:
         name: "lp", "columns" or "game".
@@ -107,27 +107,28 @@ def result_by(
         lp_backend: the solver of the linear program, whatever its size; None: chosen by size.
         time_limit: seconds for this method.
     """
-    backend, reason = None, ""
-    if name == "lp":
+    method, reason = parse_method(name), ""
+    if name == LinearProgramming.name:
         backend, reason = _program_backend(problem, lp_backend)
+        method = LinearProgramming(backend)
     elif name == "game":
         reason = _game_reason(problem)
     if reason:
         return MethodResult(name, note=f"not asked: {reason}")
     began = time.perf_counter()
     try:
-        solution = solve(problem, name, backend=backend, time_limit=time_limit)
+        solution = solve(problem, method, time_limit=time_limit)
     except InfeasibleError as error:
-        method = MethodResult(name, note=f"infeasible: {error}", failed=True, infeasible=error)
+        result = MethodResult(name, note=f"infeasible: {error}", failed=True, infeasible=error)
     except SolverError as error:
-        method = MethodResult(name, note=f"failed: {error}", failed=True)
+        result = MethodResult(name, note=f"failed: {error}", failed=True)
     except ModelError as error:
         if name != "game":  # the model is at fault, not the size of this method's table
             raise
-        method = MethodResult(name, note=f"failed: {error}", failed=True)
+        result = MethodResult(name, note=f"failed: {error}", failed=True)
     else:
-        method = result_of(name, solution)
-    return replace(method, seconds=time.perf_counter() - began)
+        result = result_of(name, solution)
+    return replace(result, seconds=time.perf_counter() - began)
 
 
 def _members(policy: MixedPolicy, problem: Problem) -> tuple[Member, ...]:
@@ -159,7 +160,7 @@ def _game_reason(problem: Problem) -> str:
 def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, str]:
     """The backend for a problem's program, and why the program is not solved at all."""
     if problem.failure_budget is None:
-        return None, "at least failure there is one method, the two stages of engine='columns'"
+        return None, "at least failure there is one method, the two stages of column generation"
     if asked is not None:
         return asked, ""
     columns = _columns(problem)
@@ -171,7 +172,7 @@ def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, s
 
 
 def _columns(problem: Problem) -> int:
-    """Columns of the first program that the LP engine would solve."""
+    """Columns of the first program that the LP method would solve."""
     compiled = problem.compile().for_program()
     if isinstance(compiled, CompiledAccumulatedCost):
         return compiled.process.cap * len(compiled.base.quotient.pair_at)

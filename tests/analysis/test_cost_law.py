@@ -599,7 +599,7 @@ def test_simulated_totals_follow_the_law():
     assert sample.mean() == pytest.approx(law.conditional_mean, abs=spread)
 
 
-# Measures in evaluate, and engines that know none
+# Measures in evaluate, and methods that know none
 
 
 BY_THREE = WithinBound(3)
@@ -652,7 +652,7 @@ def test_the_game_and_the_frontier_refuse_measures():
     model = SSP.from_transitions(WALK, goal={"G"})
     problem = Measured(model, start="a", failure_budget=0.2, discount=0.99)
     assert not problem.semantics.counts_cost_alone
-    for ask in (trace_frontier, cross_check, lambda p: solve(p, engine="game")):
+    for ask in (trace_frontier, cross_check, lambda p: solve(p, method="game")):
         with pytest.raises(ModelError, match="Measured"):
             ask(problem)
 

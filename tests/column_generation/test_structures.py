@@ -52,7 +52,7 @@ def test_windy_grids_agree_with_the_full_program(seed: int, side: int) -> None:
     assert certify(solution).accepted
     assert solution.gap <= GAP
     if side == 20:
-        program = solve(MCMP(model, 0, budget, give_up=give_up), engine="lp")
+        program = solve(MCMP(model, 0, budget, give_up=give_up), method="lp")
         assert program.objective == pytest.approx(solution.objective, rel=1e-6)
 
 
@@ -145,7 +145,7 @@ def test_a_state_out_of_reach_does_not_spoil_the_program() -> None:
         {"x": {"go": [(1.0, "g", 1.0)]}, "u": {"loop": [(1 - 1e-9, "u", 1.0), (1e-9, "g", 1.0)]}},
         goal={"g"},
     )
-    assert solve(MCMP(model, "x", 0.5), engine="lp").objective == pytest.approx(1.0)
+    assert solve(MCMP(model, "x", 0.5), method="lp").objective == pytest.approx(1.0)
 
 
 def test_limits_that_two_policies_meet_to_the_ninth_digit() -> None:

@@ -39,7 +39,7 @@ def test_the_lottery_spends_a_tiny_budget_exactly(budget, least, most):
         float(reached / (1 - Fraction(budget))): S3P(model, start="x", failure_budget=budget),
     }
     for objective, problem in problems.items():
-        found = solve(problem, engine="columns")
+        found = solve(problem, method="columns")
         assert found.objective == pytest.approx(objective, rel=1e-12)
         assert float(found.policy.weights[-1]) == pytest.approx(float(weight), rel=1e-10)
         assert found.failure_probability == pytest.approx(budget, rel=1e-12, abs=0)
@@ -52,4 +52,4 @@ def test_no_lottery_where_a_single_policy_must_keep_a_tiny_budget(budget):
     for most, cost in ((1 + 1e-6, 2.0), (1 - 1e-6, 1.0)):
         model = road(0.5 * budget, most * budget)
         problem = MCMP(model, start="x", failure_budget=budget, **plain)
-        assert solve(problem, policy_class="deterministic").objective == pytest.approx(cost)
+        assert solve(problem, method="deterministic").objective == pytest.approx(cost)

@@ -136,10 +136,10 @@ def test_what_is_not_installed_is_a_row(monkeypatch: pytest.MonkeyPatch, tmp_pat
 
 
 def test_an_error_in_a_solver_is_a_row() -> None:
-    order = Order(SMALL, "no-such-engine", time_limit=9.0, repeat=1, tolerance=1e-9)
+    order = Order(SMALL, "no-such-method", time_limit=9.0, repeat=1, tolerance=1e-9)
     run = compare_solvers.run_solver(order, Limits(60.0, 9.0))
     assert run.outcome is Outcome.FAILED
-    assert run.note.startswith("ModelError: engine must be one of")
+    assert run.note.startswith("ModelError: method must be one of")
 
 
 def test_larger_instances_are_left_out_after_a_time_out(monkeypatch: pytest.MonkeyPatch) -> None:

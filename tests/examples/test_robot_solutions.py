@@ -1,4 +1,4 @@
-"""The paper's robot (section 4): the engines agree and the answers are certified."""
+"""The paper's robot (section 4): the methods agree and the answers are certified."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from ssp_lp import SSP, certify, evaluate, simulate, solve
+from ssp_lp import SSP, LinearProgramming, certify, evaluate, simulate, solve
 
 BUDGET = 0.05
 
@@ -46,7 +46,7 @@ def test_the_full_linear_program_agrees_in_case_m(robot: Any, discount: float | 
     model, start = robot
     problem = MCMP(model, start=start, failure_budget=BUDGET, discount=discount)
     by_columns, by_program = solve(problem, "columns"), solve(problem, "lp")
-    assert by_program.engine == "lp"
+    assert by_program.method == "lp"
     assert by_program.objective == pytest.approx(by_columns.objective, rel=1e-7)
     assert by_program.failure_price == pytest.approx(by_columns.failure_price, rel=1e-6)
     assert float(by_program.run.program.split()[1].rstrip(",")) == pytest.approx(
@@ -66,7 +66,7 @@ def test_every_backend_agrees_on_a_coarse_robot(
         extra = {"cost_cap": 12.0} if criterion is S3P else {}
         problem = criterion(model, start=start, failure_budget=budget, discount=discount, **extra)
         by_columns = solve(problem, "columns")
-        by_program = solve(problem, "lp", backend=backend)
+        by_program = solve(problem, LinearProgramming(backend))
         assert by_program.objective == pytest.approx(by_columns.objective, rel=1e-7)
 
 

@@ -19,7 +19,7 @@ TABLE = {"give_up": "anywhere", "charge_failing_step": False}
 each_row = pytest.mark.parametrize(
     "row", expected()["cases"], ids=[row["model"] for row in expected()["cases"]]
 )
-each_engine = pytest.mark.parametrize("engine", ["auto", "lp", "columns"])
+each_method = pytest.mark.parametrize("method", [None, "lp", "columns"])
 
 
 def load(name, cost):
@@ -34,9 +34,9 @@ def load_row(row):
     return load(row["model"], row["cost"])
 
 
-def solved(problem, engine="auto"):
+def solved(problem, method=None):
     """Solve, and insist on the certified gap."""
-    solution = solve(problem, engine=engine)
+    solution = solve(problem, method=method)
     assert solution.gap <= GAP
     assert solution.lower_bound <= solution.objective * (1 + 1e-9) + 1e-12
     return solution
@@ -61,81 +61,81 @@ def test_goal_probabilities(row):
     assert np.all(greatest[model.goal_mask] == 1)
 
 
-@each_engine
+@each_method
 @each_row
-def test_least_cost_at_maximal_probability(row, engine):
+def test_least_cost_at_maximal_probability(row, method):
     """Columns mcmp_at_maxprob and s3p_at_maxprob."""
     model, start = load_row(row)
-    mcmp = solved(MCMP(model, start=start, failure_budget=None, **TABLE), engine)
+    mcmp = solved(MCMP(model, start=start, failure_budget=None, **TABLE), method)
     assert mcmp.objective == pytest.approx(row["mcmp_at_maxprob"], **CLOSE)
     assert mcmp.goal_probability == pytest.approx(row["maxprob"], rel=1e-9)
-    s3p = solved(S3P(model, start=start, failure_budget=None), engine)
+    s3p = solved(S3P(model, start=start, failure_budget=None), method)
     assert s3p.objective == pytest.approx(row["s3p_at_maxprob"], **CLOSE)
     assert s3p.goal_probability == pytest.approx(row["maxprob"], rel=1e-9)
     assert s3p.conditional_cost == pytest.approx(s3p.objective, rel=1e-9)
 
 
-@each_engine
+@each_method
 @each_row
-def test_least_cost_at_a_share_of_maximal_probability(row, engine):
+def test_least_cost_at_a_share_of_maximal_probability(row, method):
     """Column min_cost s.t. P >= f * maxprob."""
     model, start = load_row(row)
     for share, value in row["min_cost_s.t._P>=f*maxprob"].items():
         needed = float(share) * row["maxprob"]
-        solution = solved(at_least_goal_probability(model, start, needed), engine)
+        solution = solved(at_least_goal_probability(model, start, needed), method)
         assert solution.objective == pytest.approx(value, **CLOSE), share
         assert solution.goal_probability >= needed - 1e-12
 
 
-@each_engine
+@each_method
 @each_row
-def test_least_cost_within_a_budget(row, engine):
+def test_least_cost_within_a_budget(row, method):
     """Column min_cost s.t. P >= 1 - eps, infeasible rows included."""
     model, start = load_row(row)
     for budget, value in row["min_cost_s.t._P>=1-eps"].items():
         problem = MCMP(model, start=start, failure_budget=float(budget), **TABLE)
         if value == "infeasible":
             with pytest.raises(InfeasibleError) as caught:
-                solve(problem, engine=engine)
+                solve(problem, method=method)
             assert caught.value.least_failure == pytest.approx(1 - row["maxprob"], **CLOSE)
         else:
-            assert solved(problem, engine).objective == pytest.approx(value, **CLOSE), budget
+            assert solved(problem, method).objective == pytest.approx(value, **CLOSE), budget
 
 
-@each_engine
-def test_hand_cases_of_the_two_move_domain(engine):
+@each_method
+def test_hand_cases_of_the_two_move_domain(method):
     """H1 = 79/49, H2 = 8/5: the lottery is 0.6 on the safe move, 0.4 on the risky one."""
     model, start = load("gubs_test_domain", "unit")
-    s3p = solved(S3P(model, start=start, failure_budget=0.02), engine)
+    s3p = solved(S3P(model, start=start, failure_budget=0.02), method)
     assert s3p.objective == pytest.approx(79 / 49, rel=1e-9)
-    mcmp = solved(MCMP(model, start=start, failure_budget=0.02, **TABLE), engine)
+    mcmp = solved(MCMP(model, start=start, failure_budget=0.02, **TABLE), method)
     assert mcmp.objective == pytest.approx(8 / 5, rel=1e-9)
     for solution in (s3p, mcmp):
         assert sorted(solution.policy.weights) == pytest.approx([0.4, 0.6], rel=1e-9)
 
 
-@each_engine
+@each_method
 @pytest.mark.parametrize(("give_up", "charge", "value"), ROBOT_VALUES)
-def test_meanings_of_giving_up_on_the_robot(give_up, charge, value, engine):
+def test_meanings_of_giving_up_on_the_robot(give_up, charge, value, method):
     """H3, H4 and the four numbers that the meanings of giving up give at P(goal1) >= 1/4."""
     model, start = load("prism_robot_goal1", "time")
     semantics = {"give_up": give_up, "charge_failing_step": charge}
     problem = at_least_goal_probability(model, start, 0.25, **semantics)
-    assert solved(problem, engine).objective == pytest.approx(float(value), rel=1e-9)
+    assert solved(problem, method).objective == pytest.approx(float(value), rel=1e-9)
 
 
-@each_engine
-def test_attack_tree(engine):
+@each_method
+def test_attack_tree(method):
     """H5: a successful run pays 15; the published MCMP value is 11.02."""
     model, start = load("prism_attacktree", "cost")
-    assert solved(S3P(model, start=start, failure_budget=None), engine).objective == pytest.approx(
+    assert solved(S3P(model, start=start, failure_budget=None), method).objective == pytest.approx(
         15, rel=1e-9
     )
     mcmp = MCMP(model, start=start, failure_budget=None, **TABLE)
-    assert solved(mcmp, engine).objective == pytest.approx(11.02, rel=1e-9)
+    assert solved(mcmp, method).objective == pytest.approx(11.02, rel=1e-9)
 
 
-@each_engine
+@each_method
 @pytest.mark.parametrize(
     ("name", "cost", "probability", "value"),
     [
@@ -143,11 +143,11 @@ def test_attack_tree(engine):
         ("qcomp_cdrive.2", "unit", 0.9 * 27560736 / 31878125, 5.802537),
     ],
 )
-def test_the_defaults_give_other_numbers(name, cost, probability, value, engine):
+def test_the_defaults_give_other_numbers(name, cost, probability, value, method):
     """The library's defaults (attention, failing step charged) on two rows of the table."""
     model, start = load(name, cost)
     problem = MCMP(model, start=start, failure_budget=1 - probability)
-    assert solved(problem, engine).objective == pytest.approx(value, rel=2e-7)
+    assert solved(problem, method).objective == pytest.approx(value, rel=2e-7)
 
 
 UNLISTED = {

@@ -18,7 +18,7 @@ from ssp_lp import (
 )
 from strategies import discounts, problems
 
-ENGINES = ("lp", "columns")
+METHODS = ("lp", "columns")
 PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
 meanings = st.fixed_dictionaries(
     {
@@ -57,12 +57,12 @@ def test_extreme_probabilities(drawn):
             (1.0, 1.0) if state in drawn.goals else s3p.goal_probability_range(reference, state)
         )
         low, high = low + mass * one, high + mass * other
-    for engine in ENGINES:
-        greatest = solve(MaxProb(model, drawn.start), engine)
+    for method in METHODS:
+        greatest = solve(MaxProb(model, drawn.start), method)
         check_all(greatest, high)
         assert greatest.lower_bound <= high * (1 + 1e-9) + 1e-12
         assert greatest.upper_bound >= high * (1 - 1e-9) - 1e-12
-        least = solve(MinProb(model, drawn.start), engine)
+        least = solve(MinProb(model, drawn.start), method)
         check_all(least, low)
         assert least.lower_bound <= low * (1 + 1e-9) + 1e-12
         assert least.upper_bound is None
@@ -77,15 +77,15 @@ def test_the_plain_problem(drawn):
     points = mcmp.points(plain(drawn), drawn.start, give_up="dead_ends", charge_failing_step=False)
     proper = [point.cost for point in points if point.failure <= 1e-11]
     problem = MinCost(library_model(drawn), drawn.start)
-    for engine in ENGINES:
+    for method in METHODS:
         if proper:
-            solution = solve(problem, engine)
+            solution = solve(problem, method)
             check_all(solution, min(proper))
             assert solution.failure_price == np.inf
             assert solution.budget_slope is None
             continue
         with pytest.raises(InfeasibleError, match="surely from state") as caught:
-            solve(problem, engine)
+            solve(problem, method)
         assert caught.value.least_failure == pytest.approx(least_failure(points), abs=1e-12)
 
 
@@ -98,8 +98,8 @@ def test_a_finite_penalty(drawn, penalty, meaning, discount):
     problem = FinitePenalty(
         library_model(drawn), drawn.start, penalty, discount=discount, **meaning
     )
-    for engine in ENGINES:
-        solution = solve(problem, engine)
+    for method in METHODS:
+        solution = solve(problem, method)
         check_all(solution, value)
         check_certificate(solution)
         assert solution.failure_price == penalty
@@ -115,13 +115,13 @@ def test_a_share_of_the_greatest_probability(drawn, share, meaning):
     budget = 1.0 - share * (1.0 - least_failure(points))
     value = constrained_optimum(points, budget)
     model = library_model(drawn)
-    for engine in ENGINES:
+    for method in METHODS:
         for problem in (
             AlphaMCMP(model, drawn.start, share, **meaning),
             MCMP(model, drawn.start, reach_fraction=share, **meaning),
         ):
             assert problem.failure_budget == pytest.approx(budget, abs=1e-12)
-            check_all(solve(problem, engine), value)
+            check_all(solve(problem, method), value)
 
 
 @often(40)

@@ -56,8 +56,8 @@ def load(name):
 
 def solutions(model, problem):
     """The solution of column generation, and of the full program on small models."""
-    engines = ("columns", "lp") if model.n_pairs <= MOST_PAIRS else ("columns",)
-    return [solve(problem, engine=engine) for engine in engines]
+    methods = ("columns", "lp") if model.n_pairs <= MOST_PAIRS else ("columns",)
+    return [solve(problem, method=method) for method in methods]
 
 
 def check_proved(solution):

@@ -7,11 +7,12 @@ import pytest
 
 from checks import GAP, check_certificate
 from formulations import ISSPUDE, MCMP, S3P, AlphaMCMP, FinitePenalty, MaxProb, MinCost, MinProb
-from small_models import EXACT, FREE_LOOP, FREE_PAIR, TWO_MOVES, each_engine, model_of
+from small_models import EXACT, FREE_LOOP, FREE_PAIR, TWO_MOVES, each_method, model_of
 from ssp_lp import (
     SSP,
     DeterministicPolicy,
     InfeasibleError,
+    LinearProgramming,
     MixedPolicy,
     ModelError,
     certify,
@@ -26,17 +27,17 @@ from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp
 from ssp_lp.processes.failure_semantics import start_distribution as distribution_of
 
 
-@each_engine
-def test_loops_that_cost_nothing_do_not_fool_the_plain_problem(engine):
-    assert solve(MinCost(model_of(FREE_LOOP), "x"), engine).objective == pytest.approx(5, **EXACT)
-    assert solve(MinCost(model_of(FREE_PAIR), "x"), engine).objective == pytest.approx(6, **EXACT)
+@each_method
+def test_loops_that_cost_nothing_do_not_fool_the_plain_problem(method):
+    assert solve(MinCost(model_of(FREE_LOOP), "x"), method).objective == pytest.approx(5, **EXACT)
+    assert solve(MinCost(model_of(FREE_PAIR), "x"), method).objective == pytest.approx(6, **EXACT)
 
 
-@each_engine
-def test_extreme_probabilities_where_one_may_wander(engine):
+@each_method
+def test_extreme_probabilities_where_one_may_wander(method):
     model = model_of(FREE_PAIR)
-    assert solve(MaxProb(model, "x"), engine).objective == pytest.approx(1.0, **EXACT)
-    assert solve(MinProb(model, "x"), engine).objective == 0.0
+    assert solve(MaxProb(model, "x"), method).objective == pytest.approx(1.0, **EXACT)
+    assert solve(MinProb(model, "x"), method).objective == 0.0
     assert MaxProb(model, "x").dead_ends == {"d"}
     assert MinProb(model, "x").attention_states == {"x", "y", "d"}
 
@@ -53,9 +54,9 @@ def test_every_backend_answers(backend):
         (FinitePenalty(model, "x", 10.0), 1.5),
         (AlphaMCMP(model, "x", 0.975), 1.5),
     ):
-        found = solve(problem, "lp", backend=backend)
+        found = solve(problem, LinearProgramming(backend))
         assert found.objective == pytest.approx(value, **EXACT)
-        assert found.engine == "lp"
+        assert found.method == "lp"
         assert found.run.program
 
 

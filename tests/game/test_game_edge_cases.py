@@ -35,8 +35,8 @@ def ratio_problem(budget=0.73, **setting):
 def test_a_search_cut_short_claims_no_more_than_it_proved():
     """Between the extremes lies a better policy that an interrupted search has not met."""
     best = 5 / 0.99
-    assert solve(ratio_problem(), engine="game").objective == pytest.approx(best, **EXACT)
-    hasty = solve(ratio_problem(), engine="game", time_limit=1e-9)
+    assert solve(ratio_problem(), method="game").objective == pytest.approx(best, **EXACT)
+    hasty = solve(ratio_problem(), method="game", time_limit=1e-9)
     assert hasty.lower_bound <= best
     assert "time limit" in hasty.note
 
@@ -44,7 +44,7 @@ def test_a_search_cut_short_claims_no_more_than_it_proved():
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_at_the_goal_nothing_is_at_stake(criterion):
     problem = criterion(model_of(FOUR_MOVES), start="g", failure_budget=0.5, discount=0.9)
-    assert solve(problem, engine="game").objective == 0.0
+    assert solve(problem, method="game").objective == 0.0
     assert bayes_adaptive(problem).objective == 0.0
 
 
@@ -96,7 +96,7 @@ def test_of_two_policies_that_fail_least_the_cheaper_is_found():
             problem = criterion(
                 model_of(choices), start="x", failure_budget=1 - goal, discount=discount
             )
-            found, column = solve(problem, engine="game"), solve(problem)
+            found, column = solve(problem, method="game"), solve(problem)
             assert found.objective == pytest.approx(column.objective, rel=1e-8)
             assert found.gap <= 1e-8
 

@@ -9,7 +9,16 @@ from formulations import MCMP, S3P, MaxProb
 from references import mcmp, s3p
 from references.chain import plain_model
 from references.frontier import least_failure
-from ssp_lp import SSP, InfeasibleError, ModelError, evaluate, solve
+from ssp_lp import (
+    SSP,
+    ColumnGeneration,
+    DeterministicPolicies,
+    InfeasibleError,
+    LinearProgramming,
+    ModelError,
+    evaluate,
+    solve,
+)
 from strategies import acyclic_problems, budgets, discounts, problems
 
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
@@ -75,11 +84,11 @@ def test_mcmp_against_all_deterministic_policies(drawn, meaning, discount, place
     problem = MCMP(model, start=drawn.start, failure_budget=budget, discount=discount, **meaning)
     if least_failure(points) > budget + 1e-10:
         with pytest.raises(InfeasibleError):
-            solve(problem, policy_class="deterministic")
+            solve(problem, method="deterministic")
         return
     best = min(p.cost for p in points if p.failure <= budget + 1e-10)
     strict = min((p.cost for p in points if p.failure <= budget - 1e-10), default=float("inf"))
-    solution, mixed = solve(problem, policy_class="deterministic"), solve(problem)
+    solution, mixed = solve(problem, method="deterministic"), solve(problem)
     check_single(solution, mixed, max(budget, least_failure(points)))
     room = 1e-8 * (1 + best)
     assert solution.objective >= best - room
@@ -99,9 +108,9 @@ def test_s3p_against_all_policies_of_state_and_cost(drawn, discount, place):
     problem = S3P(library_model(drawn), start=drawn.start, failure_budget=budget, discount=discount)
     if least > budget + 1e-10 or least >= 1 - 1e-12:
         with pytest.raises(InfeasibleError):
-            solve(problem, policy_class="deterministic")
+            solve(problem, method="deterministic")
         return
-    solution, mixed = solve(problem, policy_class="deterministic"), solve(problem)
+    solution, mixed = solve(problem, method="deterministic"), solve(problem)
     check_single(solution, mixed, max(budget, least))
     ratios = [(p.failure, p.cost / (1 - p.failure)) for p in points if p.failure < 1 - 1e-12]
     best = min(ratio for failure, ratio in ratios if failure <= budget + 1e-10)
@@ -124,7 +133,7 @@ def test_s3p_with_cycles_has_honest_bounds(drawn, discount, place):
     if least > budget + 1e-10 or least >= 1 - 1e-12:
         return
     problem = S3P(library_model(drawn), start=drawn.start, failure_budget=budget, discount=discount)
-    solution = solve(problem, policy_class="deterministic", time_limit=5.0)
+    solution = solve(problem, method="deterministic", time_limit=5.0)
     check_single(solution, solve(problem), max(budget, least))
     ratios = [(p.failure, p.cost / (1 - p.failure)) for p in points if p.failure < 1 - 1e-12]
     strict = min((r for f, r in ratios if f <= budget - 1e-10), default=float("inf"))
@@ -141,7 +150,7 @@ def test_ways_out_of_a_free_cycle_that_depend_on_the_way_in(formulation):
         "pit": {},
     }
     problem = formulation(roads(choices, "home"), start="s", failure_budget=0.06)
-    solution = solve(problem, policy_class="deterministic")
+    solution = solve(problem, method="deterministic")
     check_single(solution, solve(problem), 0.06)
     best = 3.5 if formulation is MCMP else (0.5 * 5 + 0.45 * 2) / 0.95
     assert solution.lower_bound <= best <= solution.objective
@@ -150,10 +159,10 @@ def test_ways_out_of_a_free_cycle_that_depend_on_the_way_in(formulation):
 
 
 @pytest.mark.parametrize("formulation", [MCMP, S3P])
-@pytest.mark.parametrize("engine", ["auto", "lp"])
-def test_a_budget_between_two_policies_buys_the_safer_one(formulation, engine):
+@pytest.mark.parametrize("relaxation", [ColumnGeneration(), LinearProgramming()])
+def test_a_budget_between_two_policies_buys_the_safer_one(formulation, relaxation):
     problem = formulation(roads(TWO_ROADS, "home"), start="road", failure_budget=0.05)
-    solution = solve(problem, engine, policy_class="deterministic")
+    solution = solve(problem, DeterministicPolicies(relaxation))
     assert solution.objective == pytest.approx(3.0, abs=1e-12)
     assert solution.budget_used == 0.0
     assert solution.gap <= 1e-8
@@ -181,7 +190,7 @@ def _bridges():
 
 
 def solve_single(problem):
-    solution = solve(problem, policy_class="deterministic")
+    solution = solve(problem, method="deterministic")
     assert solution.gap <= 1e-7
     return solution.objective
 
@@ -227,8 +236,8 @@ def test_ways_between_two_policies_may_go_in_circles():
 def test_no_time_gives_the_safest_member_and_an_honest_gap():
     problem = MCMP(roads(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
     mixed = solve(problem)
-    solution = solve(problem, policy_class="deterministic", time_limit=1e-9)
-    best = solve(problem, policy_class="deterministic")
+    solution = solve(problem, method="deterministic", time_limit=1e-9)
+    best = solve(problem, method="deterministic")
     assert solution.objective >= best.objective - 1e-12
     assert solution.lower_bound <= mixed.objective + 1e-12
     assert solution.gap > 0.0
@@ -239,8 +248,8 @@ def test_no_time_gives_the_safest_member_and_an_honest_gap():
 @pytest.mark.parametrize("tolerance", [0.5, 0.1, 1e-3])
 def test_a_tolerance_ends_the_search_early(tolerance):
     problem = MCMP(roads(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
-    best = solve(problem, policy_class="deterministic").objective
-    solution = solve(problem, policy_class="deterministic", tolerance=tolerance)
+    best = solve(problem, method="deterministic").objective
+    solution = solve(problem, method="deterministic", tolerance=tolerance)
     assert solution.gap <= tolerance * 1.001 + 1e-8
     assert best - 1e-9 <= solution.objective <= best * (1 + 2 * tolerance)
 
@@ -248,22 +257,19 @@ def test_a_tolerance_ends_the_search_early(tolerance):
 def test_problems_whose_optimum_is_one_policy_are_left_alone():
     model = roads(TWO_ROADS, "home")
     for problem in (MCMP(model, start="road"), MaxProb(model, start="road")):
-        plainly, single = solve(problem), solve(problem, policy_class="deterministic")
+        plainly, single = solve(problem), solve(problem, method="deterministic")
         assert single.objective == plainly.objective
         assert len(single.policy.policies) == 1
 
 
 def test_arguments():
     problem = MCMP(roads(TWO_ROADS, "home"), start="road", failure_budget=0.05)
-    with pytest.raises(ModelError, match="policy_class must be one of"):
-        solve(problem, policy_class="pure")
-    for engine in ("columns", "game"):
-        with pytest.raises(ModelError, match="needs engine"):
-            solve(problem, engine, policy_class="deterministic")
+    with pytest.raises(ModelError, match="method must be one of"):
+        solve(problem, method="pure")
     infeasible = MCMP(
         roads({"road": {"fast": TWO_ROADS["road"]["fast"]}, "ditch": {}}, "home"),
         start="road",
         failure_budget=0.05,
     )
     with pytest.raises(InfeasibleError):
-        solve(infeasible, policy_class="deterministic")
+        solve(infeasible, method="deterministic")

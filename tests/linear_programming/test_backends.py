@@ -8,7 +8,7 @@ from checks import CLOSE, budget_of, check_bounds, check_evaluation, library_mod
 from formulations import MCMP, S3P
 from references import mcmp, s3p
 from references.frontier import least_failure
-from ssp_lp import solve
+from ssp_lp import LinearProgramming, solve
 from strategies import discounts, problems
 
 BACKENDS = ["highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy"]
@@ -26,8 +26,8 @@ def test_mcmp(backend, drawn, discount, share):
     problem = MCMP(
         library_model(drawn), start=drawn.start, failure_budget=budget, discount=discount
     )
-    solution = solve(problem, engine="lp", backend=backend)
-    reference = solve(problem, engine="columns")
+    solution = solve(problem, LinearProgramming(backend))
+    reference = solve(problem, method="columns")
     assert solution.objective == pytest.approx(reference.objective, **CLOSE)
     check_bounds(solution, budget)
     check_evaluation(solution)
@@ -43,8 +43,8 @@ def test_s3p(backend, drawn, discount, share):
         return
     budget = budget_of(share, points)
     problem = S3P(library_model(drawn), start=drawn.start, failure_budget=budget, discount=discount)
-    solution = solve(problem, engine="lp", backend=backend)
-    reference = solve(problem, engine="columns")
+    solution = solve(problem, LinearProgramming(backend))
+    reference = solve(problem, method="columns")
     assert solution.objective == pytest.approx(reference.objective, **CLOSE)
     check_bounds(solution, budget)
     check_evaluation(solution)

@@ -12,7 +12,7 @@ from checks import CLOSE, check_bounds, check_certificate
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
 from random_models import drawn_model
-from ssp_lp import SSP, Solution, solve
+from ssp_lp import SSP, LinearProgramming, Solution, solve
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.linear_programming.answer import residuals
 from ssp_lp.linear_programming.highs import solve_with_highs
@@ -44,7 +44,7 @@ def test_the_robot_is_confirmed(
     """With two policies, and with one where the budget is slack."""
     model, start = robot
     problem = criterion(model, start=start, failure_budget=budget, discount=discount)
-    checked, searched = solve(problem, "lp", backend="highs-warm"), solve(problem)
+    checked, searched = solve(problem, LinearProgramming("highs-warm")), solve(problem)
     assert iterations(checked) == 0
     assert checked.objective == pytest.approx(searched.objective, **CLOSE)
     check_bounds(checked, budget)
@@ -57,7 +57,7 @@ def test_the_robot_is_confirmed(
 def test_random_models_are_confirmed(seed: int, criterion: Any, discount: float | None) -> None:
     model, _ = drawn_model(seed, 15)
     problem = criterion(model, start="s0", failure_budget=0.9, discount=discount)
-    checked = solve(problem, "lp", backend="highs-warm")
+    checked = solve(problem, LinearProgramming("highs-warm"))
     assert iterations(checked) == 0
     assert checked.objective == pytest.approx(solve(problem).objective, **CLOSE)
 
@@ -65,7 +65,7 @@ def test_random_models_are_confirmed(seed: int, criterion: Any, discount: float 
 def test_a_budget_that_a_policy_spends_exactly_is_confirmed() -> None:
     """There the price is positive although one policy is the whole answer."""
     model, _ = drawn_model(10, 15)
-    solution = solve(MCMP(model, start="s0", failure_budget=0.5), "lp", backend="highs-warm")
+    solution = solve(MCMP(model, start="s0", failure_budget=0.5), LinearProgramming("highs-warm"))
     assert solution.failure_price is not None
     assert solution.failure_price > 1.0
     assert iterations(solution) == 0
@@ -75,7 +75,7 @@ def test_a_budget_equal_to_the_least_failure_needs_no_program(robot: Any) -> Non
     model, start = robot
     least = solve(MCMP(model, start=start)).failure_probability
     problem = MCMP(model, start=start, failure_budget=least)
-    solution = solve(problem, "lp", backend="highs-warm")
+    solution = solve(problem, LinearProgramming("highs-warm"))
     assert solution.run.program == ""
     check_bounds(solution, least)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
-from ssp_lp import SSP, InfeasibleError, ModelError, certify, solve
+from ssp_lp import SSP, InfeasibleError, LinearProgramming, ModelError, certify, solve
 
 GIVE_UPS = ["anywhere", "attention", "dead_ends"]
 
@@ -27,20 +27,20 @@ def fork(stay_cost: float = 1.0) -> SSP:
     )
 
 
-@pytest.mark.parametrize("engine", ["columns", "lp"])
+@pytest.mark.parametrize("method", ["columns", "lp"])
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
-def test_budgets_around_the_least_failure(criterion: type, engine: str) -> None:
+def test_budgets_around_the_least_failure(criterion: type, method: str) -> None:
     least = solve(criterion(fork(), start="s", failure_budget=None))
     assert least.failure_probability == pytest.approx(0.02, abs=1e-15)
-    above = solve(criterion(fork(), start="s", failure_budget=0.02 + 1e-9), engine)
+    above = solve(criterion(fork(), start="s", failure_budget=0.02 + 1e-9), method)
     assert above.objective == pytest.approx(least.objective, rel=1e-6)
     assert above.objective < least.objective
     assert above.failure_probability <= 0.02 + 1e-9 + 1e-12
     with pytest.raises(InfeasibleError) as caught:
-        solve(criterion(fork(), start="s", failure_budget=0.02 - 1e-9), engine)
+        solve(criterion(fork(), start="s", failure_budget=0.02 - 1e-9), method)
     assert caught.value.least_failure == pytest.approx(0.02, abs=1e-14)
     assert caught.value.failure_budget == 0.02 - 1e-9
-    equal = solve(criterion(fork(), start="s", failure_budget=0.02 - 1e-11), engine)
+    equal = solve(criterion(fork(), start="s", failure_budget=0.02 - 1e-11), method)
     assert equal.objective == pytest.approx(least.objective, rel=1e-9)
     assert "counts as equal" in equal.note
     assert certify(equal).accepted
@@ -121,17 +121,17 @@ def test_budget_zero() -> None:
 
 
 @pytest.mark.parametrize("give_up", GIVE_UPS)
-@pytest.mark.parametrize("engine", ["columns", "lp"])
-def test_a_loop_that_costs_nothing(give_up: str, engine: str) -> None:
+@pytest.mark.parametrize("method", ["columns", "lp"])
+def test_a_loop_that_costs_nothing(give_up: str, method: str) -> None:
     """Mathematics, section 4: one state, a loop of cost 0, a way out of cost 5."""
     model = SSP.from_transitions({"s": {"loop": [(1, "s", 0)], "out": [(1, "g", 5)]}}, goal={"g"})
     for budget in (0.0, 0.25, 0.5, 1.0):
         problem = MCMP(model, start="s", failure_budget=budget, give_up=give_up)
-        solution = solve(problem, engine)
+        solution = solve(problem, method)
         assert solution.objective == pytest.approx(5.0 * (1.0 - budget), abs=1e-12)
         assert solution.failure_probability == pytest.approx(budget, abs=1e-12)
         assert certify(solution).accepted
-    assert solve(S3P(model, start="s", failure_budget=0.5), engine).objective == pytest.approx(5.0)
+    assert solve(S3P(model, start="s", failure_budget=0.5), method).objective == pytest.approx(5.0)
 
 
 def test_an_end_component_that_never_pays() -> None:
@@ -233,9 +233,11 @@ def test_problems_stated_wrongly(criterion: type, wrong: dict[str, object]) -> N
 
 def test_arguments_of_solve_stated_wrongly() -> None:
     problem = MCMP(fork(), start="s", failure_budget=0.05)
-    for wrong in ({"engine": "magic"}, {"tolerance": 0.0}, {"engine": "lp", "backend": "magic"}):
+    for wrong in ({"method": "magic"}, {"method": 3}, {"tolerance": 0.0}, {"time_limit": -1.0}):
         with pytest.raises(ModelError):
             solve(problem, **wrong)  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="backend must be one of"):
+        LinearProgramming("magic")
     with pytest.raises(ModelError):
         MCMP(fork(), start="s", give_up="never")
 

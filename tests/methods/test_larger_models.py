@@ -1,4 +1,4 @@
-"""Random models of some dozen states: both engines against an explicit program, no enumeration."""
+"""Random models of some dozen states: both methods against an explicit program, no enumeration."""
 
 import pytest
 
@@ -27,8 +27,8 @@ def test_mcmp_against_the_explicit_program(seed, give_up, charge, discount):
         budget = least + share * (1 - least)
         value = mcmp_program.least_cost(data, budget)
         problem = MCMP(model, start=start, failure_budget=budget, **meaning)
-        for engine in ("lp", "columns"):
-            solution = solve(problem, engine=engine)
+        for method in ("lp", "columns"):
+            solution = solve(problem, method=method)
             assert solution.objective == pytest.approx(value, **NEAR)
             check_bounds(solution, budget)
             check_evaluation(solution)
@@ -50,7 +50,7 @@ def test_s3p_engines_agree(seed, discount):
     for share in (0.05, 0.4):
         budget = smallest + share * (1 - smallest)
         problem = S3P(model, start=start, failure_budget=budget, discount=discount)
-        found = [solve(problem, engine=engine) for engine in ("lp", "columns")]
+        found = [solve(problem, method=method) for method in ("lp", "columns")]
         assert found[0].objective == pytest.approx(found[1].objective, rel=1e-8)
         for solution in found:
             check_bounds(solution, budget)
@@ -65,7 +65,7 @@ def test_s3p_at_least_failure_by_enumeration(seed):
     """Six states with all their stationary policies."""
     model, reference = drawn_model(200 + seed, 6)
     failure, value = s3p.at_least_failure(reference, "s0")
-    for engine in ("lp", "columns"):
-        solution = solve(S3P(model, start="s0", failure_budget=None), engine=engine)
+    for method in ("lp", "columns"):
+        solution = solve(S3P(model, start="s0", failure_budget=None), method=method)
         assert solution.failure_probability == pytest.approx(failure, abs=1e-12)
         assert solution.objective == pytest.approx(value, rel=1e-9)

@@ -1,4 +1,4 @@
-"""Drawn problems, solved by every engine and by enumeration: one answer."""
+"""Drawn problems, solved by every method and by enumeration: one answer."""
 
 import pytest
 from hypothesis import given, settings
@@ -23,7 +23,7 @@ from ssp_lp import InfeasibleError, solve
 from ssp_lp.analysis import goal_probability
 from strategies import acyclic_problems, budgets, discounts, problems
 
-ENGINES = ("lp", "columns")
+METHODS = ("lp", "columns")
 meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
 semantics = st.fixed_dictionaries({"give_up": meanings, "charge_failing_step": st.booleans()})
 NEAR_LEAST = 1e-9
@@ -35,10 +35,10 @@ def often(examples):
     return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
-def check_infeasible(problem, engine, least, discount):
+def check_infeasible(problem, method, least, discount):
     """The error carries the least failure, exact or discounted."""
     with pytest.raises(InfeasibleError) as caught:
-        solve(problem, engine=engine)
+        solve(problem, method=method)
     error = caught.value
     found = error.least_failure if discount is None else error.least_discounted_failure
     assert found == pytest.approx(least, abs=1e-9)
@@ -47,18 +47,18 @@ def check_infeasible(problem, engine, least, discount):
 @often(400)
 @given(problems(), semantics, discounts, budgets | st.sampled_from([1e-9, 1e-6]))
 def test_mcmp_is_the_best_lottery_over_all_policies(drawn, meaning, discount, place):
-    """Both engines meet the enumerated optimum, its price and its infeasibility."""
+    """Both methods meet the enumerated optimum, its price and its infeasibility."""
     points = mcmp.points(plain(drawn), drawn.start, discount=discount, **meaning)
     budget = budget_of(place, points)
     value = constrained_optimum(points, budget)
     model = library_model(drawn)
     problem = MCMP(model, start=drawn.start, failure_budget=budget, discount=discount, **meaning)
-    for engine in ENGINES:
+    for method in METHODS:
         if value is None:
-            check_infeasible(problem, engine, least_failure(points), discount)
+            check_infeasible(problem, method, least_failure(points), discount)
             continue
-        solution = solve(problem, engine=engine)
-        assert solution.engine.startswith(engine)
+        solution = solve(problem, method=method)
+        assert solution.method.startswith(method)
         assert solution.objective == pytest.approx(value, **CLOSE)
         assert solution.lower_bound <= value * (1 + 1e-9) + 1e-9
         check_bounds(solution, budget)
@@ -79,8 +79,8 @@ def test_mcmp_at_least_failure(drawn, meaning):
     failure, cost = mcmp.at_least_failure(plain(drawn), drawn.start, charge_failing_step=charge)
     model = library_model(drawn)
     problem = MCMP(model, start=drawn.start, failure_budget=None, **meaning)
-    for engine in ENGINES:
-        solution = solve(problem, engine=engine)
+    for method in METHODS:
+        solution = solve(problem, method=method)
         assert solution.objective == pytest.approx(cost, **CLOSE)
         assert solution.failure_probability == pytest.approx(failure, abs=1e-12)
         check_bounds(solution, failure)
@@ -101,22 +101,22 @@ def test_goal_probabilities(drawn, discount):
 
 
 def check_s3p(drawn, discount, place):
-    """Both engines against the explicit program (or, at least failure, against enumeration)."""
+    """Both methods against the explicit program (or, at least failure, against enumeration)."""
     reference = plain(drawn)
     points = s3p.stationary_points(reference, drawn.start, discount)
     least = least_failure(points)
     budget = budget_of(place, points)
     problem = S3P(library_model(drawn), start=drawn.start, failure_budget=budget, discount=discount)
     if least >= 1 - 1e-12 or budget < least - 1e-10:
-        for engine in ENGINES:
-            check_infeasible(problem, engine, least, discount)
+        for method in METHODS:
+            check_infeasible(problem, method, least, discount)
         return
     if budget <= least + NEAR_LEAST:
         low = high = s3p.at_least_failure(reference, drawn.start, discount)[1]
     else:
         low, high = s3p_program.ratio_bounds(reference, drawn.start, budget, discount=discount)
-    for engine in ENGINES:
-        solution = solve(problem, engine=engine)
+    for method in METHODS:
+        solution = solve(problem, method=method)
         assert solution.objective >= low * (1 - 1e-7) - 1e-8
         assert solution.objective <= high * (1 + 1e-7) + 1e-8
         assert solution.lower_bound <= high * (1 + 1e-7) + 1e-8
@@ -173,11 +173,11 @@ def test_s3p_at_least_failure(drawn):
     """Without a budget: the least failure first, then the least conditional cost."""
     failure, value = s3p.at_least_failure(plain(drawn), drawn.start)
     problem = S3P(library_model(drawn), start=drawn.start, failure_budget=None)
-    for engine in ENGINES:
+    for method in METHODS:
         if value is None:
-            check_infeasible(problem, engine, 1.0, None)
+            check_infeasible(problem, method, 1.0, None)
             continue
-        solution = solve(problem, engine=engine)
+        solution = solve(problem, method=method)
         assert solution.objective == pytest.approx(value, **CLOSE)
         assert solution.conditional_cost == pytest.approx(value, **CLOSE)
         assert solution.failure_probability == pytest.approx(failure, abs=1e-12)

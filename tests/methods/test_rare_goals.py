@@ -1,4 +1,4 @@
-"""Goals that are hardly ever reached: costs given success in fractions, by two engines."""
+"""Goals that are hardly ever reached: costs given success in fractions, by two methods."""
 
 from fractions import Fraction
 
@@ -44,7 +44,7 @@ def least_cost(success, budget):
 @pytest.mark.parametrize("share", SHARES)
 def test_the_game_keeps_the_digits_of_a_rare_success(success, share):
     problem = problem_at(success, share)
-    found = solve(problem, engine="game")
+    found = solve(problem, method="game")
     assert found.objective == pytest.approx(least_cost(success, problem.failure_budget), rel=1e-12)
     assert found.gap <= 1e-9
     assert found.lower_bound <= found.objective
@@ -55,7 +55,7 @@ def test_the_game_keeps_the_digits_of_a_rare_success(success, share):
 @pytest.mark.parametrize("share", SHARES)
 def test_column_generation_spends_a_budget_near_1_exactly(success, share):
     problem = problem_at(success, share)
-    found = solve(problem, engine="columns")
+    found = solve(problem, method="columns")
     assert found.objective == pytest.approx(least_cost(success, problem.failure_budget), rel=1e-12)
     assert found.lower_bound <= found.objective
     assert found.gap <= 1e-9 or "misses the tolerance" in found.note
@@ -65,7 +65,7 @@ def test_column_generation_spends_a_budget_near_1_exactly(success, share):
 def test_the_game_s_value_is_eta_at_c_hat(success):
     """At the price of failing the two members pay the same, whatever J_cond is counted from."""
     problem = problem_at(success, 0.7)
-    found = solve(problem, engine="game")
+    found = solve(problem, method="game")
     safe, risky = Fraction(GAMMA) * Fraction(success), Fraction(GAMMA) * Fraction(success) / 2
     price = (3 * Fraction(success) - Fraction(success)) / (safe - risky)
     assert found.failure_price == pytest.approx(float(price) - found.objective, rel=1e-10)

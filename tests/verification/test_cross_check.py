@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
-from ssp_lp import SSP, CrossCheck, InfeasibleError, MixedPolicy, ModelError, cross_check, solve
+from ssp_lp import (
+    SSP,
+    CrossCheck,
+    Game,
+    InfeasibleError,
+    LinearProgramming,
+    MixedPolicy,
+    ModelError,
+    cross_check,
+    solve,
+)
 from ssp_lp.errors import SolverError
 from ssp_lp.verification import method_result
 from ssp_lp.verification.cross_check import compare
@@ -103,15 +113,15 @@ def test_a_large_program_is_not_asked(monkeypatch):
 def test_a_large_program_starts_at_the_policies_where_that_is_known(monkeypatch):
     asked = []
 
-    def noted(problem, engine, *, backend=None, time_limit=None):
-        asked.append((engine, backend))
-        return solve(problem, engine)
+    def noted(problem, method, *, time_limit=None):
+        asked.append(method)
+        return solve(problem, method.name)
 
     monkeypatch.setattr(method_result, "MOST_COLUMNS", 1)
     monkeypatch.setattr(method_result, "BACKENDS", ("highs", "highs-warm"))
     monkeypatch.setattr(method_result, "solve", noted)
     assert cross_check(PROBLEM).agrees
-    assert ("lp", "highs-warm") in asked
+    assert LinearProgramming("highs-warm") in asked
 
 
 def test_a_cap_of_the_users_leaves_the_game_out():
@@ -122,10 +132,10 @@ def test_a_cap_of_the_users_leaves_the_game_out():
 
 
 def test_a_road_that_fails_is_listed(monkeypatch):
-    def failing(problem, engine, **rest):
-        if engine == "lp":
+    def failing(problem, method, **rest):
+        if method == LinearProgramming():
             raise SolverError("no backend")
-        return solve(problem, engine, **rest)
+        return solve(problem, method, **rest)
 
     monkeypatch.setattr(method_result, "solve", failing)
     found = cross_check(PROBLEM)
@@ -144,13 +154,13 @@ def test_infeasible_for_all_is_raised():
 def test_infeasible_for_one_road_alone(monkeypatch, above, named):
     """A disagreement, except within rounding of the least failure."""
 
-    def refusing(problem, engine, **rest):
-        if engine == "game":
+    def refusing(problem, method, **rest):
+        if method == Game():
             least = problem.failure_budget + above
             raise InfeasibleError(
                 "no", failure_budget=0.05, least_failure=0.0, least_discounted_failure=least
             )
-        return solve(problem, engine, **rest)
+        return solve(problem, method, **rest)
 
     monkeypatch.setattr(method_result, "solve", refusing)
     found = cross_check(PROBLEM)

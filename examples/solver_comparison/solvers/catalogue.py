@@ -1,4 +1,4 @@
-"""The solvers of the comparison: this library's engines and its peers, by name.
+"""The solvers of the comparison: this library's methods and its peers, by name.
 
 Nothing heavy is imported here: a solver's own module is imported in the process that runs it.
 """
@@ -36,15 +36,15 @@ class Order:
     tolerance: float  # relative gap asked of this library
 
 
-def _engine(
-    name: str, engine: str, backend: str | None = None, environment: Mapping[str, str] | None = None
+def _method(
+    name: str, method: str, backend: str | None = None, environment: Mapping[str, str] | None = None
 ) -> Solver:
     return Solver(
         name,
         LIBRARY,
         package="ssp_lp",
         pip="pip install ssp-lp",
-        options={"engine": engine, "backend": backend},
+        options={"method": method, "backend": backend},
         environment=environment or {},
     )
 
@@ -73,12 +73,12 @@ def _storm(name: str, sound: bool, precision: str | None = None) -> Solver:
 
 
 SOLVERS = (
-    _engine("columns", "columns"),
-    _engine("columns-numpy", "columns", environment=PLAIN),
-    _engine("lp-simplex", "lp", "highs-simplex"),
-    _engine("lp-ipx", "lp", "highs-ipx"),
-    _engine("lp-clarabel", "lp", "clarabel"),
-    _engine("lp-cvxpy", "lp", "cvxpy"),
+    _method("columns", "columns"),
+    _method("columns-numpy", "columns", environment=PLAIN),
+    _method("lp-simplex", "lp", "highs-simplex"),
+    _method("lp-ipx", "lp", "highs-ipx"),
+    _method("lp-clarabel", "lp", "clarabel"),
+    _method("lp-cvxpy", "lp", "cvxpy"),
     _highs("ipx"),
     _highs("hipo", also_needs="highspy_extras", pip="pip install highspy-extras"),
     _highs("pdlp"),
@@ -87,17 +87,14 @@ SOLVERS = (
     _storm("storm-sound", sound=True),
     _storm("storm-1e-9", sound=False, precision="1/1000000000"),
 )
-"""The solvers that are always compared; the engines of a later release join them."""
+"""The solvers that are always compared; the methods of a later release join them."""
 
 
 def solver_named(name: str) -> Solver:
-    """Return the solver of a name; a name that is none of SOLVERS is taken for an engine."""
-    return next((s for s in SOLVERS if s.name == name), _engine(name, name))
+    """Return the solver of a name; a name that is none of SOLVERS is taken for a method."""
+    return next((s for s in SOLVERS if s.name == name), _method(name, name))
 
 
 def solver_names() -> tuple[str, ...]:
-    """Return the names of all solvers, with those of engines that `solve` knows besides."""
-    from ssp_lp.solve import ENGINES
-
-    others = [e for e in ENGINES if e not in ("auto", "columns", "lp")]
-    return (*(s.name for s in SOLVERS), *others)
+    """Return the names of all solvers, with those of methods that `solve` knows besides."""
+    return (*(s.name for s in SOLVERS), "game", "deterministic")

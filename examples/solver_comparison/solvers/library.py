@@ -1,4 +1,4 @@
-"""This library's engines in the comparison."""
+"""This library's methods in the comparison."""
 
 import math
 import time
@@ -6,15 +6,15 @@ import time
 from examples.solver_comparison.instances.models import ReadyInstance, build
 from examples.solver_comparison.solvers.answer import Answer, Prepared, joined
 from examples.solver_comparison.solvers.catalogue import Order
-from ssp_lp import Solution, SolverError, solve
+from ssp_lp import LinearProgramming, Solution, SolverError, solve
 from ssp_lp.compiled.accelerator import has_accelerator
 
 
-def prepare(ready: ReadyInstance, order: Order, *, engine: str, backend: str | None) -> Prepared:
-    """Make ready to solve an instance with an engine.
+def prepare(ready: ReadyInstance, order: Order, *, method: str, backend: str | None) -> Prepared:
+    """Make ready to solve an instance with a method.
 
     The first call compiles inner loops where numba is installed, so that column generation solves
-    a small instance first; it is what the other engines end with.
+    a small instance first; it is what the other methods end with.
     """
     failure_budget = ready.instance.failure_budget
 
@@ -23,8 +23,7 @@ def prepare(ready: ReadyInstance, order: Order, *, engine: str, backend: str | N
         try:
             solution = solve(
                 ready.problem(),
-                engine,
-                backend=backend,
+                LinearProgramming(backend) if method == "lp" else method,
                 tolerance=order.tolerance,
                 time_limit=order.time_limit,
             )

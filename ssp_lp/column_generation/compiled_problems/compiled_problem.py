@@ -1,4 +1,4 @@
-"""An compiled: a problem's augmented process together with everything that engines ask of it."""
+"""An compiled: a problem's augmented process together with everything that methods ask of it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class LeastFailure:
 
 
 class CompiledProblem(Protocol):
-    """What an engine asks of a problem; a user's own formulation may bring its own."""
+    """What a method asks of a problem; a user's own formulation may bring its own."""
 
     @property
     def model(self) -> SSP:

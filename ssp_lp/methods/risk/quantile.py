@@ -11,8 +11,8 @@ import time
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
-from ssp_lp.methods.refinement import SolveOptions
 from ssp_lp.methods.risk.trial import Question, Trial, cost_of, layer_of, remarks
+from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.arrival_cost import Late
 from ssp_lp.solution import Run, Solution
@@ -27,7 +27,7 @@ def least_quantile(
         problem: the problem.
         question: the policies that count.
         level: in (0, 1).
-        options: engine, tolerance and limits.
+        options: method, tolerance and limits.
 
     Raises:
         ModelError: the quantile lies beyond the largest table of costs.
@@ -54,7 +54,7 @@ def least_quantile(
         failure_price=None,
         value_function=None,
         budget_used=1.0 - law.goal,
-        run=Run(options.engine, f"bisection over cost bounds, {calls} pricing calls", calls, 0.0),
+        run=Run(options.method, f"bisection over cost bounds, {calls} pricing calls", calls, 0.0),
         note=remarks(question, in_time=high - low <= 1),
     )
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.refinement import SolveOptions
 from ssp_lp.methods.risk.quantile import least_quantile, quantile_bound
 from ssp_lp.methods.risk.tail_mean import least_tail_mean, tail_mean_bound
 from ssp_lp.methods.risk.trial import pose
+from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.law_measure import CostQuantileOf, TailMeanOf
 from ssp_lp.solution import Solution
@@ -17,7 +17,7 @@ def solve_for_risk(problem: Problem, options: SolveOptions) -> Solution:
 
     Args:
         problem: its measure says which, and at which level.
-        options: engine, tolerance and limits.
+        options: method, tolerance and limits.
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.

@@ -16,8 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
-from ssp_lp.methods.refinement import SolveOptions
 from ssp_lp.methods.risk.trial import Question, Trial, cost_of, layer_of, remarks
+from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.arrival_cost import Excess
@@ -131,7 +131,7 @@ def least_tail_mean(
         problem: the problem.
         question: the policies that count.
         level: in [0, 1).
-        options: engine, tolerance and limits.
+        options: method, tolerance and limits.
     """
     best, bound, in_time = _proved(_Search(problem, question, level, options))
     reason = f"thresholds on the lattice of costs, {best.calls} pricing calls"
@@ -143,7 +143,7 @@ def least_tail_mean(
         failure_price=None if question.budget is None else best.price,
         value_function=None,
         budget_used=best.failure,
-        run=Run(options.engine, reason, best.calls, 0.0),
+        run=Run(options.method, reason, best.calls, 0.0),
         note=remarks(question, in_time=in_time),
         prices=best.prices,
     )

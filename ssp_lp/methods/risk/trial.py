@@ -15,9 +15,10 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.refinement import SolveOptions, optimise
+from ssp_lp.methods.refinement import optimise
 from ssp_lp.methods.rows.optimum import Truth, rows_optimum
 from ssp_lp.methods.rows.proof import bound_at
+from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, compiled_constrained, conditions_of
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
@@ -69,7 +70,7 @@ class Question(Protocol):
 
         Args:
             charge: of the total cost.
-            options: engine, tolerance and limits.
+            options: method, tolerance and limits.
             kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
         """
         ...

@@ -29,9 +29,9 @@ from ssp_lp.column_generation.pricing.constrained import Point
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
-from ssp_lp.methods.refinement import SolveOptions
 from ssp_lp.methods.rows.opening import Opening, opening
 from ssp_lp.methods.rows.proof import proved_bound
+from ssp_lp.options import LinearProgramming, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.processes.quantities.rows import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
@@ -80,7 +80,7 @@ def rows_optimum(
 
     Args:
         stated: the problem.
-        options: engine, tolerance and limits.
+        options: method, tolerance and limits.
         truth: where accumulated cost is told apart, the true value of a lottery.
 
     Raises:
@@ -99,7 +99,7 @@ def rows_optimum(
         gaps.append(found.gap)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck else found.compiled.refined()
-        if finer is None and not stated.precise and options.engine != "lp":
+        if finer is None and not stated.precise and options.program is None:
             finer = replace(stated, precise=True)
         if finer is None:
             return found
@@ -115,8 +115,8 @@ def _attempt(
     compiled = stated.settled()
     opened = opening(compiled, stated, pace)
     program, centre = None, (np.zeros(len(opened.asked)), opened.unlimited)
-    if options.engine == "lp":
-        program, opened, centre = _programmed(compiled, opened, options)
+    if options.program is not None:
+        program, opened, centre = _programmed(compiled, opened, options.program, options.deadline)
     found, ratio = _generated(compiled, opened, pace, centre)
     return _concluded(compiled, stated, opened, found, ratio, truth, program)
 
@@ -182,7 +182,10 @@ def _padded(weights: FloatArray, pool: Pool) -> FloatArray:
 
 
 def _programmed(
-    compiled: CompiledConstrained, opened: Opening, options: SolveOptions
+    compiled: CompiledConstrained,
+    opened: Opening,
+    asked: LinearProgramming,
+    deadline: float,
 ) -> tuple[ProgramOptimum, Opening, tuple[FloatArray, float]]:
     """The optimum of the full linear program, and the bound at its duals."""
     pricing, rows = compiled.pricing, opened.rows
@@ -191,7 +194,7 @@ def _programmed(
         for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
     }
     program = solve_rows_program(
-        pricing.process, limits, options.backend, options.deadline, ratio=compiled.ratio
+        pricing.process, limits, asked.backend, deadline, ratio=compiled.ratio
     )
     prices = np.array([program.prices[name] for name in limits])
     rows = replace(rows, ratio=program.objective if compiled.ratio else 0.0)

@@ -6,9 +6,8 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.errors import ModelError
-from ssp_lp.methods.refinement import SolveOptions
 from ssp_lp.methods.rows.optimum import RowsOptimum, Truth, rows_optimum
+from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, compiled_constrained
 from ssp_lp.processes.quantities.rows import FAILURE_ROW
@@ -20,7 +19,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 
     Args:
         problem: the problem; no measure of risk.
-        options: engine, tolerance and limits.
+        options: method, tolerance and limits.
 
     Raises:
         InfeasibleError: no policy keeps to the failure budget and the limits; names the smallest
@@ -35,19 +34,6 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
     """The best lottery within all rows, its value taken from its own evaluation."""
     return rows_optimum(stated, options, _truth(problem, stated))
-
-
-def check_options(problem: Problem, options: SolveOptions) -> None:
-    """Check that engine and backend go with rows.
-
-    Raises:
-        ModelError: they do not.
-    """
-    name = type(problem).__name__
-    if options.engine == "game":
-        raise ModelError(f"engine='game' knows one row only, not {name}: take 'columns' or 'lp'")
-    if options.backend == "highs-warm":
-        raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
 
 
 def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
@@ -81,7 +67,7 @@ def _solution(problem: Problem, found: RowsOptimum, options: SolveOptions) -> So
         failure_price=failure_price(problem, found.prices),
         value_function=found.values,
         budget_used=found.failure,
-        run=Run(options.engine, reason, found.calls, 0.0, found.work, found.program),
+        run=Run(options.method, reason, found.calls, 0.0, found.work, found.program),
         note=found.note,
         upper_bound=bound if maximised else None,
         prices=found.prices,

@@ -1,4 +1,4 @@
-"""The layered process written out state by state, for the engines that need it so."""
+"""The layered process written out state by state, for the methods that need it so."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from references.frontier import least_failure
 from ssp_lp import InfeasibleError, certify, solve
 from strategies import discounts
 
-ENGINES = ("columns", "lp")
+METHODS = ("columns", "lp")
 shares = st.sampled_from([0.5, 0.25, 0.9, 0.75, 0.1, 0.5, 0.0, 1.0, 2.0, -0.5, "zero"])
 """Where a bound lies between the least attainable total and that of the cheapest policy."""
 
@@ -77,7 +77,7 @@ def check_optimal(solution, bounds, budget):
     discounts,
 )
 def test_the_best_lottery_over_all_policies(drawn_charges, places, place, meaning, discount):
-    """Both engines meet the enumerated optimum, or prove that there is none."""
+    """Both methods meet the enumerated optimum, or prove that there is none."""
     drawn, charges = drawn_charges
     discount = None if place is None else discount
     every = constrained.measured(
@@ -105,11 +105,11 @@ def test_the_best_lottery_over_all_policies(drawn_charges, places, place, meanin
     row = None if at_least else budget
     excess = constrained.least_excess(allowed, row, bounds)
     assume(not 1e-13 < excess < 1e-6)
-    for engine in ENGINES:
+    for method in METHODS:
         if excess > 1e-13:
-            check_refused(problem, engine, allowed, bounds, row)
+            check_refused(problem, method, allowed, bounds, row)
             continue
-        solution = solve(problem, engine)
+        solution = solve(problem, method)
         value = constrained.best_lottery(allowed, row, bounds)
         if value is None:
             value = constrained.best_lottery(
@@ -119,10 +119,10 @@ def test_the_best_lottery_over_all_policies(drawn_charges, places, place, meanin
         check_optimal(solution, bounds, budget)
 
 
-def check_refused(problem, engine, every, bounds, budget):
+def check_refused(problem, method, every, bounds, budget):
     """The error names rows that cannot be kept together, and no fewer would do."""
     with pytest.raises(InfeasibleError) as caught:
-        solve(problem, engine)
+        solve(problem, method)
     named = caught.value.conflicting_rows
     assert named
     for name in named:

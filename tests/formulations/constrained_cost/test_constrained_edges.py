@@ -17,6 +17,7 @@ from ssp_lp import (
     SSP,
     DeterministicPolicy,
     InfeasibleError,
+    LinearProgramming,
     MixedPolicy,
     ModelError,
     SolverError,
@@ -64,12 +65,12 @@ def test_free_rings_in_a_larger_model(n):
     """Evaluations are rough there: rounding must not find that going round for ever is cheap."""
     model, fuel = ring_model(n, np.random.default_rng(5))
     free = solve(MCMP(model, 0, failure_budget=0.25, give_up="dead_ends"))
-    for steps, most, engine in ((1e6, 40.0, "columns"), (12.0, 30.0, "columns"), (1e6, 40.0, "lp")):
-        if engine == "lp" and n > 1_200:
+    for steps, most, method in ((1e6, 40.0, "columns"), (12.0, 30.0, "columns"), (1e6, 40.0, "lp")):
+        if method == "lp" and n > 1_200:
             continue
         limits = {"steps": CostLimit(np.ones(3 * n), steps), "fuel": CostLimit(fuel, most)}
         problem = ConstrainedCost(model, 0, limits, failure_budget=0.25, give_up="dead_ends")
-        solution = solve(problem, engine)
+        solution = solve(problem, method)
         assert solution.gap <= 1e-9
         certificate = certify(solution)
         assert certificate.accepted, certificate.reason
@@ -234,15 +235,11 @@ def test_a_policy_that_fails_more_than_the_least_is_refused():
 
 
 def test_what_is_refused():
-    """Engines and questions that know one row only."""
+    """Methods and questions that know one row only."""
     problem = ConstrainedCost(THREE, "a", {"fuel": CostLimit(FUEL, 3)}, failure_budget=0.5)
-    for arguments in (
-        {"engine": "game"},
-        {"policy_class": "deterministic"},
-        {"engine": "lp", "backend": "highs-warm"},
-    ):
+    for method in ("game", "deterministic", LinearProgramming("highs-warm")):
         with pytest.raises(ModelError, match=r"ConstrainedCost|highs-warm"):
-            solve(problem, **arguments)
+            solve(problem, method)
     for question in (trace_frontier, cross_check):
         with pytest.raises(ModelError, match="ConstrainedCost"):
             question(problem)
@@ -252,9 +249,9 @@ def test_what_is_refused():
 def test_every_backend(backend):
     """The full program with any solver ends at the same prices."""
     limits = {"fuel": CostLimit(FUEL, 3), "time": CostLimit(TIME, 2)}
-    solution = solve(ConstrainedCost(THREE, "a", limits), "lp", backend=backend)
+    solution = solve(ConstrainedCost(THREE, "a", limits), LinearProgramming(backend))
     check(solution, 5 / 3, fuel=1, time=1 / 3)
-    assert solution.engine == "lp"
+    assert solution.method == "lp"
     assert solution.run.program
 
 

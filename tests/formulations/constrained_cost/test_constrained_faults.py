@@ -7,7 +7,7 @@ import pytest
 
 from constrained_models import FUEL, THREE, check
 from formulations import MCMP, ConstrainedCost, CostLimit
-from small_models import EXACT, each_engine, model_of
+from small_models import EXACT, each_method, model_of
 from ssp_lp import InfeasibleError, ModelError, certify, solve
 
 
@@ -24,30 +24,30 @@ def test_a_budget_slightly_above_the_least_failure_is_not_equal_to_it(budget):
     assert solution.prices["failure"] == pytest.approx(99e10, **EXACT)
 
 
-@each_engine
+@each_method
 @pytest.mark.parametrize("saving", [5e-4, 1e-6])
 @pytest.mark.parametrize("bound", [1e-9, 1e-10, 1e-13])
-def test_a_small_price_of_a_tiny_bound_is_proved(engine, saving, bound):
+def test_a_small_price_of_a_tiny_bound_is_proved(method, saving, bound):
     """What is allowed is worth nothing, what policies would take is worth the saving."""
     model = model_of({"a": {"x": [(1.0, "g", 1)], "z": [(1.0, "g", 1 + saving)]}})
     limits = {"fuel": CostLimit({"a": {"x": 1}}, bound)}
-    solution = solve(ConstrainedCost(model, "a", limits), engine)
+    solution = solve(ConstrainedCost(model, "a", limits), method)
     assert solution.gap <= 1e-9
     check(solution, 1 + saving * (1 - bound))
     assert solution.prices["fuel"] == pytest.approx(saving, rel=1e-9)
 
 
-@each_engine
+@each_method
 @pytest.mark.parametrize("taken", [(1, 1e9), (1, 100, 1e9), (1e8, 2, 1e10), (1e9, 1, 1e9)])
-def test_rows_whose_bounds_are_far_from_what_is_taken(engine, taken):
+def test_rows_whose_bounds_are_far_from_what_is_taken(method, taken):
     """Only the row that is short has a price; the master's basis is completed by slacks."""
     model = model_of({"a": {"x": [(1.0, "g", 1)], "z": [(1.0, "g", 2)]}})
     limits = {f"r{k}": CostLimit({"a": {"x": amount}}, 1) for k, amount in enumerate(taken)}
-    check(solve(ConstrainedCost(model, "a", limits), engine), 2 - 1 / max(taken))
+    check(solve(ConstrainedCost(model, "a", limits), method), 2 - 1 / max(taken))
 
 
-@each_engine
-def test_a_master_that_is_called_unbounded(engine):
+@each_method
+def test_a_master_that_is_called_unbounded(method):
     """HiGHS errs on numbers this far apart: no lottery has a cost below the least one."""
     costs = {"x": 718.95, "y": 169.26, "z": 46.66}
     model = model_of({"a": {name: [(1.0, "g", cost)] for name, cost in costs.items()}})
@@ -56,12 +56,12 @@ def test_a_master_that_is_called_unbounded(engine):
         "r1": CostLimit({"a": {"x": 0.2}}, 2e-14),
         "r2": CostLimit({"a": {"x": 0.01, "y": 0.01}}, 1e-7),
     }
-    check(solve(ConstrainedCost(model, "a", limits), engine), 46.66, r0=0, r1=0, r2=0)
+    check(solve(ConstrainedCost(model, "a", limits), method), 46.66, r0=0, r1=0, r2=0)
 
 
-@each_engine
+@each_method
 @pytest.mark.parametrize("bound", [1e-9, 1e-12, 1e-15])
-def test_a_conflict_of_a_tiny_bound(engine, bound):
+def test_a_conflict_of_a_tiny_bound(method, bound):
     """The risky way saves 1/10 of fuel, but no more risk is allowed than a trifle."""
     model = model_of({"a": {"safe": [(1.0, "g", 1)], "risky": [(1.0, "g", 1)]}})
     limits = {
@@ -69,7 +69,7 @@ def test_a_conflict_of_a_tiny_bound(engine, bound):
         "risk": CostLimit({"a": {"risky": 1}}, bound),
     }
     with pytest.raises(InfeasibleError, match=r"at least 3\.63636 under every policy") as caught:
-        solve(ConstrainedCost(model, "a", limits), engine)
+        solve(ConstrainedCost(model, "a", limits), method)
     assert caught.value.conflicting_rows == ("fuel", "risk")
 
 

@@ -37,12 +37,12 @@ def rover():
     return read("energy", "time")
 
 
-@pytest.mark.parametrize("engine", ["columns", "lp"])
+@pytest.mark.parametrize("method", ["columns", "lp"])
 @pytest.mark.parametrize("bound", [50, 55, 60, 70, 100])
-def test_time_is_bought_with_energy(rover, bound, engine):
+def test_time_is_bought_with_energy(rover, bound, method):
     model, time = rover
     problem = ConstrainedCost(model, 0, limits={"time": CostLimit(time, bound)})
-    solution = solve(problem, engine)
+    solution = solve(problem, method)
     assert solution.objective == pytest.approx(40 + 6 / 35 * (100 - bound), rel=1e-12)
     assert solution.gap <= 1e-12
     assert certify(solution).accepted

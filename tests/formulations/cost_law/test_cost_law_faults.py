@@ -13,9 +13,9 @@ from checks import optimum
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, compare_criteria
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
-from ssp_lp.methods.refinement import CERTIFYING
 from ssp_lp.methods.risk import tail_mean
 from ssp_lp.methods.risk.trial import pose
+from ssp_lp.options import CERTIFYING
 
 LAWS = {
     "split": [(0.45, "g", 0), (0.55, "g", 80)],

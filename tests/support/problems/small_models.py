@@ -5,7 +5,7 @@ import pytest
 from ssp_lp import SSP
 
 EXACT = {"rel": 1e-9, "abs": 1e-12}
-each_engine = pytest.mark.parametrize("engine", ["lp", "columns"])
+each_method = pytest.mark.parametrize("method", ["lp", "columns"])
 each_meaning = pytest.mark.parametrize("give_up", ["anywhere", "attention", "dead_ends"])
 
 

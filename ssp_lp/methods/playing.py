@@ -1,0 +1,41 @@
+"""From a problem to its solution by the paper's game."""
+
+from __future__ import annotations
+
+from ssp_lp.arrays import read_only
+from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.failure_constraint import least_of
+from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.errors import ModelError
+from ssp_lp.options import Game, SolveOptions
+from ssp_lp.problem import Problem
+from ssp_lp.solution import Run, Solution, remarks
+
+
+def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
+    """The paper's own construction, which knows neither columns nor programs."""
+    from ssp_lp.game.stationary import stationary_game, value_function
+    from ssp_lp.game.threshold import Patience
+
+    compiled = problem.compile()
+    if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
+        raise ModelError("method='game' chooses its own cap M: leave cost_cap out")
+    patience = Patience(options.deadline, options.progress)
+    found = stationary_game(problem, tolerance=options.tolerance, patience=patience)
+    optimum = found.optimum
+    replies = optimum.threshold.responses
+    reason = f"the paper's game, {len(optimum.threshold.trials)} values of c"
+    work = Work(backups=sum(r.sweeps for r in replies))
+    return Solution(
+        problem=problem,
+        policy=found.policy,
+        objective=optimum.objective,
+        lower_bound=least_of(optimum.lower_bound, optimum.objective),
+        failure_price=max(optimum.price - optimum.objective, 0.0)
+        if problem.ratio
+        else optimum.price,
+        value_function=read_only(value_function(found)),
+        budget_used=optimum.threshold.condition,
+        run=Run(Game.name, reason, len(replies), 0.0, work),
+        note=remarks(problem, optimum.threshold.budget, optimum.threshold.in_time),
+    )
