@@ -96,17 +96,20 @@ class _WithReachFraction(Protocol):
     def reach_fraction(self) -> float | None: ...
 
 
+class _Shared(float):
+    """A budget that a share made: handed on to a copy of its problem, it states nothing."""
+
+
 class FailureBudget:
     """The field ``failure_budget`` of a problem that may be given ``reach_fraction`` instead.
 
     The budget is then ``1 - reach_fraction * greatest goal probability``, worked out when it is
-    first asked for: stating a problem solves nothing. (``dataclasses.replace`` hands on both: say
-    ``failure_budget=None`` where the share is to stay.)
+    first asked for: stating a problem solves nothing.
     """
 
     def __set__(self, problem: _WithReachFraction, value: float | None) -> None:
         """Keep what was stated."""
-        vars(problem)["_stated_budget"] = value
+        vars(problem)["_stated_budget"] = None if isinstance(value, _Shared) else value
 
     @overload
     def __get__(self, problem: None, owner: type[object]) -> None: ...
@@ -120,8 +123,9 @@ class FailureBudget:
         if share is None:
             return stated_budget(problem)
         if "_budget" not in known:
-            known["_budget"] = budget_of_share(problem.model, problem.start, share)
-        return float(known["_budget"])
+            known["_budget"] = _Shared(budget_of_share(problem.model, problem.start, share))
+        found: float = known["_budget"]
+        return found
 
 
 BUDGET_OR_SHARE = FailureBudget()

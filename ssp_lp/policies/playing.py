@@ -53,9 +53,13 @@ class Playable(ABC):
     """Mix-in of the policies that a person's own loop can drive.
 
     Example:
-        >>> policy.reset(np.random.default_rng(0))     # doctest: +SKIP
-        >>> action = policy.action(state)               # doctest: +SKIP
-        >>> policy.observe(successor, cost)             # doctest: +SKIP
+        >>> from ssp_lp import SSP, DeterministicPolicy
+        >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
+        >>> policy = DeterministicPolicy.from_actions(model, {"door": "open"})
+        >>> policy.reset(np.random.default_rng(0))
+        >>> policy.action("door")
+        'open'
+        >>> policy.observe("out", 2.0)
     """
 
     _episode: Episode | None = None

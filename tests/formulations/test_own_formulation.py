@@ -7,8 +7,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from formulations import EGUBS
-from ssp_lp import SSP, ModelError, certify, evaluate, solve, trace_frontier
+from formulations import (
+    EGUBS,
+    GUBS,
+    ISSPUDE,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    ConstrainedCost,
+    CostBoundedReach,
+    CostQuantile,
+    CVaR,
+    FinitePenalty,
+    MaxProb,
+    MinCost,
+    MinProb,
+)
+from ssp_lp import SSP, ModelError, certify, evaluate, secondary_cost, solve, trace_frontier
 from ssp_lp.formulation import ExponentialUtility, FailureSemantics, Formulation, GiveUp, Start
 
 
@@ -95,3 +110,27 @@ def test_a_frontier_of_ones_own_criterion() -> None:
     frontier = trace_frontier(PenaltyWithinBudget(DEPOT, "depot"))
     known = solve(PenaltyWithinBudget(DEPOT, "depot", failure_budget=0.03)).objective
     assert frontier.objective_at(0.03) == pytest.approx(known, rel=1e-9)
+
+
+def test_replace_works_on_every_formulation() -> None:
+    """A copy asks what it says, and a budget that a share made follows the share."""
+    fuel = {"fuel": secondary_cost({"depot": {"alley": 2.0}}) <= 1.0}
+    stated = [
+        *(formulation(DEPOT, "depot") for formulation in (MCMP, S3P, MaxProb, MinProb, ISSPUDE)),
+        *(formulation(DEPOT, "depot") for formulation in (MinCost, ConstrainedCost)),
+        AlphaMCMP(DEPOT, "depot", 0.95),
+        CVaR(DEPOT, "depot", 0.5),
+        CostQuantile(DEPOT, "depot", 0.5),
+        CostBoundedReach(DEPOT, "depot", 5),
+        FinitePenalty(DEPOT, "depot", 3.0),
+        EGUBS(DEPOT, "depot", -0.1, 1.0),
+        GUBS(DEPOT, "depot", lambda cost: np.maximum(1.0 - cost, 0.0), 1.0),
+    ]
+    for problem in stated:
+        copied = replace(problem, constraints=fuel)
+        assert set(copied.constraints) == {"fuel"}
+        assert copied.failure_budget == problem.failure_budget
+    shared = MCMP(DEPOT, "depot", reach_fraction=0.96)
+    assert shared.failure_budget == pytest.approx(1.0 - 0.96 * 0.99)
+    assert replace(shared, reach_fraction=0.95).failure_budget == pytest.approx(1.0 - 0.95 * 0.99)
+    assert replace(shared, reach_fraction=None, failure_budget=0.2).failure_budget == 0.2
