@@ -36,7 +36,7 @@ from ssp_lp.processes.failure_semantics import (
     parse_give_up,
     start_distribution,
 )
-from ssp_lp.processes.layered.law_measure import (
+from ssp_lp.processes.layered.measures_of_law import (
     CostQuantileOf,
     ExpectedUtility,
     ExponentialUtility,
@@ -44,8 +44,8 @@ from ssp_lp.processes.layered.law_measure import (
     WithinBound,
 )
 from ssp_lp.processes.layered.utility import Utility
+from ssp_lp.processes.quantities.conditions import Condition, conditions
 from ssp_lp.processes.quantities.quantity import Constraint
-from ssp_lp.processes.quantities.rows import Condition, conditions
 from ssp_lp.processes.quantities.stage_cost import CostLimit, constraints_of
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from ssp_lp.model import SSP
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
-from ssp_lp.processes.quantities.rows import Condition
+from ssp_lp.processes.quantities.conditions import Condition
 
 
 class Problem(Protocol):

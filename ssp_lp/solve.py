@@ -27,7 +27,7 @@ from ssp_lp.options import (
 )
 from ssp_lp.problem import Problem, conditions_of
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.quantities.rows import FAILURE_ROW
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
-from ssp_lp.analysis.quantities import (
+from ssp_lp.analysis.quantity_values import (
     complement,
     counted_nodes,
     quantity_values,

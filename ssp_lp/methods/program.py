@@ -14,14 +14,14 @@ from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFai
 from ssp_lp.column_generation.compiled_problems.layered import CompiledLayered
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
-from ssp_lp.methods.rows.solving import optimum_of
+from ssp_lp.methods.rows.optimum import optimum_of
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
-from ssp_lp.processes.layered.law_measure import CostQuantileOf, TailMeanOf
+from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.processes.layered.open_ended import OpenEnded
-from ssp_lp.processes.quantities.rows import FAILURE_ROW
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.programs.accumulated_cost import LayeredModel
 from ssp_lp.programs.augmented import Augmented
 from ssp_lp.programs.failure_label import LabelledModel

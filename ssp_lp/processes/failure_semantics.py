@@ -13,7 +13,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import staying_pairs
 from ssp_lp.processes.expectations import cost_means
-from ssp_lp.processes.layered.law_measure import Measure
+from ssp_lp.processes.layered.measures_of_law import Measure
 
 
 class GiveUp(enum.StrEnum):

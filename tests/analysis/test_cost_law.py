@@ -37,7 +37,7 @@ from ssp_lp.analysis.chain import policy_chain
 from ssp_lp.analysis.total_cost import arrivals
 from ssp_lp.policies.policy import Branches, Policy
 from ssp_lp.processes.failure_semantics import FailureSemantics
-from ssp_lp.processes.layered.law_measure import (
+from ssp_lp.processes.layered.measures_of_law import (
     CostQuantileOf,
     ExpectedUtility,
     ExponentialUtility,

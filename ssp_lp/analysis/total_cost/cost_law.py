@@ -22,7 +22,7 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.layered.lattice import last_layer
-from ssp_lp.processes.layered.law_measure import TailMeanOf
+from ssp_lp.processes.layered.measures_of_law import TailMeanOf
 from ssp_lp.processes.layered.utility import Utility, utilities
 
 _LAST_LAYER = 2**62  # as good as infinitely many

@@ -28,7 +28,7 @@ from ssp_lp.processes.goal_reach import (
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.arrival_cost import Charge
 from ssp_lp.processes.layered.open_ended import OpenEnded
-from ssp_lp.processes.quantities.rows import FAILURE_ROW, UpperRow
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
 
 ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""

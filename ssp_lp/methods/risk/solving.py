@@ -8,7 +8,7 @@ from ssp_lp.methods.risk.tail_mean import least_tail_mean, tail_mean_bound
 from ssp_lp.methods.risk.trial import pose
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
-from ssp_lp.processes.layered.law_measure import CostQuantileOf, TailMeanOf
+from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.solution import Solution
 
 

@@ -23,7 +23,7 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, compiled_constrained, conditions_of
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.arrival_cost import Charge, Excess, Late, TotalCost
-from ssp_lp.processes.quantities.rows import FAILURE_ROW
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
 _ROUNDING = 1e-14

@@ -20,7 +20,7 @@ from ssp_lp.column_generation.constrained_search import (
 from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.processes.failure_semantics import survival_of
 from ssp_lp.processes.goal_reach import greatest_goal_reach
-from ssp_lp.processes.quantities.rows import FAILURE_ROW
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 
 
 @dataclass(frozen=True, eq=False)

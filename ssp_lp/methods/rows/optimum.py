@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.constrained_search import (
@@ -33,7 +34,8 @@ from ssp_lp.methods.rows.opening import Opening, opening
 from ssp_lp.methods.rows.proof import proved_bound
 from ssp_lp.options import LinearProgramming, SolveOptions
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.processes.quantities.rows import FAILURE_ROW
+from ssp_lp.problem import Problem
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
 _RATIOS = 40  # steps of Dinkelbach's iteration
@@ -71,6 +73,23 @@ class RowsOptimum:
 
 Truth = Callable[[MixedPolicy], float]
 """The true value of a lottery, in what is minimised, where the process truncates it."""
+
+
+def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
+    """The best lottery within all rows, its value taken from its own evaluation."""
+    return rows_optimum(stated, options, _truth(problem, stated))
+
+
+def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
+    """The true value of a lottery, where the process truncates it."""
+    if stated.charge is None:
+        return None
+
+    def value(policy: MixedPolicy) -> float:
+        attained = evaluate(policy, problem).objective
+        return attained if stated.constant is None else stated.constant - attained
+
+    return value
 
 
 def rows_optimum(

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.methods.rows.optimum import RowsOptimum, Truth, rows_optimum
+from ssp_lp.methods.rows.optimum import RowsOptimum, optimum_of
 from ssp_lp.options import SolveOptions
-from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, compiled_constrained
-from ssp_lp.processes.quantities.rows import FAILURE_ROW
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Run, Solution
 
 
@@ -29,23 +26,6 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
     """
     found = optimum_of(problem, compiled_constrained(problem), options)
     return _solution(problem, found, options)
-
-
-def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
-    """The best lottery within all rows, its value taken from its own evaluation."""
-    return rows_optimum(stated, options, _truth(problem, stated))
-
-
-def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
-    """The true value of a lottery, where the process truncates it."""
-    if stated.charge is None:
-        return None
-
-    def value(policy: MixedPolicy) -> float:
-        attained = evaluate(policy, problem).objective
-        return attained if stated.constant is None else stated.constant - attained
-
-    return value
 
 
 def _solution(problem: Problem, found: RowsOptimum, options: SolveOptions) -> Solution:

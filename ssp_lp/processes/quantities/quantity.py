@@ -1,7 +1,7 @@
 """What can be counted and limited: named linear functionals of an occupation measure.
 
 A quantity says what it counts in the model's own words; what it is at the pairs of an augmented
-process is worked out when a problem is stated (``processes.quantities.rows``). Quantities add and
+process is worked out when a problem is stated (``processes.quantities.conditions``). Quantities add and
 scale, and comparing one with a number makes a constraint:
 
     secondary_cost(fuel) + 2.0 * visits("ward") <= 12.0

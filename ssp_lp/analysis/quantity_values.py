@@ -11,7 +11,7 @@ from ssp_lp.analysis.failure_costs import give_up_costs, lost_costs
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.problem import Problem, conditions_of
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
-from ssp_lp.processes.quantities.rows import Steps, Term
+from ssp_lp.processes.quantities.conditions import Steps, Term
 
 
 def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArray:
