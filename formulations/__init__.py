@@ -10,6 +10,7 @@ from formulations.egubs import EGUBS
 from formulations.finite_penalty import FinitePenalty
 from formulations.gubs import GUBS
 from formulations.isspude import ISSPUDE
+from formulations.least_quantity import LeastQuantity
 from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
 from formulations.min_cost import MinCost
@@ -32,6 +33,7 @@ __all__ = [
     "CriteriaComparison",
     "CriterionRow",
     "FinitePenalty",
+    "LeastQuantity",
     "MaxProb",
     "MinCost",
     "MinProb",

@@ -44,8 +44,9 @@ from ssp_lp.processes.layered.measures_of_law import (
     WithinBound,
 )
 from ssp_lp.processes.layered.utility import Utility
-from ssp_lp.processes.quantities.conditions import Condition, conditions
-from ssp_lp.processes.quantities.quantity import Constraint
+from ssp_lp.processes.quantities.conditions import Condition
+from ssp_lp.processes.quantities.lookup import conditions, objective_of
+from ssp_lp.processes.quantities.quantity import Constraint, Quantity
 from ssp_lp.processes.quantities.stage_cost import CostLimit, constraints_of
 
 if TYPE_CHECKING:
@@ -68,6 +69,7 @@ __all__ = [
     "InfeasibleError",
     "ModelError",
     "Problem",
+    "Quantity",
     "Start",
     "TailMeanOf",
     "Utility",
@@ -93,6 +95,7 @@ class _Inherited:
     discount: float | None = None
     ratio = False
     cost_cap: float | None = None  # of accumulated cost, where it is told apart
+    quantity: Quantity | None = None  # what is minimised in place of the cost
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,11 +121,20 @@ class Formulation(_Inherited):
         start_distribution(self._asked.model, self._asked.start)
         for condition in self.conditions:
             _ = condition.rows
+        _ = self.objective_condition
 
     @property
     def all_constraints(self) -> Mapping[str, Constraint]:
         """The constraints, with those that a formulation has by itself."""
         return self.constraints
+
+    @cached_property
+    def objective_condition(self) -> Condition | None:
+        """What is minimised in place of the cost, looked up in the model; None: the cost."""
+        if self.quantity is None:
+            return None
+        model, start = self._asked.model, self._asked.start
+        return objective_of(model, start_distribution(model, start), self.quantity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:

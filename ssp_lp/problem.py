@@ -66,9 +66,20 @@ def conditions_of(problem: Problem) -> tuple[Condition, ...]:
     return found
 
 
+def objective_of(problem: Problem) -> Condition | None:
+    """The quantity that a problem minimises in place of its cost; None: there is none."""
+    found: Condition | None = getattr(problem, "objective_condition", None)
+    return found
+
+
+def has_rows(problem: Problem) -> bool:
+    """Whether a problem has constraints or an objective that only the methods for rows know."""
+    return bool(conditions_of(problem)) or objective_of(problem) is not None
+
+
 def compiled_constrained(problem: Problem) -> CompiledConstrained:
     """The process of a problem with constraints, and its rows."""
-    measure = problem.semantics.measure
+    measure, objective = problem.semantics.measure, objective_of(problem)
     charge = TOTAL_COST if problem.ratio else None
     return CompiledConstrained(
         model=problem.model,
@@ -80,6 +91,7 @@ def compiled_constrained(problem: Problem) -> CompiledConstrained:
         charge=charge if measure is None else measure.charge,
         ratio=problem.ratio,
         fixed_cap=getattr(problem, "cost_cap", None),
+        objective=None if objective is None else objective.minimised(),
     )
 
 

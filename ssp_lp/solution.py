@@ -12,7 +12,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
-from ssp_lp.problem import Problem, conditions_of
+from ssp_lp.problem import Problem, has_rows
 from ssp_lp.processes.failure_semantics import Aim
 
 
@@ -131,7 +131,7 @@ class Solution:
         limits or a measure of the law of costs counts, which the game does not know.
         """
         price, budget = self._multiplier, self.problem.failure_budget
-        unknown = bool(conditions_of(self.problem)) or self.problem.semantics.measure is not None
+        unknown = has_rows(self.problem) or self.problem.semantics.measure is not None
         if price is None or budget is None or unknown:
             return None
         mine, other = self.objective, price * budget

@@ -25,7 +25,7 @@ from ssp_lp.options import (
     options_of,
     parse_method,
 )
-from ssp_lp.problem import Problem, conditions_of
+from ssp_lp.problem import Problem, has_rows
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Solution
@@ -77,7 +77,7 @@ def solve(
 
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
     """By the driver that knows the problem."""
-    measure, limited = problem.semantics.measure, bool(conditions_of(problem))
+    measure, limited = problem.semantics.measure, has_rows(problem)
     if limited and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
     if isinstance(method, Game):
@@ -100,7 +100,7 @@ def _check_method(problem: Problem, method: Method) -> None:
     Raises:
         ModelError: it does not.
     """
-    name, limited = type(problem).__name__, bool(conditions_of(problem))
+    name, limited = type(problem).__name__, has_rows(problem)
     if isinstance(method, DeterministicPolicies) and (
         limited or problem.semantics.measure is not None
     ):

@@ -11,6 +11,7 @@ from ssp_lp.analysis.chain import Chain, policy_chain, reaching
 from ssp_lp.analysis.quantity_values import (
     complement,
     counted_nodes,
+    free_in_everything,
     quantity_values,
     until_failure,
 )
@@ -26,6 +27,7 @@ from ssp_lp.processes.failure_semantics import (
     start_distribution,
     survival_of,
 )
+from ssp_lp.processes.quantities.conditions import OBJECTIVE
 
 
 @dataclass(frozen=True)
@@ -122,6 +124,9 @@ def _report(sums: Measures, problem: Problem) -> Evaluation:
     if problem.ratio:
         reached = sums.discounted_goal
         objective = objective / reached if reached > 0 else float("nan")
+    secondary = dict(sums.secondary)
+    if OBJECTIVE in secondary:  # a quantity is minimised in place of the cost
+        objective = secondary.pop(OBJECTIVE)
     return Evaluation(
         goal_probability=sums.goal,
         failure_probability=failure,
@@ -131,7 +136,7 @@ def _report(sums: Measures, problem: Problem) -> Evaluation:
         objective=objective,
         discounted_failure=surrogate if discounted else None,
         ends=sums.ends,
-        secondary_costs=sums.secondary,
+        secondary_costs=secondary,
     )
 
 
@@ -144,12 +149,13 @@ def _measure(chain: Chain, problem: Problem) -> Measures:
     early, early_cost = (goal, success) if gamma == 1.0 else _success(chain, alive, gamma)
     reached, failed = _two_ways(chain, goal, alive, 1.0)
     kept, surrogate = _two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
-    stopped = until_failure(chain, counted, problem.semantics, 1.0)
+    free = free_in_everything(problem)
+    stopped = until_failure(chain, counted, problem.semantics, 1.0, free)
     if problem.ratio:
         target = float(chain.start @ early_cost)
     else:
         target = stopped if gamma == 1.0 else until_failure(
-            chain, counted, problem.semantics, gamma
+            chain, counted, problem.semantics, gamma, free
         )  # fmt: skip
     return Measures(
         goal=reached,

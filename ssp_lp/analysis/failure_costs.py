@@ -20,13 +20,15 @@ from ssp_lp.processes.failure_semantics import (
 )
 
 
-def give_up_costs(chain: Chain, semantics: FailureSemantics) -> FloatArray:
+def give_up_costs(
+    chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
+) -> FloatArray:
     """Charge of giving up at each node that may do so, 0 elsewhere, [nodes].
 
     Raises:
         ModelError: the policy gives up in a state where the semantics forbids it.
     """
-    charge = state_give_up_charges(chain.model, semantics)[chain.state]
+    charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
     forbidden = (chain.give_up > 0) & np.isinf(charge)
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
@@ -35,7 +37,11 @@ def give_up_costs(chain: Chain, semantics: FailureSemantics) -> FloatArray:
 
 
 def lost_costs(
-    chain: Chain, hopeful: BoolArray, semantics: FailureSemantics, survival: float
+    chain: Chain,
+    hopeful: BoolArray,
+    semantics: FailureSemantics,
+    survival: float,
+    free: BoolArray | None = None,
 ) -> FloatArray:
     """Cost still to come at nodes from which the chain cannot reach the goal, [nodes].
 
@@ -45,6 +51,7 @@ def lost_costs(
     Args:
         hopeful: nodes from which the goal is reached with positive probability, [nodes].
         survival: discount of costs to come, 1 for none.
+        free: see ``state_give_up_charges``.
     """
     entering = dead_end_charges(chain.model, dead_ends(chain.model), semantics)[chain.state]
     lost = ~hopeful & (chain.dead == 0)
@@ -52,7 +59,9 @@ def lost_costs(
     if not lost.any():
         return values
     if semantics.give_up is not GiveUp.DEAD_ENDS:
-        return np.where(lost, state_give_up_charges(chain.model, semantics)[chain.state], values)
+        return np.where(
+            lost, state_give_up_charges(chain.model, semantics, free)[chain.state], values
+        )
     stage = chain.per_node(chain.cost) + survival * (chain.matrix @ values)
     if survival < 1.0:
         return values + chain.accumulate(np.where(lost, stage, 0.0), lost, survival)
@@ -72,10 +81,17 @@ def _recurrent(chain: Chain, lost: BoolArray) -> tuple[BoolArray, BoolArray]:
     return closed & paying, closed & ~paying
 
 
-def state_give_up_charges(model: SSP, semantics: FailureSemantics) -> FloatArray:
+def state_give_up_charges(
+    model: SSP, semantics: FailureSemantics, free: BoolArray | None = None
+) -> FloatArray:
     """What giving up in each state costs, infinite where it is not allowed, [states].
 
     Staying for ever in an end component that costs nothing is free whatever the semantics.
+
+    Args:
+        model: the model.
+        semantics: where giving up is allowed and whether it is charged.
+        free: pairs that are free in all that is counted, [pairs]; None: those that cost nothing.
     """
-    component, _ = end_components(model, costless_pairs(model))
+    component, _ = end_components(model, costless_pairs(model) if free is None else free)
     return give_up_charges(model, attention_states(model), component >= 0, semantics)

@@ -9,7 +9,8 @@ import numpy as np
 from ssp_lp.analysis.chain import Chain, reaching
 from ssp_lp.analysis.failure_costs import give_up_costs, lost_costs
 from ssp_lp.arrays import BoolArray, FloatArray
-from ssp_lp.problem import Problem, conditions_of
+from ssp_lp.problem import Problem, conditions_of, objective_of
+from ssp_lp.processes.expectations import costless_pairs
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
 from ssp_lp.processes.quantities.conditions import Steps, Term
 
@@ -20,18 +21,22 @@ def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArr
     That is where the goal can still be reached; but where a constraint asks for another end, a
     policy on its way there has not failed until it arrives or gives up.
     """
-    if not any(condition.wants_ends for condition in conditions_of(problem)):
+    objective = objective_of(problem)
+    asked = conditions_of(problem) + (() if objective is None else (objective,))
+    if problem.semantics.forbids_failing or not any(c.wants_ends for c in asked):
         return hopeful
     return reaching(chain, (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
-    """The value of each constrained quantity, counted as the cost is."""
+    """The value of each constrained quantity, and of one that is minimised, as the cost is."""
     survival = survival_of(problem.discount)
+    objective = objective_of(problem)
+    asked = conditions_of(problem) + (() if objective is None else (objective,))
     return {
         condition.name: condition.constant
         + sum(w * _value(chain, counted, problem, term, survival) for w, term in condition.terms)
-        for condition in conditions_of(problem)
+        for condition in asked
     }
 
 
@@ -41,13 +46,15 @@ def _value(
     """One term: a cost on the same chain, visits as a cost of arriving, or a way to end."""
     if isinstance(term, Steps):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
-        return until_failure(other, counted, problem.semantics, survival)
+        free = free_in_everything(problem)
+        return until_failure(other, counted, problem.semantics, survival, free)
     there = term.states[chain.state].astype(np.float64)
     if not term.final:
         entering = replace(chain, cost=survival * there[chain.target])
         plain = FailureSemantics(problem.semantics.give_up)
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
-        return until_failure(entering, counted, plain, survival) + float(at_once)
+        free = free_in_everything(problem)
+        return until_failure(entering, counted, plain, survival, free) + float(at_once)
     ended = ending(chain, there[:, None], survival)[0]
     return complement(ended) if term.others else ended
 
@@ -67,14 +74,42 @@ def ending(chain: Chain, at_end: FloatArray, survival: float) -> FloatArray:
     return np.asarray(chain.start @ (totals + at_end))
 
 
+def free_in_everything(problem: Problem) -> BoolArray | None:
+    """Pairs that are free in all that a problem counts, [pairs]; None: those free in the cost.
+
+    To stay among them for ever is a way to fail that costs nothing.
+    """
+    objective = objective_of(problem)
+    rows = [row for condition in conditions_of(problem) for row in condition.rows]
+    rows += [] if objective is None else [objective.minimised()]
+    if not rows:
+        return None
+    free = costless_pairs(problem.model)
+    for row in rows:
+        free = free & row.free
+    return free
+
+
 def until_failure(
-    chain: Chain, hopeful: BoolArray, semantics: FailureSemantics, survival: float
+    chain: Chain,
+    hopeful: BoolArray,
+    semantics: FailureSemantics,
+    survival: float,
+    free: BoolArray | None = None,
 ) -> float:
-    """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs."""
-    lost = lost_costs(chain, hopeful, semantics, survival)
+    """E[r_tau] from the start: stage costs while the goal is in reach, then what failing costs.
+
+    Args:
+        chain: the chain, with the costs that count.
+        hopeful: nodes at which failure has not been declared, [nodes].
+        semantics: what failing costs.
+        survival: the discount.
+        free: pairs among which one may stay for ever, [pairs]; None: those that cost nothing.
+    """
+    lost = lost_costs(chain, hopeful, semantics, survival, free)
     if semantics.forbids_failing:
         lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
-    charged = chain.give_up * give_up_costs(chain, semantics)
+    charged = chain.give_up * give_up_costs(chain, semantics, free)
     endless = np.isinf(lost)
     if endless.any() and (chain.start[reaching(chain, endless)] > 0).any():
         return float("inf")

@@ -18,7 +18,10 @@ _DOUBTED = (
     highspy.HighsModelStatus.kUnbounded,
     highspy.HighsModelStatus.kUnboundedOrInfeasible,
     highspy.HighsModelStatus.kUnknown,
+    highspy.HighsModelStatus.kInfeasible,
 )
+
+_BROKEN = 1e-6  # violation of a row of an answer that is called optimal
 
 
 def solve_with_highs(
@@ -47,7 +50,7 @@ def solve_with_highs(
     if basis is not None:
         _start_at(solver, highs_basis(program, basis))
     solver.run()
-    if solver.getModelStatus() in _DOUBTED:  # HiGHS 1.15 with presolve says so of sound programs
+    if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
         solver.run()
@@ -60,6 +63,14 @@ def solve_with_highs(
         seconds=time.perf_counter() - began,
         iterations=None if basis is None else int(solver.getInfo().simplex_iteration_count),
     )
+
+
+def _is_doubtful(solver: highspy.Highs) -> bool:
+    """Whether an answer is worth a second attempt without presolve."""
+    status = solver.getModelStatus()
+    if status == highspy.HighsModelStatus.kOptimal:
+        return bool(solver.getInfo().max_primal_infeasibility > _BROKEN)
+    return status in _DOUBTED
 
 
 def highs_basis(program: LinearProgram, basis: PolicyBasis) -> highspy.HighsBasis:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
@@ -16,7 +18,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
 from ssp_lp.methods.rows.optimum import optimum_of
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, compiled_constrained, conditions_of
+from ssp_lp.problem import Problem, compiled_constrained, has_rows
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
@@ -53,7 +55,7 @@ def program_of(problem: Problem) -> OccupationProgram:
             f"{type(problem).__name__} is no linear program but a search over many: "
             "CostBoundedReach(...).program() is the one at a fixed cost"
         )
-    if conditions_of(problem):
+    if has_rows(problem):
         return _constrained(problem)
     compiled, budget = problem.compile(), problem.failure_budget
     rows: tuple[ProgramRow, ...] = ()
@@ -84,10 +86,19 @@ def _constrained(problem: Problem) -> OccupationProgram:
     if isinstance(found, OpenEnded):
         augmented = OpenEndedModel(found)
     else:
-        augmented = LabelledModel(found, compiled.start)
-    objective, _ = _objective(problem)
-    title = _title(problem)
-    return OccupationProgram(title, objective, augmented, rows, problem.ratio, compiled.constant)
+        cost = np.ascontiguousarray(pricing.rewards[:, 0])
+        process = replace(found.process, cost=cost)
+        augmented = LabelledModel(replace(found, process=process), compiled.start)
+    return OccupationProgram(
+        title=_title(problem),
+        objective="objective" if compiled.objective is not None else _objective(problem)[0],
+        augmented=augmented,
+        rows=rows,
+        ratio=problem.ratio,
+        constant=compiled.constant,
+        wants_ends=compiled.wants_ends,
+        offset=0.0 if compiled.objective is None else compiled.objective.offset,
+    )
 
 
 def _at_least_failure(compiled: CompiledProblem) -> Augmented:

@@ -15,6 +15,7 @@ from ssp_lp.programs.occupation_measure import OccupationMeasure
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
+_RESIDUAL = 1e-2  # of a row: first-order methods are far off by default, but not so far
 _SOLVED = ("optimal", "optimal_inaccurate")
 
 
@@ -88,8 +89,8 @@ class ConvexProgram:
         (proved, value), stated = program.proved(prices, ratio), self._is_as_stated
         visits = np.asarray(self.x.value) / scale
         visits = proved.without_noise(visits) if stated else visits
-        gives_up = program.augmented.gives_up if stated else None  # rows of the user's see visits
-        return OccupationMeasure(
+        gives_up = program.giving_up if stated else None  # rows of the user's see visits
+        measure = OccupationMeasure(
             program=program,
             visits=balanced(program.process, visits, proved.choice, gives_up),
             duals={name: price * scale for name, price in prices.items()},
@@ -98,6 +99,11 @@ class ConvexProgram:
             status=status,
             seconds=time.perf_counter() - began,
         )
+        if stated and measure.residual > _RESIDUAL:
+            raise SolverError(
+                f"cvxpy: the answer breaks a row by {measure.residual:.1e}, relative to its bound"
+            )
+        return measure
 
     @property
     def _is_as_stated(self) -> bool:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ssp_lp.arrays import BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.answer import LPAnswer
 from ssp_lp.linear_programming.linear_program import LinearProgram
@@ -56,6 +57,8 @@ class OccupationProgram:
     rows: tuple[ProgramRow, ...]
     ratio: bool = False  # <cost, x> / <goal, x>
     constant: float | None = None  # of what is maximised: constant - <objective, x>
+    offset: float = 0.0  # of what is minimised: <objective, x> - offset
+    wants_ends: bool = False  # a row asks for an end that is not the goal
 
     @property
     def process(self) -> ExplicitProcess:
@@ -64,7 +67,7 @@ class OccupationProgram:
 
     def worth(self, value: float) -> float:
         """The problem's objective where the program's, which is minimised, has a value."""
-        return value if self.constant is None else self.constant - value
+        return value - self.offset if self.constant is None else self.constant - value
 
     def bounded_by(self, bounds: Mapping[str, float]) -> OccupationProgram:
         """The same program with other bounds, by name of the row."""
@@ -146,12 +149,13 @@ class OccupationProgram:
             InfeasibleError: no visits satisfy all rows.
             SolverError: no backend's answer has a small residual and a small proved gap.
         """
-        tried, deadline, infeasible = [], time.perf_counter() + time_limit, True
+        tried, deadline, infeasible = [], time.perf_counter() + time_limit, False
         for name, _ in cold_attempts(self.linear, backend):
             answer = run(self.linear, name, deadline - time.perf_counter())
             told = f"{name}: {answer.status}"
-            infeasible = infeasible and "infeasible" in answer.status.lower()
-            if not infeasible and self._is_answered(answer):
+            refused = "infeasible" in answer.status.lower()
+            infeasible = infeasible or refused
+            if not refused and self._is_answered(answer):
                 try:
                     measure = self.measure(answer)
                 except SolverError as error:
@@ -168,6 +172,11 @@ class OccupationProgram:
     def _is_answered(self, answer: LPAnswer) -> bool:
         """Whether a backend gave visits: numbers, and in case S a scale to divide them by."""
         return bool(np.isfinite(answer.x).all()) and not (self.ratio and answer.x[-1] <= 0.0)
+
+    @property
+    def giving_up(self) -> BoolArray | None:
+        """Pairs by which a measure may give up in time; None: where it goes matters to the end."""
+        return None if self.wants_ends else self.augmented.gives_up
 
     def infeasible(self) -> InfeasibleError:
         """The error that says that no visits satisfy all rows."""
@@ -190,7 +199,7 @@ class OccupationProgram:
         return OccupationMeasure(
             program=self,
             visits=balanced(
-                self.process, proved.without_noise(visits), proved.choice, self.augmented.gives_up
+                self.process, proved.without_noise(visits), proved.choice, self.giving_up
             ),
             duals={name: price * scale for name, price in prices.items()},
             optimal_value_from_dual=value,
@@ -269,6 +278,8 @@ class OccupationProgram:
         process = self.process
         fraction = f"<{self.objective}, x> / <goal, x>" if self.ratio else f"<{self.objective}, x>"
         verb = "minimise"
+        if self.offset:
+            fraction = f"{fraction} - {self.offset:g}"
         if self.constant is not None:
             verb, fraction = "maximise", f"{self.constant:g} - {fraction}"
         lines = [

@@ -20,7 +20,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, compiled_constrained, conditions_of
+from ssp_lp.problem import Problem, compiled_constrained, conditions_of, has_rows
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.solution import Solution
@@ -82,7 +82,7 @@ def certify(solution: Solution) -> Certificate:
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
     measure = problem.semantics.measure
-    if conditions_of(problem):
+    if has_rows(problem):
         risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate
         certificate, reason = proved(solution, found, failure), _broken_limit(problem, found)
@@ -135,6 +135,9 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     compiled = stated.settled()
     if values is None:
         raise ModelError("a certificate needs the prices and their value function")
+    if not np.isfinite(found.objective):
+        reason = f"the policy's objective is {found.objective}"
+        return _certificate(found, failure, 0.0, 0.0, 1.0, reason)
     values = np.asarray(values)
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
@@ -153,8 +156,10 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     prices = np.where(limited, prices, 0.0)
     lower = _rows_bound(compiled, prices, raised, values, found.objective)
     budget = float(raised[0]) if limited[0] else budget
+    attained = found.objective - compiled.worth(0.0)
+    lower = compiled.settled_bound(attained if compiled.constant is None else -attained, lower)
     if compiled.constant is None:
-        return _certificate(found, failure, lower, 0.0, budget, "")
+        return _certificate(found, failure, compiled.worth(lower), 0.0, budget, "")
     proved = _certificate(found, failure, found.objective, 0.0, budget, "")
     return replace(proved, upper_bound=max(compiled.worth(lower), found.objective))
 

@@ -21,6 +21,7 @@ from formulations import (
     CostQuantile,
     CVaR,
     FinitePenalty,
+    LeastQuantity,
     MaxProb,
 )
 from references import combined
@@ -203,6 +204,17 @@ CRITERIA = {
         lambda t, p, n: combined.least(t, p, p.cost + n.penalty * p.failure, ratio=False),
         counts_cost=False,
         anywhere=True,
+    ),
+    "LeastQuantity": Criterion(
+        lambda m, t, n, c: LeastQuantity(
+            m,
+            t.start,
+            secondary_cost(t.fuel) - n.penalty * end_probability("wall"),
+            t.most_failure,
+            constraints=c,
+        ),
+        lambda t, p, n: combined.least(t, p, p.fuel - n.penalty * p.wall, ratio=False),
+        counts_cost=False,
     ),
 }
 

@@ -75,6 +75,7 @@ class Program(NamedTuple):
     visits: np.ndarray
     least_end: np.ndarray
     most_end: np.ndarray
+    wall: np.ndarray  # steps into the state of that name
     cost: np.ndarray  # of steps
     arrivals: list[list[tuple[float, int]]]  # per column: probability and total cost at the goal
 
@@ -86,7 +87,7 @@ def program(task: Task, horizon: int, *, anywhere: bool = False) -> Program:
     place = {(s, c): i for i, s_c in enumerate((s, c) for s in live for c in range(horizon + 1))
              for s, c in [s_c]}  # fmt: skip
     rows, columns, entries = [], [], []
-    parts: dict[str, list[float]] = {name: [] for name in Program._fields[2:9]}
+    parts: dict[str, list[float]] = {name: [] for name in Program._fields[2:10]}
     arrivals: list[list[tuple[float, int]]] = []
     for (state, paid), row in place.items():
         moves = [(a, outs) for a, outs in task.choices[state].items()]
@@ -105,6 +106,7 @@ def program(task: Task, horizon: int, *, anywhere: bool = False) -> Program:
                 taken["visits"] += p * (successor == task.watched)
                 taken["least_end"] += p * (successor == task.least_end[0])
                 taken["most_end"] += p * (successor == task.most_end[0])
+                taken["wall"] += p * (successor == "wall")
                 if successor in task.goals:
                     taken["goal"] += p
                     here.append((p, total))

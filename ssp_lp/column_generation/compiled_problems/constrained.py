@@ -20,14 +20,13 @@ from ssp_lp.model import SSP
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
 from ssp_lp.processes.goal_reach import (
-    ReachPolicy,
     cheapest,
     greatest_goal_reach,
     least_goal_reach,
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.arrival_cost import Charge
-from ssp_lp.processes.layered.open_ended import OpenEnded
+from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
 
 ATTAINABLE = 1e-10
@@ -36,17 +35,16 @@ ATTAINABLE = 1e-10
 _MOST_PAIRS = 20_000_000
 """Pairs of a process that is written out."""
 
-_FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
-_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+_KEPT = ("least", "greatest_goal", "least_goal", "_usable", "_shared", "_typical_cost", "base")
+_ROUNDED = 4e-15  # of what a complement is taken from
 
 
 @dataclass(frozen=True, eq=False)
 class CompiledConstrained:
     """Minimise a cost, failure and other quantities limited; a budget of None: at least failure.
 
-    Without a charge this is case M and its kin: failure label (paper, section 3.1.2), nothing
-    truncated. With one, arriving is charged for the total cost (section 3.1.1): the objective is
-    E[charge; goal], or, as ``ratio``, E[charge | goal], on a process that is cut at ``cap`` layers.
+    Without a charge this is case M (paper, section 3.1.2), nothing truncated. With one, arriving is
+    charged for the total cost (section 3.1.1), E[charge; goal], or E[charge | goal] as ``ratio``.
     """
 
     model: SSP
@@ -60,6 +58,7 @@ class CompiledConstrained:
     ratio: bool = False
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
+    objective: UpperRow | None = None  # minimised in place of the cost; no charge then
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -76,6 +75,12 @@ class CompiledConstrained:
             return None
         return measure.failing + self.shift
 
+    def settled_bound(self, value: float, bound: float) -> float:
+        """The bound, or the value where only the rounding of a complement parts them."""
+        taken = self.constant if self.objective is None else self.objective.offset
+        rounding = 0.0 if taken is None else _ROUNDED * abs(taken)
+        return value if abs(value - bound) <= rounding else bound
+
     @property
     def shift(self) -> float:
         """What every episode is charged on top, so that no charge is negative."""
@@ -83,7 +88,15 @@ class CompiledConstrained:
 
     def worth(self, value: float) -> float:
         """The problem's objective where what is minimised has a value."""
+        if self.objective is not None:
+            return value - self.objective.offset
         return value if self.constant is None else self.constant - value
+
+    @property
+    def wants_ends(self) -> bool:
+        """Whether a row, or the objective, asks for an end that is not the goal."""
+        rows = self.side if self.objective is None else (*self.side, self.objective)
+        return any(row.condition.wants_ends for row in rows)
 
     @property
     def told(self) -> tuple[str, ...]:
@@ -93,34 +106,28 @@ class CompiledConstrained:
     @property
     def bounds(self) -> FloatArray:
         """Bound of each row, infinite where nothing is limited, [rows]."""
-        unlimited = self.budget is None or self.budget >= 1.0
-        budget = np.inf if unlimited or self.budget is None else max(self.budget, 0.0)
+        limited = self.budget is not None and self.budget < 1.0
+        budget = max(self.budget or 0.0, 0.0) if limited else np.inf
         return np.array([budget, *(row.bound for row in self.side)])
 
     @cached_property
     def least(self) -> LeastFailure:
-        """The policy of least failure that is cheapest, whatever else it takes.
-
-        Raises:
-            InfeasibleError: the budget is below it.
-        """
-        return checked_least_failure(self._labelled_problem, self.budget)
+        """The cheapest policy of least failure; InfeasibleError where the budget is below it."""
+        return checked_least_failure(self._labelled, self.budget)
 
     @property
-    def _labelled_problem(self) -> CompiledFailureLabel:
+    def _labelled(self) -> CompiledFailureLabel:
         return CompiledFailureLabel(self.model, self.start, self.semantics, self.discount)
 
     def settled(self) -> CompiledConstrained:
         """The compiled at least failure, where the budget does not exceed that.
-
-        However little it exceeds it, failing may be worth much more than that is.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding; case S,
                 and the goal cannot be reached; or failing is forbidden and cannot be avoided.
         """
         if self.semantics.forbids_failing:
-            self._labelled_problem.check_sure()
+            self._labelled.check_sure()
         if self.ratio and self.greatest_goal <= 0.0:
             raise InfeasibleError(
                 "the goal cannot be reached from the start: no cost given success exists",
@@ -159,7 +166,7 @@ class CompiledConstrained:
     def _shared(self) -> BoolArray:
         """Pairs that are free in all rows, [model pairs]."""
         shared = np.ones(self.model.n_pairs, dtype=np.bool_)
-        for row in self.side:
+        for row in self.side if self.objective is None else (*self.side, self.objective):
             shared &= row.free
         return shared
 
@@ -176,8 +183,17 @@ class CompiledConstrained:
         """Policy iteration on the process with a price for each row."""
         augmented = self.augmented
         process = augmented.process
-        rewards = [process.cost, process.failure, *self.row_coefficients(self.side)]
+        cost = process.cost
+        if self.objective is not None:
+            (cost,) = self.row_coefficients((self.objective,))
+        rewards = [cost, process.failure, *self.row_coefficients(self.side)]
         return ConstrainedPricing(augmented, np.stack(rewards, axis=1), self.precise)
+
+    @property
+    def own_cost(self) -> FloatArray:
+        """What is minimised without the shift, [process pairs]."""
+        augmented = self.augmented
+        return augmented.own_cost if isinstance(augmented, OpenEnded) else augmented.process.cost
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """What rows take of each pair of the process, [process pairs] each."""
@@ -203,9 +219,11 @@ class CompiledConstrained:
         )
 
     @cached_property
-    def _safest(self) -> ReachPolicy:
+    def _typical_cost(self) -> float:
+        """The cost given success of the policy that fails least."""
         survival = survival_of(self.discount)
-        return cheapest(self.model, greatest_goal_reach(self.model, survival), survival)
+        safest = cheapest(self.model, greatest_goal_reach(self.model, survival), survival)
+        return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property
     def layers(self) -> int:
@@ -214,7 +232,9 @@ class CompiledConstrained:
         Raises:
             ModelError: the process would be too large to be written out.
         """
-        layers = self._first_guess() if self.cap is None else self.cap
+        layers = self.cap
+        if layers is None:
+            layers = first_cap(self.base, self.charge, self._typical_cost, self.fixed_cap)
         n_pairs = (layers + 1) * len(self.base.gain)
         if n_pairs > _MOST_PAIRS:
             raise ModelError(
@@ -222,22 +242,6 @@ class CompiledConstrained:
                 "pairs, too many to be written out with rows; a coarser grid of costs makes it less"
             )
         return layers
-
-    def _first_guess(self) -> int:
-        """As many layers as the charge needs to settle, and some more where it still grows."""
-        if self.charge is None:
-            return 1
-        unit = self.base.exact_unit
-        if self.fixed_cap is not None:
-            return max(int(np.ceil(self.fixed_cap / self.base.unit)), 1)
-        settled = self.charge.settled(unit)
-        if settled is None or not self._is_affine_from(settled):
-            return _FIRST_LAYERS + self.base.width
-        if self.charge.slope == 0.0:
-            return max(settled, 1)
-        cost, goal = (float(self.start @ v) for v in (self._safest.cost, self._safest.goal))
-        typical = int(min(_TYPICAL * cost / max(goal, 1e-300) / self.base.unit, 1e15))
-        return max(settled, 1) + typical + self.base.width
 
     def refined(self) -> CompiledConstrained | None:
         """Twice as many layers; None where nothing is truncated or no more can be written out."""
@@ -254,16 +258,11 @@ class CompiledConstrained:
         charge = self.charge
         if charge is None or charge.slope > 0.0:
             return charge is None
-        settled = charge.settled(self.base.exact_unit)
-        return settled is not None and self.layers >= settled and self._is_affine_from(settled)
-
-    def _is_affine_from(self, layer: int) -> bool:
-        """Whether the charge is its line there already; exponentials only come near to theirs."""
-        charge, unit = self.charge, self.base.exact_unit
-        if charge is None:
-            return True
-        line = charge.offset + charge.slope * float(layer * unit)
-        return bool(np.isclose(float(charge.at(np.array([layer]), unit)[0]), line, rtol=1e-9))
+        unit = self.base.exact_unit
+        settled = charge.settled(unit)
+        if settled is None or self.layers < settled:
+            return False
+        return charge.is_affine_from(settled, unit)
 
     def with_layers(self, cap: int) -> CompiledConstrained:
         """The same with another cap."""
@@ -288,6 +287,14 @@ class CompiledConstrained:
 
     def _handing_on(self, other: CompiledConstrained) -> CompiledConstrained:
         """Hand what depends on neither charge nor cap to a copy."""
-        names = ("least", "greatest_goal", "least_goal", "_usable", "_shared", "_safest", "base")
+        names = (
+            "least",
+            "greatest_goal",
+            "least_goal",
+            "_usable",
+            "_shared",
+            "_typical_cost",
+            "base",
+        )
         vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
         return other

@@ -22,7 +22,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, expected, weighted
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
@@ -38,6 +38,7 @@ LARGEST = 1e150
 """Prices and values beyond this are no numbers: products of two such overflow."""
 
 _ROUNDED = 1e-13  # of what every episode pays: less than that is nothing
+_LOST = 4.0 * MACHINE_EPSILON  # of the terms of a sum
 _UNIT = np.ones(1)
 _NONE = Work()
 
@@ -189,25 +190,35 @@ class ConstrainedPricing:
         process, priced = self.process, weighted(self.rewards, weights)
         if values.shape != (process.n_states,):
             raise ModelError(f"a value function of shape ({process.n_states},) is needed")
+        priced -= _LOST * np.where((self.rewards * weights > 0.0).sum(axis=1) > 1, priced, 0.0)
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
         checked = bound_of(process, self._contracted(weights), priced, values)
         return Checked(checked.at(process.start), checked.values, work)
 
-    def check_less(self, weights: FloatArray, paid: float, values: FloatArray) -> float:
+    def check_less(
+        self, weights: FloatArray, ratio: float, cost: FloatArray, paid: float, values: FloatArray
+    ) -> float:
         """A certified bound of the weighted totals less what every episode pays, at the start.
 
-        ``check`` says the same but for rounding; this is exact where nothing else is paid.
+        ``check`` says the same but for rounding; this is exact where nothing else is paid, and sums
+        what is left by itself, without taking one large number from another.
 
         Args:
-            weights: of the rewards, >= 0, [rewards].
+            weights: of the rewards, >= 0, without the ratio, [rewards].
+            ratio: what failing counts, and success earns here.
+            cost: the first reward without what every episode pays, [pairs].
             paid: on ending, whatever the end.
             values: lower values of the weighted totals, [states].
         """
-        process = self.process
-        left = weighted(self.rewards, weights) - paid * (process.goal + process.failure)
+        process, counted = self.process, weights.copy()
+        counted[1] += ratio
+        beside = cost + self.rewards[:, 1:] @ weights[1:]
+        left = beside - ratio * process.goal
+        summed = (left != cost) & (left != -ratio * process.goal)
+        left -= np.where(summed, _LOST * (np.abs(beside) + ratio * process.goal), 0.0)
         values = np.where(np.abs(values) <= LARGEST, values, 0.0) - paid
         values = np.where(np.abs(values) <= _ROUNDED * paid, 0.0, values)
-        return bound_of(process, self._contracted(weights), left, values, -paid).at(process.start)
+        return bound_of(process, self._contracted(counted), left, values, -paid).at(process.start)
 
     def policy(self, point: Point) -> Policy:
         """The policy on the original states."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.conflict import Conflict, kept_to, proved_conflict, smallest_conflict
 from ssp_lp.column_generation.constrained_search import (
@@ -52,6 +52,7 @@ def opening(compiled: CompiledConstrained, stated: CompiledConstrained, pace: Pa
     cheapest = pool.priced(weights)
     pool.add(cheapest)
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
+    _refuse_empty(compiled, stated, limited)
     rows = first_rows(pool, 1 + limited, compiled.bounds[limited])
     ended = generate(pool, rows, pace, elastic=True)
     if kept_to(ended, rows):
@@ -69,6 +70,24 @@ def opening(compiled: CompiledConstrained, stated: CompiledConstrained, pace: Pa
         )
     conflict = smallest_conflict(pool, rows, first, pace)
     raise _refusal(compiled, stated, conflict, rows)
+
+
+def _refuse_empty(
+    compiled: CompiledConstrained, stated: CompiledConstrained, limited: IntArray
+) -> None:
+    """Refuse rows that count nothing and may not even take that.
+
+    Raises:
+        InfeasibleError: naming the first.
+    """
+    for k in limited.tolist():
+        if compiled.bounds[k] < 0.0 and not compiled.pricing.rewards[:, 1 + k].any():
+            raise InfeasibleError(
+                f"{compiled.told[k]!r} is 0 under every policy, {compiled.bounds[k]:.6g} allowed",
+                failure_budget=stated.budget,
+                least_failure=_least_failure(compiled, None),
+                conflicting_rows=(compiled.names[k],),
+            )
 
 
 def _refusal(

@@ -43,6 +43,7 @@ _SETTLED = 1e-14  # relative change of a ratio that is rounding
 _STEEP = 1e3  # factor of a ratio at which nothing reached the goal
 _STEEPEST = 1e15
 _PATIENCE = 3  # refinements that need not even halve the gap
+_COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
 
 
@@ -113,8 +114,11 @@ def rows_optimum(
         calls, work = calls + found.calls, work + found.work
         found = replace(found, calls=calls, work=work)
         late = time.perf_counter() > options.deadline
-        if late or found.gap <= options.tolerance:
+        if found.gap <= options.tolerance:
             return found
+        if late:
+            told = found.note or CUT_SHORT
+            return replace(found, note=told)
         gaps.append(found.gap)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck else found.compiled.refined()
@@ -135,6 +139,8 @@ def _attempt(
     opened = opening(compiled, stated, pace)
     program, centre = None, (np.zeros(len(opened.asked)), opened.unlimited)
     if options.program is not None:
+        if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
+            _generated(compiled, opened, replace(pace, tolerance=_COARSE), centre)
         program, opened, centre = _programmed(compiled, opened, options.program, options.deadline)
     found, ratio = _generated(compiled, opened, pace, centre)
     return _concluded(compiled, stated, opened, found, ratio, truth, program)
@@ -212,9 +218,8 @@ def _programmed(
         compiled.names[index - 1]: (pricing.rewards[:, index], float(bound))
         for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
     }
-    program = solve_rows_program(
-        pricing.process, limits, asked.backend, deadline, ratio=compiled.ratio
-    )
+    process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
+    program = solve_rows_program(process, limits, asked.backend, deadline, ratio=compiled.ratio)
     prices = np.array([program.prices[name] for name in limits])
     rows = replace(rows, ratio=program.objective if compiled.ratio else 0.0)
     weights = rows.weights(prices, 1.0, pricing.rewards.shape[1])
@@ -257,7 +262,7 @@ def _concluded(
     return RowsOptimum(
         compiled=compiled,
         value=value,
-        bound=least_of(bound, value),
+        bound=compiled.settled_bound(value, least_of(bound, value)),
         policy=policy,
         failure=float(master.weights[used] @ [point.figures[1] for point in members]),
         prices=named,

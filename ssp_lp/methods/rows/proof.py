@@ -76,10 +76,10 @@ def rows_bound(
         ratio: case S: the value that is to be proved.
         proof: at these prices and the ratio as a price of failure.
     """
-    weights = np.append(1.0, prices)
-    weights[1] += ratio
-    paid = ratio if compiled.ratio else compiled.shift
-    less = compiled.pricing.check_less(weights, paid, proof.values) if paid > 0.0 else -np.inf
+    paid, less = ratio if compiled.ratio else compiled.shift, -np.inf
+    if paid > 0.0:
+        weights = np.append(1.0, prices)
+        less = compiled.pricing.check_less(weights, ratio, compiled.own_cost, paid, proof.values)
     beyond = max(
         lagrange_bound(proof.bound, prices, bounds) - paid, lagrange_bound(less, prices, bounds)
     )

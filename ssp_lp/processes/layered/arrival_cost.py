@@ -93,6 +93,11 @@ class Charge(ABC):
         """Layer from which the charge is affine; None: never."""
         return 0
 
+    def is_affine_from(self, layer: int, unit: Fraction) -> bool:
+        """Whether the charge is its line at a layer already; exponentials only come near theirs."""
+        line = self.offset + self.slope * float(layer * unit)
+        return bool(np.isclose(float(self.at(np.array([layer]), unit)[0]), line, rtol=1e-9))
+
     def beyond(self, layers: IntArray, unit: float, tail: TailValues) -> FloatArray:
         """E[charge; goal] of following a tail after ``layers * unit`` has been paid."""
         paid = layers * unit

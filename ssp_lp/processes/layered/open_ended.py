@@ -24,6 +24,9 @@ from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.arrival_charges import ArrivalCharges
 from ssp_lp.processes.layered.arrival_cost import Charge
 
+_FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
+_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+
 
 @dataclass(frozen=True, eq=False)
 class OpenEnded:
@@ -95,15 +98,21 @@ class OpenEnded:
         """Has to be found on the process itself."""
         return
 
+    @cached_property
+    def own_cost(self) -> FloatArray:
+        """Charges of arriving, [process pairs]."""
+        charges = ArrivalCharges(self.base, self.charge, self.cap + 1)
+        layers = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
+        return np.append(np.concatenate(layers), charges.at_start)
+
     def _cost(self) -> FloatArray:
         """Charges of arriving, with the shift, [process pairs]."""
         base = self.base
-        charges = ArrivalCharges(base, self.charge, self.cap + 1)
-        layers = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
         ends = base.survival * base.gain + base.failure
-        cost = np.concatenate(layers) + self.shift * np.tile(ends, self.cap + 1)
-        started = charges.at_start + self.shift * (base.start_goal + base.start_failure)
-        return np.append(cost, started)
+        shift = self.everywhere(
+            self.shift * ends, self.shift * (base.start_goal + base.start_failure)
+        )
+        return self.own_cost + shift
 
     def _steps(self, n_states: int) -> sp.csr_array:
         """Transitions of the pairs of all layers; whatever passes the cap stays beyond it."""
@@ -120,3 +129,26 @@ class OpenEnded:
         )
         matrix.sum_duplicates()
         return matrix
+
+
+def first_cap(
+    base: AccumulatedCost, charge: Charge | None, typical: float, fixed: float | None
+) -> int:
+    """As many layers as the charge needs to settle, and some more where it still grows.
+
+    Args:
+        base: one layer of the process.
+        charge: of arriving; None: nothing is told apart.
+        typical: a cost given success.
+        fixed: the user's cap on accumulated cost.
+    """
+    if charge is None:
+        return 1
+    if fixed is not None:
+        return max(int(np.ceil(fixed / base.unit)), 1)
+    settled = charge.settled(base.exact_unit)
+    if settled is None or not charge.is_affine_from(settled, base.exact_unit):
+        return _FIRST_LAYERS + base.width
+    if charge.slope == 0.0:
+        return max(settled, 1)
+    return max(settled, 1) + int(min(_TYPICAL * typical / base.unit, 1e15)) + base.width

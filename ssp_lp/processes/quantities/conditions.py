@@ -7,7 +7,6 @@ have no upper limit of their own, so that nothing bounds them from below in this
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,21 +16,25 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import pairs_into
-from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.expectations import costless_pairs
-from ssp_lp.processes.quantities.quantity import Constraint, Counted, Ends, StageCosts, Visits
-from ssp_lp.processes.quantities.stage_cost import outcome_costs
 
 FAILURE_ROW = "failure"
 """Name of the row of the failure budget; no other constraint may bear it."""
 
+OBJECTIVE = "objective"
+"""Name of what is minimised, where that is a quantity of its own."""
+
 RESERVED = {
     FAILURE_ROW: "the failure budget",
+    OBJECTIVE: "what is minimised",
     "balance": "the rows of flow balance",
     "normaliser": "the row that makes a ratio linear",
 }
 """Names of rows that every program has."""
+
+
+_ROOM = 1e-14  # of a bound and of what its complement is made from
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +137,7 @@ class Condition:
         goal = self.model.goal_mask
         return any(
             isinstance(term, Arrivals) and term.others and not (term.states == goal).all()
-            for row in self.rows
+            for row in self.rows or (self.minimised(),)
             for _, term in row.terms
         )
 
@@ -150,8 +153,20 @@ class Condition:
             found.append(self._row(self.name, 1.0, self.upper))
         if self.lower is not None:
             name = self.name if self.upper is None else f"{self.name}, at least"
-            found.append(self._row(name, -1.0, -self.lower))
+            row = self._row(name, -1.0, -self.lower)
+            if self.lower == self.upper:  # rounded complements must not contradict each other
+                room = _ROOM * max(abs(row.offset), abs(row.bound))
+                row = replace(row, bound=row.bound + room)
+            found.append(row)
         return tuple(found)
+
+    def minimised(self) -> UpperRow:
+        """The quantity itself, as a row without a bound.
+
+        Raises:
+            ModelError: costs or visits would be maximised.
+        """
+        return self._row(self.name, 1.0, np.inf)
 
     def _row(self, name: str, sign: float, bound: float) -> UpperRow:
         """``sign * quantity <= bound`` with weights >= 0."""
@@ -161,8 +176,9 @@ class Condition:
             if weight < 0.0:
                 if not (isinstance(term, Arrivals) and term.final):
                     raise ModelError(
-                        f"constraint {self.name!r} bounds a cost or visits from below: there is no "
-                        "best policy then but programs; take program().to_cvxpy() and add the row"
+                        f"constraint {self.name!r} bounds a cost or visits from below, which takes "
+                        "a policy that tosses coins on the way; without accumulated costs, add "
+                        "such a row to program().to_cvxpy()"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight
@@ -185,95 +201,3 @@ class Condition:
 
 def _signed(offset: float, sign: float) -> str:
     return f"{offset:g} {'+' if sign > 0.0 else '-'} "
-
-
-def conditions(
-    model: SSP, start: FloatArray, constraints: Mapping[str, Constraint]
-) -> tuple[Condition, ...]:
-    """Check constraints, and look up what they count.
-
-    Args:
-        model: the model.
-        start: distribution over states, [states].
-        constraints: name -> constraint.
-
-    Raises:
-        ModelError: a name that is no text or is reserved, no constraint, an unknown state, action,
-            label or end, costs of the wrong shape or below 0, or a lower bound of costs or visits.
-    """
-    if not isinstance(constraints, Mapping):
-        raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
-    found = tuple(_condition(model, start, name, c) for name, c in constraints.items())
-    named = [row.name for condition in found for row in condition.rows]
-    if len(set(named)) < len(named):
-        twice = next(name for name in named if named.count(name) > 1)
-        raise ModelError(f"two rows would be named {twice!r}: give one constraint another name")
-    return found
-
-
-def _condition(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
-    if not isinstance(name, str) or not name:
-        raise ModelError(f"the name of a limit must be a word, not {name!r}")
-    if name in RESERVED:
-        raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
-    if not isinstance(constraint, Constraint):
-        raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
-    quantity = constraint.quantity
-    terms = tuple((weight, _term(model, name, c)) for weight, c in quantity.terms if weight != 0.0)
-    live = end_marks(model) < 0
-    begun = sum(
-        weight * float(start[term.states & live].sum())
-        for weight, term in terms
-        if isinstance(term, Arrivals) and not term.final
-    )
-    stated = constraint.lower, constraint.upper
-    return Condition(name, model, terms, quantity.constant + begun, *stated)
-
-
-def _term(model: SSP, name: str, counted: Counted) -> Term:
-    match counted:
-        case StageCosts(cost):
-            if cost is None:
-                return Steps(model)
-            costs = outcome_costs(model, name, cost)
-            return Steps(replace(model, costs=costs, exact_costs={}))
-        case Visits(of):
-            return Arrivals(model, _members(model, name, of))
-        case Ends(ways, others):
-            return Arrivals(model, _final_states(model, name, ways), final=True, others=others)
-
-
-def _members(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
-    """States by their own names or by that of a label, [states]."""
-    mask = np.zeros(model.n_states, dtype=np.bool_)
-    for one in of:
-        if isinstance(one, str) and one in model.state_labels:
-            mask[model.state_labels[one]] = True
-            continue
-        try:
-            mask[model.index_of(one)] = True
-        except ModelError as error:
-            raise ModelError(f"limit {name!r}: {error}") from error
-    return mask
-
-
-def _final_states(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArray:
-    """States in which an episode ends in one of some ways, [states]."""
-    marks = end_marks(model)
-    named: list[Hashable] = ["goal", *model.state_labels, "dead_end"]
-    mask = np.zeros(model.n_states, dtype=np.bool_)
-    for way in ways:
-        if way in named:
-            mask |= marks == named.index(way)
-            continue
-        try:
-            state = model.index_of(way)
-        except ModelError as error:
-            known = ", ".join(repr(k) for k in named)
-            raise ModelError(
-                f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
-            ) from error
-        if marks[state] < 0:
-            raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")
-        mask[state] = True
-    return mask

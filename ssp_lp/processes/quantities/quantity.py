@@ -1,8 +1,8 @@
 """What can be counted and limited: named linear functionals of an occupation measure.
 
 A quantity says what it counts in the model's own words; what it is at the pairs of an augmented
-process is worked out when a problem is stated (``processes.quantities.conditions``). Quantities add and
-scale, and comparing one with a number makes a constraint:
+process is worked out when a problem is stated (``processes.quantities.conditions``). Quantities
+add and scale, and comparing one with a number makes a constraint:
 
     secondary_cost(fuel) + 2.0 * visits("ward") <= 12.0
     end_probability("wall") >= 0.1
@@ -28,14 +28,14 @@ class StageCosts:
     cost: NestedCosts | npt.ArrayLike | None = None
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Visits:
     """How often some states are entered or started in; names are states or labels of states."""
 
     of: tuple[Hashable, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Ends:
     """The probability of ending in one of several ways, or, as ``others``, in none of them."""
 

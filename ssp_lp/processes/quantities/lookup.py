@@ -1,0 +1,151 @@
+"""From a user's words to conditions on a model: states, actions, labels and ends are looked up."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.processes.quantities.conditions import (
+    OBJECTIVE,
+    RESERVED,
+    Arrivals,
+    Condition,
+    Steps,
+    Term,
+)
+from ssp_lp.processes.quantities.quantity import (
+    Constraint,
+    Counted,
+    Ends,
+    Quantity,
+    StageCosts,
+    Visits,
+)
+from ssp_lp.processes.quantities.stage_cost import outcome_costs
+
+
+def conditions(
+    model: SSP, start: FloatArray, constraints: Mapping[str, Constraint]
+) -> tuple[Condition, ...]:
+    """Check constraints, and look up what they count.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        constraints: name -> constraint.
+
+    Raises:
+        ModelError: a name that is no text or is reserved, no constraint, an unknown state, action,
+            label or end, costs of the wrong shape or below 0, or a lower bound of costs or visits.
+    """
+    if not isinstance(constraints, Mapping):
+        raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
+    found = tuple(_condition(model, start, name, c) for name, c in constraints.items())
+    named = [row.name for condition in found for row in condition.rows]
+    if len(set(named)) < len(named):
+        twice = next(name for name in named if named.count(name) > 1)
+        raise ModelError(f"two rows would be named {twice!r}: give one constraint another name")
+    return found
+
+
+def objective_of(model: SSP, start: FloatArray, quantity: Quantity) -> Condition:
+    """Look up what a quantity that is to be minimised counts.
+
+    Raises:
+        ModelError: no quantity, an unknown state, action, label or end, costs of the wrong shape
+            or below 0, or costs or visits that would be maximised.
+    """
+    if not isinstance(quantity, Quantity):
+        raise ModelError(f"the objective must be a quantity, such as visits(...), not {quantity!r}")
+    found = _looked_up(model, start, OBJECTIVE, Constraint(quantity))
+    found.minimised()
+    return found
+
+
+def _condition(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
+    if not isinstance(name, str) or not name:
+        raise ModelError(f"the name of a limit must be a word, not {name!r}")
+    if name in RESERVED:
+        raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
+    if not isinstance(constraint, Constraint):
+        raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
+    return _looked_up(model, start, name, constraint)
+
+
+def _looked_up(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
+    quantity = constraint.quantity
+    terms = tuple((weight, _term(model, name, c)) for weight, c in _merged(quantity))
+    live = end_marks(model) < 0
+    begun = sum(
+        weight * float(start[term.states & live].sum())
+        for weight, term in terms
+        if isinstance(term, Arrivals) and not term.final
+    )
+    stated = constraint.lower, constraint.upper
+    return Condition(name, model, terms, quantity.constant + begun, *stated)
+
+
+def _merged(quantity: Quantity) -> list[tuple[float, Counted]]:
+    """The terms, those that count the same added up, without those that cancel."""
+    weights: dict[object, float] = {}
+    first: dict[object, Counted] = {}
+    for weight, counted in quantity.terms:
+        key: object = id(counted) if isinstance(counted, StageCosts) else counted
+        first.setdefault(key, counted)
+        weights[key] = weights.get(key, 0.0) + weight
+    return [(weight, first[key]) for key, weight in weights.items() if weight != 0.0]
+
+
+def _term(model: SSP, name: str, counted: Counted) -> Term:
+    match counted:
+        case StageCosts(cost):
+            if cost is None:
+                return Steps(model)
+            costs = outcome_costs(model, name, cost)
+            return Steps(replace(model, costs=costs, exact_costs={}))
+        case Visits(of):
+            return Arrivals(model, _members(model, name, of))
+        case Ends(ways, others):
+            return Arrivals(model, _final_states(model, name, ways), final=True, others=others)
+
+
+def _members(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
+    """States by their own names or by that of a label, [states]."""
+    mask = np.zeros(model.n_states, dtype=np.bool_)
+    for one in of:
+        if isinstance(one, str) and one in model.state_labels:
+            mask[model.state_labels[one]] = True
+            continue
+        try:
+            mask[model.index_of(one)] = True
+        except ModelError as error:
+            raise ModelError(f"limit {name!r}: {error}") from error
+    return mask
+
+
+def _final_states(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArray:
+    """States in which an episode ends in one of some ways, [states]."""
+    marks = end_marks(model)
+    named: list[Hashable] = ["goal", *model.state_labels, "dead_end"]
+    mask = np.zeros(model.n_states, dtype=np.bool_)
+    for way in ways:
+        if way in named:
+            mask |= marks == named.index(way)
+            continue
+        try:
+            state = model.index_of(way)
+        except ModelError as error:
+            known = ", ".join(repr(k) for k in named)
+            raise ModelError(
+                f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
+            ) from error
+        if marks[state] < 0:
+            raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")
+        mask[state] = True
+    return mask

@@ -1,0 +1,260 @@
+"""Constraints at their edges: ends, equalities, rare goals, refusals, and what a measure keeps."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations import (
+    MCMP,
+    S3P,
+    CostBoundedReach,
+    FinitePenalty,
+    LeastQuantity,
+    MaxProb,
+    MinCost,
+)
+from ssp_lp import (
+    GIVE_UP,
+    SSP,
+    DeterministicPolicy,
+    InfeasibleError,
+    MixedPolicy,
+    ModelError,
+    certify,
+    end_probability,
+    evaluate,
+    expected_cost,
+    failure_probability,
+    goal_probability,
+    secondary_cost,
+    solve,
+    visits,
+)
+
+
+def model_of(choices, labels=None) -> SSP:
+    return SSP.from_transitions(
+        choices, goal={"g"}, state_labels=labels or {}, treat_actionless_as_dead_ends=True
+    )
+
+
+def alone(policy) -> MixedPolicy:
+    return MixedPolicy((policy,), np.ones(1))
+
+
+HUT = model_of(
+    {
+        "a": {"go": [(1.0, "b", 1.0)], "quit": [(1.0, "hut", 2.0)]},
+        "hut": {
+            "sleep": [(1.0, "hut", 1.0)],
+            "on": [(1.0, "wall", 3.0)],
+            "back": [(1.0, "g", 50.0)],
+        },
+        "b": {"x": [(1.0, "g", 1.0)]},
+        "wall": {},
+    },
+    {"wall": ["wall"]},
+)
+"""The wall lies behind a hut: whoever is on the way there does not reach the goal any more."""
+
+
+def test_an_end_that_is_asked_for_is_reached_and_paid_for() -> None:
+    """4/5 go for 2, 1/5 walk to the wall for 5; the program's measures say the same."""
+    problem = MCMP(HUT, "a", 1.0, constraints={"w": end_probability("wall") >= 0.2})
+    solution = solve(problem)
+    assert solution.objective == pytest.approx(2.6, rel=1e-12)
+    assert certify(solution).gap < 1e-9
+    program = problem.program()
+    for measure in (program.solve(), program.to_cvxpy().solve(solver="CLARABEL")):
+        assert measure.objective == pytest.approx(2.6, rel=1e-6)
+        for policy in (measure.mixed_policy(), measure.randomised_policy()):
+            found = evaluate(policy, problem)
+            assert found.objective == pytest.approx(2.6, rel=1e-6)
+            assert found.secondary_costs["w"] == pytest.approx(0.2, abs=1e-6)
+
+
+def test_where_failing_is_forbidden_no_end_is_bought() -> None:
+    model = model_of(
+        {
+            "a": {"ok": [(1.0, "g", 5.0)], "risky": [(0.5, "g", 5.0), (0.5, "wall", 5.0)]},
+            "wall": {},
+        },
+        {"wall": ["wall"]},
+    )
+    problem = MinCost(model, "a", constraints={"w": end_probability("goal", "wall") >= 0.5})
+    bad = DeterministicPolicy.from_actions(model, {"a": "risky"})
+    assert evaluate(bad, problem).objective == np.inf
+    assert not certify(replace(solve(problem), policy=alone(bad))).accepted
+
+
+def wall_of(chance: float) -> SSP:
+    """Three ways to the goal; two of them end at the wall, rarely."""
+    return model_of(
+        {
+            "a": {
+                "go": [(chance, "wall", 1.0), (0.6, "g", 2.0), (0.4 - chance, "pit", 1.0)],
+                "slow": [(2 * chance, "wall", 5.0), (1 - 2 * chance, "g", 4.0)],
+                "z": [(1.0, "g", 9.0)],
+            },
+            "wall": {},
+            "pit": {},
+        },
+        {"wall": ["wall"]},
+    )
+
+
+@pytest.mark.parametrize(("chance", "asked"), [(2.3e-4, 3.75e-4), (1.2e-4, 1.33e-4)])
+def test_equalities_of_rare_ends(chance: float, asked: float) -> None:
+    """Costs given success between those of the lower and the upper bound alone; tight."""
+    wall, model = end_probability("wall"), wall_of(chance)
+    both = solve(S3P(model, "a", failure_budget=0.3, constraints={"w": wall == asked}))
+    assert both.gap < 1e-9
+    assert both.secondary_costs["w"] == pytest.approx(asked, rel=1e-9)
+    one_sided = [
+        solve(S3P(model, "a", failure_budget=0.3, constraints={"w": constraint})).objective
+        for constraint in (wall <= asked, wall >= asked)
+    ]
+    assert both.objective == pytest.approx(max(one_sided), rel=1e-9)
+
+
+def test_an_equality_of_the_worth_of_arriving() -> None:
+    wall = end_probability("wall") == 0.001823
+    problem = CostBoundedReach(wall_of(0.00156), "a", 3, 0.3, constraints={"w": wall})
+    solution = solve(problem)
+    assert solution.gap < 1e-9
+    assert certify(solution).accepted
+
+
+@pytest.mark.parametrize("method", ["columns", "lp"])
+def test_a_goal_probability_that_is_fixed(method: str) -> None:
+    rare, asked = 4e-5, 4.4e-5
+    model = model_of(
+        {
+            "a": {
+                "go": [(rare, "g", 1.0), (1 - rare, "wall", 2.0)],
+                "slow": [(2 * rare, "g", 5.0), (1 - 2 * rare, "wall", 1.0)],
+            },
+            "wall": {},
+        }
+    )
+    found = [
+        solve(FinitePenalty(model, "a", 3.0, constraints={"g": constraint}), method).objective
+        for constraint in (goal_probability() == asked, goal_probability() >= asked)
+    ]
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+@pytest.mark.parametrize(("rare", "late"), [(1e-7, 5e-10), (1e-9, 1e-8)])
+def test_bounds_of_rare_goals_are_bounds(rare: float, late: float) -> None:
+    """A slightly worse policy is not certified as the best."""
+    model = model_of(
+        {
+            "a": {
+                "go": [(rare, "g", 1.0), (1 - rare, "wall", 2.0)],
+                "worse": [
+                    (rare * (1 - late), "g", 1.0),
+                    (rare * late, "g", 2.0),
+                    (1 - rare, "wall", 2.0),
+                ],
+            },
+            "wall": {},
+        }
+    )
+    fuel = {"c": secondary_cost({"a": {"go": 3.0}}) <= 5.0}
+    solution = solve(S3P(model, "a", failure_budget=1.0, constraints=fuel))
+    assert solution.objective == pytest.approx(1.0, rel=1e-12)
+    worse = DeterministicPolicy.from_actions(model, {"a": "worse"})
+    assert certify(replace(solution, policy=alone(worse))).lower_bound <= 1.0
+
+
+def test_to_stay_for_ever_must_be_free_in_everything() -> None:
+    """A loop free in the cost but counted as visits is no place to give up."""
+    model = model_of(
+        {"a": {"wait": [(1.0, "a", 0.0)], "go": [(0.5, "g", 1.0), (0.5, "wall", 1.0)]}, "wall": {}}
+    )
+    problem = MCMP(model, "a", 1.0, give_up="dead_ends", constraints={"v": visits("a") <= 1.0})
+    assert solve(problem).objective == pytest.approx(1.0)
+    with pytest.raises(ModelError, match="gives up"):
+        evaluate(DeterministicPolicy.from_actions(model, {"a": GIVE_UP}), problem)
+
+
+LOOP = model_of({"a": {"go": [(0.5, "g", 1.0), (0.5, "a", 1.0)], "w": [(1.0, "a", 0.0)]}})
+
+
+def test_a_policy_without_success_is_refused() -> None:
+    problem = S3P(LOOP, "a", failure_budget=1.0, constraints={"v": visits("a") <= 3.0})
+    never = DeterministicPolicy.from_actions(LOOP, {"a": GIVE_UP})
+    certificate = certify(replace(solve(problem), policy=alone(never)))
+    assert not certificate.accepted
+
+
+@pytest.mark.parametrize("method", ["columns", "lp"])
+def test_limits_under_which_nothing_succeeds(method: str) -> None:
+    with pytest.raises(InfeasibleError):
+        solve(S3P(LOOP, "a", 1.0, constraints={"c": expected_cost() <= 0.0}), method)
+
+
+@pytest.mark.parametrize("method", ["columns", "lp"])
+def test_no_failure_at_all(method: str) -> None:
+    model = model_of(
+        {
+            "b": {
+                "ok": [(1 / 3, "b", 1.0), (2 / 3, "g", 2.0)],
+                "bad": [(0.4, "wall", 0.0), (0.6, "b", 2.0)],
+            },
+            "wall": {},
+        }
+    )
+    start = {"b": 0.5, "g": 0.5}
+    problem = S3P(model, start, 1.0, constraints={"r": failure_probability() == 0.0})
+    assert solve(problem, method).objective == pytest.approx(1.25, rel=1e-9)
+    assert problem.program().solve().objective == pytest.approx(1.25, rel=1e-9)
+
+
+def test_terms_that_count_the_same_are_added_up() -> None:
+    twice = 2.0 * visits("a") - visits("a")
+    solution = solve(MCMP(LOOP, "a", 1.0, constraints={"v": twice <= 1.5}))
+    assert solution.secondary_costs["v"] <= 1.5 + 1e-9
+    assert solve(MCMP(LOOP, "a", 1.0, constraints={"v": visits("a") - visits("a") <= 0.0}))
+
+
+def test_a_row_that_counts_nothing() -> None:
+    with pytest.raises(InfeasibleError) as caught:
+        solve(MaxProb(LOOP, "a", constraints={"k": 0.0 * goal_probability() <= -1.0}))
+    assert caught.value.conflicting_rows == ("k",)
+
+
+def test_the_greatest_probability_may_be_nothing() -> None:
+    model = model_of(
+        {"a": {"x": [(1 / 3, "g", 1.0), (2 / 3, "wall", 1.0)], "q": [(1.0, "wall", 1.0)]}}
+        | {"wall": {}}
+    )
+    solution = solve(MaxProb(model, "a", constraints={"g": goal_probability() <= 0.0}))
+    assert (solution.objective, solution.gap, solution.note) == (0.0, 0.0, "")
+
+
+def test_what_is_refused_when_it_is_stated() -> None:
+    for wrong, told in (
+        ({"v": visits("a") >= 1.0}, "from below"),
+        ({"v": visits("nowhere") <= 1.0}, "nowhere"),
+        ({"v": end_probability("a") <= 1.0}, "no episode ends"),
+        ({"failure": goal_probability() >= 0.5}, "names the failure budget"),
+        ({"v": 3.0}, "quantity"),
+    ):
+        with pytest.raises(ModelError, match=told):
+            MCMP(LOOP, "a", 1.0, constraints=wrong)
+    with pytest.raises(ModelError, match="no truth value"):
+        assert 0.1 <= goal_probability() <= 0.5
+    with pytest.raises(ModelError, match="finite numbers"):
+        assert goal_probability() <= float("nan")
+
+
+def test_the_least_of_the_cost_is_the_least_cost() -> None:
+    """Its own expected cost as the quantity gives the criterion of the cost."""
+    for budget in (0.0, 0.05, None):
+        plain = MCMP(HUT, "a", budget, charge_failing_step=False)
+        own = LeastQuantity(HUT, "a", expected_cost(), budget)
+        assert solve(own).objective == pytest.approx(solve(plain).objective, rel=1e-12)
