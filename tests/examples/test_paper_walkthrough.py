@@ -11,7 +11,7 @@ from examples.paper_walkthrough import walkthrough
 from examples.paper_walkthrough.model import Row
 from examples.paper_walkthrough.robot import robot_text
 
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
+PAGE = (Path(__file__).parents[2] / "docs/robot.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("title", walkthrough.SECTIONS)
@@ -42,8 +42,8 @@ def cells(text: str) -> list[list[str]]:
     return [[c.strip() for c in line.strip("|").split("|")] for line in lines[first + 2 :][:5]]
 
 
-def test_the_robots_table_is_the_readmes_and_closes() -> None:
-    found, told = cells(robot_text(RobotGrid())), cells(README)
+def test_the_robots_table_is_that_of_its_page_and_closes() -> None:
+    found, told = cells(robot_text(RobotGrid())), cells(PAGE)
     exact = float(found[-1][1])
     widths = []
     for mine, theirs in zip(found, told, strict=True):
