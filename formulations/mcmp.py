@@ -25,7 +25,7 @@ class MCMP(Formulation):
     Problem:
         r_tau is the cost paid until the goal has become unreachable under the policy, all of it
         if the goal is reached (paper, eq. JMCMP_def and section 2.5; min-cost given max-prob of
-        Teichteil-Koenigsbuch 2012 at ``failure_budget=None``).
+        Trevizan et al. 2017 at ``failure_budget=None``).
 
     Program:
         minimise <cost, x> subject to flow balance, <failure, x> <= failure_budget, x >= 0, where
@@ -42,8 +42,8 @@ class MCMP(Formulation):
         With a ``discount`` both cost and failure are discounted (section 3.5).
 
     Reference:
-        paper, sections 2.4, 2.5 and 3.1.2; Teichteil-Koenigsbuch, AAAI 2012; Trevizan,
-        Teichteil-Koenigsbuch and Thiebaux, UAI 2017 (with "anywhere" and nothing charged).
+        paper, sections 2.4, 2.5 and 3.1.2; Trevizan, Teichteil-Koenigsbuch and Thiebaux, UAI 2017
+        (with "anywhere" and nothing charged).
 
     Args:
         model: the model.

@@ -98,7 +98,7 @@ def find_threshold(
     tolerance: float,
     patience: Patience = ENDLESS,
 ) -> Threshold:
-    """Bracket ``min{c : game value <= eta(epsilon; c) = share * c}`` and close the bracket.
+    """Bracket ``min{c > 0 : game value <= eta(epsilon; c) = share * c}`` and close the bracket.
 
     Each game moves an end of the bracket. Its value at alpha*, a bound for every policy, gives
     ``J_obj >= (value - (1 - alpha*) eta) / alpha*`` for all that keep to the budget: the lower end.

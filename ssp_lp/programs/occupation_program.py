@@ -3,8 +3,8 @@
     minimise    <cost, x>                     (case S: <cost, x> / <goal, x>)
     subject to  outflow(x) - inflow(x) = start,  named rows,  x >= 0
 
-x counts the expected visits of each pair of the augmented process (paper, eq. mcmp_obj and
-s3p_obj; mathematics, section 3).
+x counts the expected visits of each pair of the augmented process (paper, eq. JMCMP_def and
+JS3P_def; mathematics, section 3).
 """
 
 from __future__ import annotations
