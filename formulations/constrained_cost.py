@@ -94,9 +94,9 @@ class ConstrainedCost(Formulation):
         super().__post_init__()
 
     @property
-    def all_constraints(self) -> Mapping[str, Constraint]:
-        """The limits, and any further constraints."""
-        return {**constraints_of(self.limits), **self.constraints}
+    def own_constraints(self) -> Mapping[str, Constraint]:
+        """The limits."""
+        return constraints_of(self.limits)
 
     @property
     def semantics(self) -> FailureSemantics:

@@ -49,6 +49,9 @@ class S3P(Formulation):
         cost_cap: fix the cap M on accumulated cost; None: chosen as above.
         reach_fraction: instead of a budget, the share of the greatest goal probability that must
             be attained (of the real one, also under a discount).
+        cost_levels: tell at most so many totals apart; None: as many as the costs and the
+            tolerance ask for. Costs without a common unit are told apart by their sums, or, where
+            these are too many, on a grid, with an honest gap.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
@@ -75,6 +78,7 @@ class S3P(Formulation):
     discount: float | None = None
     cost_cap: float | None = None
     reach_fraction: float | None = None
+    cost_levels: int | None = None
 
     ratio = True  # cost is counted given success
 
@@ -82,4 +86,8 @@ class S3P(Formulation):
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
+        if self.cost_levels is not None and not (
+            isinstance(self.cost_levels, int) and self.cost_levels >= 1
+        ):
+            raise ModelError(f"cost_levels must be a number >= 1 or None, not {self.cost_levels!r}")
         super().__post_init__()

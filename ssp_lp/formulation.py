@@ -36,6 +36,7 @@ from ssp_lp.processes.failure_semantics import (
     parse_give_up,
     start_distribution,
 )
+from ssp_lp.processes.layered.arrival_cost import Utility
 from ssp_lp.processes.layered.measures_of_law import (
     CostQuantileOf,
     ExpectedUtility,
@@ -43,10 +44,18 @@ from ssp_lp.processes.layered.measures_of_law import (
     TailMeanOf,
     WithinBound,
 )
-from ssp_lp.processes.layered.utility import Utility
 from ssp_lp.processes.quantities.conditions import Condition
 from ssp_lp.processes.quantities.lookup import conditions, objective_of
-from ssp_lp.processes.quantities.quantity import Constraint, Quantity
+from ssp_lp.processes.quantities.quantity import (
+    Constraint,
+    Quantity,
+    end_probability,
+    expected_cost,
+    failure_probability,
+    goal_probability,
+    secondary_cost,
+    visits,
+)
 from ssp_lp.processes.quantities.stage_cost import CostLimit, constraints_of
 
 if TYPE_CHECKING:
@@ -80,8 +89,14 @@ __all__ = [
     "check_setting",
     "constraints_of",
     "dead_end_labels",
+    "end_probability",
+    "expected_cost",
+    "failure_probability",
+    "goal_probability",
     "parse_give_up",
+    "secondary_cost",
     "stated_budget",
+    "visits",
 ]
 
 Start = Hashable | Mapping[Hashable, float]
@@ -124,9 +139,9 @@ class Formulation(_Inherited):
         _ = self.objective_condition
 
     @property
-    def all_constraints(self) -> Mapping[str, Constraint]:
-        """The constraints, with those that a formulation has by itself."""
-        return self.constraints
+    def own_constraints(self) -> Mapping[str, Constraint]:
+        """Constraints that a criterion has by itself; there are none unless a page says so."""
+        return {}
 
     @cached_property
     def objective_condition(self) -> Condition | None:
@@ -140,7 +155,11 @@ class Formulation(_Inherited):
     def conditions(self) -> tuple[Condition, ...]:
         """The constraints, checked, with their costs by outcome."""
         model, start = self._asked.model, self._asked.start
-        return conditions(model, start_distribution(model, start), self.all_constraints)
+        own, stated = self.own_constraints, self.constraints
+        if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
+            raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
+        every = {**own, **stated} if isinstance(stated, Mapping) else stated
+        return conditions(model, start_distribution(model, start), every)
 
     @property
     def semantics(self) -> FailureSemantics:

@@ -14,6 +14,7 @@ from ssp_lp.model import SSP
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
+from ssp_lp.processes.layered.ladder import FIRST_RUNGS, Rungs, wanted_rungs
 from ssp_lp.processes.quantities.conditions import Condition
 
 
@@ -77,6 +78,25 @@ def has_rows(problem: Problem) -> bool:
     return bool(conditions_of(problem)) or objective_of(problem) is not None
 
 
+def rungs_of(problem: Problem) -> Rungs | None:
+    """What is asked of the totals that are told apart; None where multiples of a unit serve.
+
+    They do not where the costs of case S have no common unit, or one so small that the sums that
+    can occur are far fewer than its multiples.
+    """
+    if not problem.ratio or problem.semantics.measure is not None:
+        return None
+    asked = getattr(problem, "cost_levels", None)
+    if asked is not None:
+        return Rungs(grid=min(int(asked), FIRST_RUNGS), most=int(asked))
+    return wanted_rungs(problem.model)
+
+
+def by_rows(problem: Problem) -> bool:
+    """Whether the methods for several rows solve a problem."""
+    return has_rows(problem) or rungs_of(problem) is not None
+
+
 def compiled_constrained(problem: Problem) -> CompiledConstrained:
     """The process of a problem with constraints, and its rows."""
     measure, objective = problem.semantics.measure, objective_of(problem)
@@ -92,6 +112,7 @@ def compiled_constrained(problem: Problem) -> CompiledConstrained:
         ratio=problem.ratio,
         fixed_cap=getattr(problem, "cost_cap", None),
         objective=None if objective is None else objective.minimised(),
+        rungs=rungs_of(problem),
     )
 
 

@@ -25,7 +25,7 @@ from ssp_lp.options import (
     options_of,
     parse_method,
 )
-from ssp_lp.problem import Problem, has_rows
+from ssp_lp.problem import Problem, by_rows, has_rows, rungs_of
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Solution
@@ -78,10 +78,10 @@ def solve(
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
     """By the driver that knows the problem."""
     measure, limited = problem.semantics.measure, has_rows(problem)
-    if limited and (measure is None or measure.maximised):
-        return solve_constrained(problem, options)
     if isinstance(method, Game):
         return solve_by_game(problem, options)
+    if (limited and (measure is None or measure.maximised)) or rungs_of(problem) is not None:
+        return solve_constrained(problem, options)
     if measure is not None and measure.maximised:
         return solve_for_worth(problem, problem.compile(), options)
     if measure is not None:
@@ -102,12 +102,16 @@ def _check_method(problem: Problem, method: Method) -> None:
     """
     name, limited = type(problem).__name__, has_rows(problem)
     if isinstance(method, DeterministicPolicies) and (
-        limited or problem.semantics.measure is not None
+        by_rows(problem) or problem.semantics.measure is not None
     ):
         raise ModelError(f"method='deterministic' is not available for {name}")
     if limited and isinstance(method, Game):
         raise ModelError(f"method='game' knows one row only, not {name}: take 'columns' or 'lp'")
-    if limited and isinstance(method, LinearProgramming) and method.backend == "highs-warm":
+    if (
+        by_rows(problem)
+        and isinstance(method, LinearProgramming)
+        and method.backend == "highs-warm"
+    ):
         raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
 
 

@@ -19,7 +19,7 @@ from ssp_lp.column_generation.secant_search import Bracket, search
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, has_rows
+from ssp_lp.problem import Problem, by_rows
 from ssp_lp.processes.failure_semantics import Aim
 
 _REFINEMENTS = 6
@@ -133,7 +133,7 @@ def trace_frontier(
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
     if problem.semantics.measure is not None:
         raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
-    if has_rows(problem):
+    if by_rows(problem):
         raise ModelError(f"{type(problem).__name__} has several rows: trace MCMP's frontier")
     if not 0.0 < gap < 1.0:
         raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")

@@ -8,7 +8,7 @@ from ssp_lp.analysis.chain import Chain, policy_chain, reaching
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
-from ssp_lp.policies.joint import common_memory
+from ssp_lp.policies.joint_memory import common_memory
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution, survival_of
 

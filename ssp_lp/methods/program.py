@@ -18,7 +18,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
 from ssp_lp.methods.rows.optimum import optimum_of
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, compiled_constrained, has_rows
+from ssp_lp.problem import Problem, by_rows, compiled_constrained
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
@@ -55,7 +55,7 @@ def program_of(problem: Problem) -> OccupationProgram:
             f"{type(problem).__name__} is no linear program but a search over many: "
             "CostBoundedReach(...).program() is the one at a fixed cost"
         )
-    if has_rows(problem):
+    if by_rows(problem):
         return _constrained(problem)
     compiled, budget = problem.compile(), problem.failure_budget
     rows: tuple[ProgramRow, ...] = ()
@@ -74,6 +74,11 @@ def _constrained(problem: Problem) -> OccupationProgram:
     compiled = compiled_constrained(problem).settled()
     if compiled.charge is not None:
         compiled = optimum_of(problem, compiled, CERTIFYING).compiled
+        if compiled.ladder is not None and not compiled.ladder.exact:
+            raise ModelError(
+                f"the costs have more than {compiled.layers:,} sums: on a grid of totals the "
+                "program is a bound, no problem; fewer distinct costs make it one"
+            )
     pricing, found = compiled.pricing, compiled.augmented
     rows = tuple(
         ProgramRow(name, np.ascontiguousarray(pricing.rewards[:, k]), float(bound), told)
@@ -95,7 +100,7 @@ def _constrained(problem: Problem) -> OccupationProgram:
         augmented=augmented,
         rows=rows,
         ratio=problem.ratio,
-        constant=compiled.constant,
+        constant=compiled.sense.constant,
         wants_ends=compiled.wants_ends,
         offset=0.0 if compiled.objective is None else compiled.objective.offset,
     )

@@ -152,7 +152,7 @@ def layer_flows(
     visits: FloatArray,
     start: FloatArray,
     n_layers: int,
-    last: int | None = None,
+    below: IntArray | None = None,
 ) -> Iterator[ModelFlow]:
     """The model's flow in each layer, moves within collapsed components included.
 
@@ -161,7 +161,7 @@ def layer_flows(
         visits: of the process's pairs, layer by layer, [process pairs].
         start: [states].
         n_layers: how many layers there are.
-        last: the layer in which all costs beyond it are counted; None: there is no such layer.
+        below: the layer that each step leads to, [layers, steps]; None: as many ahead as it has.
     """
     quotient, model, n_pairs = base.quotient, base.quotient.model, len(base.gain)
     merged = bool(quotient.merged.any())
@@ -175,8 +175,8 @@ def layer_flows(
         if merged:
             mass = np.repeat(flow.pairs, lengths) * model.probabilities
             moved = np.flatnonzero(mass)
-            reached = layer + base.lattice.ahead[moved]
-            reached = reached if last is None else np.minimum(reached, last)
+            ahead = base.lattice.ahead[moved]
+            reached = layer + ahead if below is None else below[layer, ahead]
             np.add.at(entering, (reached, model.successors[moved]), mass[moved])
             flow = moving_within(quotient, flow, entering[layer])
         yield flow

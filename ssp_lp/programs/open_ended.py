@@ -9,6 +9,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import decisions
@@ -45,7 +46,7 @@ class OpenEndedModel:
         if pair == self.process.n_pairs - 1:
             return ColumnLabel(None, START, 0.0)
         layer, inner = divmod(pair, len(base.gain))
-        return ColumnLabel(*base.quotient.named(inner), float(layer * base.exact_unit))
+        return ColumnLabel(*base.quotient.named(inner), float(self.layered.totals[layer]))
 
     def pairs_of(self, pair: int, state: int) -> IntArray:
         """One pair of the process for each accumulated cost."""
@@ -53,7 +54,7 @@ class OpenEndedModel:
         layers = np.arange(self.layered.cap + 1)[:, None] * len(base.gain)
         return np.asarray((layers + base.quotient.places_of(pair, state)).ravel())
 
-    def policy(self, choice: IntArray) -> CostAwarePolicy:
+    def policy(self, choice: IntArray) -> CostAwarePolicy | CostLevelPolicy:
         """One decision for each state and accumulated cost."""
         return self.layered.policy(choice)
 
@@ -61,7 +62,7 @@ class OpenEndedModel:
         """A policy on states and accumulated cost."""
         layered, n_states = self.layered, self.model.n_states
         carrier, everywhere = self.policy(choice), np.arange(n_states)
-        flows = layer_flows(layered.base, visits, layered.start, layered.cap + 1, layered.cap)
+        flows = layer_flows(layered.base, visits, layered.start, layered.cap + 1, layered.leads[0])
         found = []
         for layer, flow in enumerate(flows):
             otherwise = carrier.branches(everywhere, np.full(n_states, layer)).pair

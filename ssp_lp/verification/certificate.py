@@ -20,9 +20,11 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, compiled_constrained, conditions_of, has_rows
+from ssp_lp.policies.cost_levels import CostLevelPolicy
+from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
+from ssp_lp.processes.layered.ladder import Rungs
 from ssp_lp.solution import Solution
 
 _BUDGET_ROUNDING = 1e-12
@@ -82,7 +84,7 @@ def certify(solution: Solution) -> Certificate:
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
     measure = problem.semantics.measure
-    if has_rows(problem):
+    if by_rows(problem):
         risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate
         certificate, reason = proved(solution, found, failure), _broken_limit(problem, found)
@@ -139,6 +141,10 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
         reason = f"the policy's objective is {found.objective}"
         return _certificate(found, failure, 0.0, 0.0, 1.0, reason)
     values = np.asarray(values)
+    first = solution.policy.policies[0]
+    if isinstance(first, CostLevelPolicy):
+        rungs = Rungs(fixed=tuple(first.levels.tolist()))
+        compiled = replace(compiled, rungs=rungs)
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget = least if stated.budget is None else max(stated.budget, least)
@@ -156,12 +162,14 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     prices = np.where(limited, prices, 0.0)
     lower = _rows_bound(compiled, prices, raised, values, found.objective)
     budget = float(raised[0]) if limited[0] else budget
-    attained = found.objective - compiled.worth(0.0)
-    lower = compiled.settled_bound(attained if compiled.constant is None else -attained, lower)
-    if compiled.constant is None:
-        return _certificate(found, failure, compiled.worth(lower), 0.0, budget, "")
+    attained = found.objective - compiled.sense.worth(0.0)
+    lower = compiled.sense.settled_bound(
+        attained if compiled.sense.constant is None else -attained, lower
+    )
+    if compiled.sense.constant is None:
+        return _certificate(found, failure, compiled.sense.worth(lower), 0.0, budget, "")
     proved = _certificate(found, failure, found.objective, 0.0, budget, "")
-    return replace(proved, upper_bound=max(compiled.worth(lower), found.objective))
+    return replace(proved, upper_bound=max(compiled.sense.worth(lower), found.objective))
 
 
 def _rows_bound(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from ssp_lp.errors import ModelError
-from ssp_lp.problem import Problem, has_rows
+from ssp_lp.problem import Problem, by_rows
 from ssp_lp.verification.comparison import Comparison
 from ssp_lp.verification.method_result import METHODS, Member, MethodResult, result_by
 
@@ -101,7 +101,7 @@ def cross_check(
             f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "
             "linear program with column generation"
         )
-    if has_rows(problem):
+    if by_rows(problem):
         raise ModelError(
             f"the comparison knows one row only, not {type(problem).__name__}: method='lp' "
             "compares the linear program with column generation"

@@ -21,9 +21,9 @@ from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.layered.arrival_cost import Utility, utilities
 from ssp_lp.processes.layered.lattice import last_layer
 from ssp_lp.processes.layered.measures_of_law import TailMeanOf
-from ssp_lp.processes.layered.utility import Utility, utilities
 
 _LAST_LAYER = 2**62  # as good as infinitely many
 _NOTHING = 1e-17  # of a sum: less than its rounding

@@ -14,6 +14,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     checked_least_failure,
 )
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.column_generation.compiled_problems.sense import Sense
 from ssp_lp.column_generation.pricing.constrained import ConstrainedPricing
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
@@ -26,6 +27,7 @@ from ssp_lp.processes.goal_reach import (
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.arrival_cost import Charge
+from ssp_lp.processes.layered.ladder import Ladder, Rungs, step_lattice
 from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
 
@@ -36,7 +38,6 @@ _MOST_PAIRS = 20_000_000
 """Pairs of a process that is written out."""
 
 _KEPT = ("least", "greatest_goal", "least_goal", "_usable", "_shared", "_typical_cost", "base")
-_ROUNDED = 4e-15  # of what a complement is taken from
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,7 @@ class CompiledConstrained:
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
+    rungs: Rungs | None = None  # totals that are no multiples of a unit
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -66,31 +68,16 @@ class CompiledConstrained:
         return (FAILURE_ROW, *(row.name for row in self.side))
 
     @property
-    def constant(self) -> float | None:
-        """What is maximised is this, less what is minimised; None where little is better."""
-        if self.semantics.aim is Aim.GREATEST_GOAL:
-            return 1.0
-        measure = self.semantics.measure
-        if measure is None or not measure.maximised:
-            return None
-        return measure.failing + self.shift
-
-    def settled_bound(self, value: float, bound: float) -> float:
-        """The bound, or the value where only the rounding of a complement parts them."""
-        taken = self.constant if self.objective is None else self.objective.offset
-        rounding = 0.0 if taken is None else _ROUNDED * abs(taken)
-        return value if abs(value - bound) <= rounding else bound
-
-    @property
-    def shift(self) -> float:
-        """What every episode is charged on top, so that no charge is negative."""
-        return 0.0 if self.charge is None else max(-self.charge.lowest, 0.0)
-
-    def worth(self, value: float) -> float:
-        """The problem's objective where what is minimised has a value."""
+    def sense(self) -> Sense:
+        """How what is minimised stands for what is asked."""
+        measure, charge = self.semantics.measure, self.charge
+        shift = 0.0 if charge is None else max(-charge.lowest, 0.0)
         if self.objective is not None:
-            return value - self.objective.offset
-        return value if self.constant is None else self.constant - value
+            return Sense(None, shift, self.objective.offset)
+        if self.semantics.aim is Aim.GREATEST_GOAL:
+            return Sense(1.0, shift)
+        maximised = measure is not None and measure.maximised
+        return Sense(measure.failing + shift if measure and maximised else None, shift)
 
     @property
     def wants_ends(self) -> bool:
@@ -176,7 +163,18 @@ class CompiledConstrained:
         if self.charge is None:
             setting = self.start, self.semantics, self.discount
             return label_failure(self.model, *setting, self._usable, self._shared)
-        return OpenEnded(self.base, self.charge, self.shift, self.layers, self.start)
+        layers, ladder = self.layers, self.ladder
+        return OpenEnded(self.base, self.charge, self.sense.shift, layers, self.start, ladder)
+
+    @property
+    def is_rounded(self) -> bool:
+        """Whether totals are rounded, so that policies are other than the process has them."""
+        return self.ladder is not None and not self.ladder.exact
+
+    @cached_property
+    def ladder(self) -> Ladder | None:
+        """The totals that are told apart, where they are no multiples of a unit."""
+        return None if self.rungs is None else self.rungs.ladder(self.model, self._typical_cost)
 
     @cached_property
     def pricing(self) -> ConstrainedPricing:
@@ -216,6 +214,7 @@ class CompiledConstrained:
             arrivals=self.semantics.measure is not None,
             usable=self._usable,
             also_free=self._shared,
+            lattice=None if self.rungs is None else step_lattice(self.model)[0],
         )
 
     @cached_property
@@ -232,7 +231,7 @@ class CompiledConstrained:
         Raises:
             ModelError: the process would be too large to be written out.
         """
-        layers = self.cap
+        layers = self.cap if self.ladder is None else self.ladder.size
         if layers is None:
             layers = first_cap(self.base, self.charge, self._typical_cost, self.fixed_cap)
         n_pairs = (layers + 1) * len(self.base.gain)
@@ -243,10 +242,17 @@ class CompiledConstrained:
             )
         return layers
 
-    def refined(self) -> CompiledConstrained | None:
-        """Twice as many layers; None where nothing is truncated or no more can be written out."""
+    def refined(self, price: float) -> CompiledConstrained | None:
+        """More layers; None where nothing is truncated or no more can be written out.
+
+        Args:
+            price: what failing is worth, from which accumulated cost on it is best to fail.
+        """
         if self.charge is None or self._is_lossless or self.fixed_cap is not None:
             return None
+        if self.rungs is not None and self.ladder is not None:
+            finer = self.rungs.finer(self.ladder, price, _MOST_PAIRS // max(len(self.base.gain), 1))
+            return None if finer is None else self._handing_on(replace(self, rungs=finer))
         wanted = 2 * self.layers
         if (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
             return None
@@ -276,6 +282,8 @@ class CompiledConstrained:
         """
         if self.charge is None:
             return self
+        if self.rungs is not None:
+            return self
         layers, odd = divmod(values.size - 1, max(self.base.n_nodes, 1))
         if values.ndim != 1 or odd or layers < 2:
             raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
@@ -287,14 +295,6 @@ class CompiledConstrained:
 
     def _handing_on(self, other: CompiledConstrained) -> CompiledConstrained:
         """Hand what depends on neither charge nor cap to a copy."""
-        names = (
-            "least",
-            "greatest_goal",
-            "least_goal",
-            "_usable",
-            "_shared",
-            "_typical_cost",
-            "base",
-        )
-        vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
+        known = vars(self)
+        vars(other).update((name, known[name]) for name in _KEPT if name in known)
         return other

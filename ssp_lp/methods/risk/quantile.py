@@ -11,7 +11,7 @@ import time
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
-from ssp_lp.methods.risk.trial import Question, Trial, cost_of, layer_of, remarks
+from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.arrival_cost import Late

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.quantile import least_quantile, quantile_bound
+from ssp_lp.methods.risk.question import pose
 from ssp_lp.methods.risk.tail_mean import least_tail_mean, tail_mean_bound
-from ssp_lp.methods.risk.trial import pose
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf

@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
-from ssp_lp.methods.risk.trial import Question, Trial, cost_of, layer_of, remarks
+from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem

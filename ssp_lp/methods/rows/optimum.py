@@ -21,27 +21,25 @@ from ssp_lp.column_generation.compiled_problems.constrained import CompiledConst
 from ssp_lp.column_generation.constrained_search import (
     Generated,
     Pace,
-    Pool,
-    generate,
     without_trifles,
 )
 from ssp_lp.column_generation.failure_constraint import least_of, relative_gap
 from ssp_lp.column_generation.pricing.constrained import Point
 from ssp_lp.dynamic_programming.work import Work
-from ssp_lp.errors import InfeasibleError, SolverError
+from ssp_lp.errors import SolverError
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
+from ssp_lp.methods.rows.guess import Guess, coarse_guess
 from ssp_lp.methods.rows.opening import Opening, opening
 from ssp_lp.methods.rows.proof import proved_bound
+from ssp_lp.methods.rows.ratio import generated
+from ssp_lp.methods.rows.rounded import true_lottery
 from ssp_lp.options import LinearProgramming, SolveOptions
 from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
-_RATIOS = 40  # steps of Dinkelbach's iteration
-_SETTLED = 1e-14  # relative change of a ratio that is rounding
-_STEEP = 1e3  # factor of a ratio at which nothing reached the goal
-_STEEPEST = 1e15
 _PATIENCE = 3  # refinements that need not even halve the gap
 _COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
@@ -65,15 +63,24 @@ class RowsOptimum:
     program: str = ""
 
     @property
+    def kappa(self) -> float:
+        """What failing is worth, in case S: the value with the price of the failure row."""
+        return self.value + self.prices.get(FAILURE_ROW, 0.0)
+
+    @property
     def gap(self) -> float:
         """Relative gap, of what is asked for."""
-        worth = self.compiled.worth
+        worth = self.compiled.sense.worth
         attained, limit = worth(self.value), worth(self.bound)
         return relative_gap(max(attained, limit), min(attained, limit))
 
 
-Truth = Callable[[MixedPolicy], float]
-"""The true value of a lottery, in what is minimised, where the process truncates it."""
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a policy is worth by itself, where the process truncates or rounds it."""
+
+    value: Callable[[MixedPolicy], float]  # of a lottery, in what is minimised
+    figures: Callable[[Policy], FloatArray] | None = None  # cost, failure and rows of one policy
 
 
 def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
@@ -82,15 +89,24 @@ def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOpti
 
 
 def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
-    """The true value of a lottery, where the process truncates it."""
+    """What policies are worth on the model itself, where the process truncates them."""
     if stated.charge is None:
         return None
 
     def value(policy: MixedPolicy) -> float:
         attained = evaluate(policy, problem).objective
-        return attained if stated.constant is None else stated.constant - attained
+        return attained if stated.sense.constant is None else stated.sense.constant - attained
 
-    return value
+    def figures(policy: Policy) -> FloatArray:
+        found = evaluate(policy, problem)
+        failure = found.discounted_failure
+        failure = found.failure_probability if failure is None else failure
+        cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
+        spent = found.secondary_costs
+        taken = [row.activity(spent[row.condition.name]) for row in stated.side]
+        return np.array([cost, failure, *taken])
+
+    return Truth(value, figures)
 
 
 def rows_optimum(
@@ -108,102 +124,75 @@ def rows_optimum(
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
     """
-    calls, work, gaps = 0, Work(), list[float]()
+    calls, work, gaps, best = 0, Work(), list[float](), None
+    guess = None if stated.rungs is None else coarse_guess(stated, options)
+    if guess is not None and stated.rungs is not None:
+        stated = replace(stated, rungs=stated.rungs.up_to(guess.kappa))
     while True:
-        found = _attempt(stated, options.after(calls), truth)
+        try:
+            found = _attempt(stated, options.after(calls), truth, guess)
+        except SolverError:
+            if best is None or time.perf_counter() < options.deadline:
+                raise
+            return _with_value(replace(best, note=best.note or CUT_SHORT))
         calls, work = calls + found.calls, work + found.work
-        found = replace(found, calls=calls, work=work)
-        late = time.perf_counter() > options.deadline
-        if found.gap <= options.tolerance:
-            return found
-        if late:
-            told = found.note or CUT_SHORT
-            return replace(found, note=told)
         gaps.append(found.gap)
+        best = found if best is None or found.gap < best.gap else best
+        best = replace(best, calls=calls, work=work)
+        if best.gap <= options.tolerance:
+            return best
+        if time.perf_counter() > options.deadline:
+            return _with_value(replace(best, note=best.note or CUT_SHORT))
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
-        finer = None if stuck else found.compiled.refined()
-        if finer is None and not stated.precise and options.program is None:
+        finer = None if stuck else found.compiled.refined(found.kappa)
+        if finer is None and not (stated.precise or found.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
-            return found
+            return _with_value(best)
         stated = finer
+        if found.compiled.ladder is not None and np.isfinite(found.value):
+            guess = Guess(found.value, found.prices)
+
+
+def _with_value(found: RowsOptimum) -> RowsOptimum:
+    """The optimum with a remark on rounded totals, if some policy keeps to the rows.
+
+    Raises:
+        SolverError: none was found that does so on the model itself.
+    """
+    levels = f"{found.compiled.layers:,} levels"
+    if not np.isfinite(found.value):
+        raise SolverError(
+            f"no policy on {levels} of accumulated cost keeps to the limits: more cost_levels, or "
+            "more time, make them finer"
+        )
+    if found.compiled.is_rounded and not found.note:
+        told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
+        return replace(found, note=told)
+    return found
 
 
 def _attempt(
-    stated: CompiledConstrained, options: SolveOptions, truth: Truth | None
+    stated: CompiledConstrained,
+    options: SolveOptions,
+    truth: Truth | None,
+    guess: Guess | None,
 ) -> RowsOptimum:
     """One search, on the process and in the precision that the compiled problem says."""
-    finer = 1.0 if stated.constant is None else _FINER
+    finer = 1.0 if stated.sense.constant is None else _FINER
     pace = Pace(finer * options.tolerance, options.deadline, report=options.progress)
     compiled = stated.settled()
     opened = opening(compiled, stated, pace)
     program, centre = None, (np.zeros(len(opened.asked)), opened.unlimited)
+    if guess is not None:
+        opened, prices = guess.of(compiled, opened)
+        centre = prices, 0.0
     if options.program is not None:
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
-            _generated(compiled, opened, replace(pace, tolerance=_COARSE), centre)
+            generated(compiled, opened, replace(pace, tolerance=_COARSE), centre)
         program, opened, centre = _programmed(compiled, opened, options.program, options.deadline)
-    found, ratio = _generated(compiled, opened, pace, centre)
+    found, ratio = generated(compiled, opened, pace, centre)
     return _concluded(compiled, stated, opened, found, ratio, truth, program)
-
-
-def _generated(
-    compiled: CompiledConstrained,
-    opened: Opening,
-    pace: Pace,
-    centre: tuple[FloatArray, float],
-) -> tuple[Generated, float]:
-    """The best lottery over columns, and in case S its ratio (Dinkelbach's iteration)."""
-    if not compiled.ratio:
-        return generate(opened.pool, opened.rows, pace, centre=centre), 0.0
-    pool, ratio, best = opened.pool, opened.rows.ratio, None
-    if ratio == 0.0:
-        ratio = _first_ratio(pool, opened.weights)
-    for _ in range(_RATIOS):
-        rows = replace(opened.rows, ratio=ratio)
-        found = generate(pool, rows, pace, centre=centre)
-        attained = _ratio_of(pool, found.master.weights)
-        if best is None and not np.isfinite(attained):
-            ratio *= _STEEP
-            if ratio > _STEEPEST:
-                raise InfeasibleError(
-                    "no policy that keeps to all limits reaches the goal: no cost given success "
-                    "exists",
-                    failure_budget=compiled.budget,
-                    least_failure=max(1.0 - compiled.greatest_goal, 0.0),
-                )
-            continue
-        if best is not None and not attained < ratio * (1.0 - _SETTLED):
-            kept = replace(best.master, weights=_padded(best.master.weights, pool))
-            return replace(found, master=kept), ratio
-        best, ratio, centre = found, attained, (found.prices, 0.0)
-        if not found.finished or ratio == 0.0:
-            break
-    if best is None:
-        raise SolverError("no policy that reaches the goal was found within the time limit")
-    return replace(
-        best, master=replace(best.master, weights=_padded(best.master.weights, pool))
-    ), ratio
-
-
-def _first_ratio(pool: Pool, weights: FloatArray) -> float:
-    """A ratio to begin with: that of the known lottery, or some policy's."""
-    attained = _ratio_of(pool, weights)
-    if np.isfinite(attained) and attained > 0.0:
-        return attained
-    with np.errstate(divide="ignore", invalid="ignore"):
-        known = pool.figures[0] / (1.0 - pool.figures[1])
-    known = known[np.isfinite(known) & (known > 0.0)]
-    return float(known.max()) if known.size else 1.0
-
-
-def _ratio_of(pool: Pool, weights: FloatArray) -> float:
-    """Cost given success of a lottery over the first columns; infinite where there is none."""
-    cost, failure = pool.figures[:2, : weights.size] @ weights
-    return float(cost / (1.0 - failure)) if failure < 1.0 - 1e-12 else float("inf")
-
-
-def _padded(weights: FloatArray, pool: Pool) -> FloatArray:
-    return np.append(weights, np.zeros(len(pool.points) - weights.size))
 
 
 def _programmed(
@@ -248,10 +237,17 @@ def _concluded(
     bound, proof = proved_bound(compiled, rows, prices, ratio, pool)
     used = np.flatnonzero(master.weights > 0.0)
     members: list[Point] = [pool.points[k] for k in used.tolist()]
+    failure = float(master.weights[used] @ [point.figures[1] for point in members])
     policy = MixedPolicy(
         tuple(compiled.pricing.policy(point) for point in members), master.weights[used]
     )
-    value = relaxed_value if truth is None else truth(policy)
+    if truth is not None and truth.figures is not None and compiled.is_rounded:
+        weights = rows.weights(prices, 1.0, pool.figures.shape[0])
+        kept = true_lottery(compiled, rows, pool, weights, truth.figures)
+        policy, failure = kept or (policy, failure)
+        value = truth.value(policy) if kept else np.inf
+    else:
+        value = relaxed_value if truth is None else truth.value(policy)
     named = dict.fromkeys(compiled.names, 0.0)
     named |= {
         compiled.names[index - 1]: float(price)
@@ -262,9 +258,9 @@ def _concluded(
     return RowsOptimum(
         compiled=compiled,
         value=value,
-        bound=compiled.settled_bound(value, least_of(bound, value)),
+        bound=compiled.sense.settled_bound(value, least_of(bound, value)),
         policy=policy,
-        failure=float(master.weights[used] @ [point.figures[1] for point in members]),
+        failure=failure,
         prices=named,
         values=read_only(proof.values),
         calls=pool.calls,

@@ -76,7 +76,7 @@ def rows_bound(
         ratio: case S: the value that is to be proved.
         proof: at these prices and the ratio as a price of failure.
     """
-    paid, less = ratio if compiled.ratio else compiled.shift, -np.inf
+    paid, less = ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if paid > 0.0:
         weights = np.append(1.0, prices)
         less = compiled.pricing.check_less(weights, ratio, compiled.own_cost, paid, proof.values)

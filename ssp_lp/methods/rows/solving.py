@@ -37,8 +37,8 @@ def _solution(problem: Problem, found: RowsOptimum, options: SolveOptions) -> So
         reason = f"the full linear program, as asked, then {reason}"
     if compiled.charge is not None:
         reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
-    objective, bound = compiled.worth(found.value), compiled.worth(found.bound)
-    maximised = compiled.constant is not None
+    objective, bound = compiled.sense.worth(found.value), compiled.sense.worth(found.bound)
+    maximised = compiled.sense.constant is not None
     return Solution(
         problem=problem,
         policy=found.policy,

@@ -90,6 +90,7 @@ def accumulate_cost(
     arrivals: bool = False,
     usable: BoolArray | None = None,
     also_free: BoolArray | None = None,
+    lattice: Lattice | None = None,
 ) -> AccumulatedCost:
     """Build the process of case S.
 
@@ -102,6 +103,7 @@ def accumulate_cost(
         usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
             the second stage of a least-failure problem (mathematics, section 4).
         also_free: pairs that are free in everything else that counts, [model pairs]; None: all.
+        lattice: what "layers" are, if not those of the common unit of the costs.
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
@@ -113,7 +115,8 @@ def accumulate_cost(
     exits = attention_states(model) if usable is None else None
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
-    lattice = lattice_of(model, going_on | model.goal_mask if arrivals else going_on)
+    if lattice is None:
+        lattice = lattice_of(model, going_on | model.goal_mask if arrivals else going_on)
     instant, later = _steps(quotient, lattice, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     acting = quotient.pair_at >= 0

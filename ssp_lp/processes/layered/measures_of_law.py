@@ -15,9 +15,9 @@ from ssp_lp.processes.layered.arrival_cost import (
     Charge,
     ExponentialReward,
     Late,
+    Utility,
     UtilityReward,
 )
-from ssp_lp.processes.layered.utility import Utility
 
 
 class Law(Protocol):

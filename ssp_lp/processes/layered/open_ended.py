@@ -17,12 +17,14 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
 from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.arrival_charges import ArrivalCharges
 from ssp_lp.processes.layered.arrival_cost import Charge
+from ssp_lp.processes.layered.ladder import Ladder
 
 _FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
@@ -37,6 +39,7 @@ class OpenEnded:
     shift: float  # what every episode is charged on top
     cap: int  # layers told apart, at least 1
     start: FloatArray  # [states]
+    ladder: Ladder | None = None  # the layers' totals, where they are no multiples of a unit
 
     @property
     def n_nodes(self) -> int:
@@ -77,7 +80,15 @@ class OpenEnded:
             base.quotient, base.departs, goal, base.failure, self.start, semantics, base.survival
         )
 
-    def policy(self, choice: IntArray) -> CostAwarePolicy:
+    @property
+    def totals(self) -> FloatArray:
+        """The total that each layer stands for, the last for all beyond it as well, [layers]."""
+        if self.ladder is not None:
+            return self.ladder.rungs
+        unit = self.base.exact_unit
+        return np.array([float(layer * unit) for layer in range(self.cap + 1)])
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy | CostLevelPolicy:
         """One decision for each state and accumulated cost, the last for all beyond the cap.
 
         Args:
@@ -88,11 +99,13 @@ class OpenEnded:
         inner = choice[: (self.cap + 1) * n].reshape(-1, n) % max(len(base.gain), 1)
         pairs = [quotient.pull_back(layer) for layer in inner]
         most = int(np.diff(model.pair_offsets).max(initial=1))
-        decision = np.empty((self.cap, model.n_states), dtype=least_integer_type(most))
-        for layer, pair in enumerate(pairs[:-1]):
+        decision = np.empty((self.cap + 1, model.n_states), dtype=least_integer_type(most))
+        for layer, pair in enumerate(pairs):
             decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
+        if self.ladder is not None:
+            return CostLevelPolicy(model, self.ladder.rungs, decision)
         never = np.full(model.n_states, np.inf)
-        return CostAwarePolicy(model, base.unit, decision, pairs[-1][None, :], never)
+        return CostAwarePolicy(model, base.unit, decision[:-1], pairs[-1][None, :], never)
 
     def nearer_goal(self) -> None:
         """Has to be found on the process itself."""
@@ -101,9 +114,12 @@ class OpenEnded:
     @cached_property
     def own_cost(self) -> FloatArray:
         """Charges of arriving, [process pairs]."""
+        if self.ladder is not None:  # the total cost alone, which starts at nothing
+            layers = self.base.gain_cost + self.ladder.rungs[:, None] * self.base.gain
+            return np.append(layers.ravel(), 0.0)
         charges = ArrivalCharges(self.base, self.charge, self.cap + 1)
-        layers = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
-        return np.append(np.concatenate(layers), charges.at_start)
+        each = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
+        return np.append(np.concatenate(each), charges.at_start)
 
     def _cost(self) -> FloatArray:
         """Charges of arriving, with the shift, [process pairs]."""
@@ -119,16 +135,29 @@ class OpenEnded:
         base, n, copies = self.base, self.n_nodes, self.cap + 1
         steps = sp.csr_array(base.steps)
         ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
-        layer = np.arange(copies)[:, None]
-        columns = np.minimum(layer + ahead, self.cap) * n + node
-        row_ends = np.append(0, layer * steps.nnz + steps.indptr[1:])
-        index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
-        matrix = sp.csr_array(
-            (np.tile(steps.data, copies), columns.ravel().astype(index), row_ends.astype(index)),
-            shape=(copies * len(base.gain), n_states),
+        below, share = self.leads
+        pair = np.repeat(np.arange(len(base.gain)), np.diff(steps.indptr))
+        rows = np.arange(copies)[:, None] * len(base.gain) + pair
+        upper = share[:, ahead] > 0.0
+        entry = np.broadcast_to(steps.data, rows.shape)
+        data = np.concatenate(
+            [(entry * (1.0 - share[:, ahead])).ravel(), (entry * share[:, ahead])[upper]]
         )
-        matrix.sum_duplicates()
-        return matrix
+        columns = below[:, ahead] * n + node
+        places = np.concatenate([columns.ravel(), columns[upper] + n])
+        index = np.int32 if max(n_states, places.size) <= np.iinfo(np.int32).max else np.int64
+        taken = np.concatenate([rows.ravel(), rows[upper]]).astype(index)
+        shape = copies * len(base.gain), n_states
+        return sp.csr_array((data, (taken, places.astype(index))), shape=shape)
+
+    @cached_property
+    def leads(self) -> tuple[IntArray, FloatArray]:
+        """The layer that each step leads to, and the share of the next one, [layers, steps]."""
+        if self.ladder is not None:
+            return self.ladder.leads
+        layers, ahead = np.arange(self.cap + 1)[:, None], np.arange(self.base.width)
+        below = np.minimum(layers + ahead, self.cap)
+        return below, np.zeros(below.shape)
 
 
 def first_cap(

@@ -14,7 +14,7 @@ from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, comp
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
 from ssp_lp.methods.risk import tail_mean
-from ssp_lp.methods.risk.trial import pose
+from ssp_lp.methods.risk.question import pose
 from ssp_lp.options import CERTIFYING
 
 LAWS = {

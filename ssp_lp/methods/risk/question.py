@@ -198,7 +198,7 @@ class WithinRows:
             law = success_costs(policy, self.problem)
             return _expected(charge, law, self.base.exact_unit) / law.goal
 
-        return value
+        return Truth(value)
 
 
 def _expected(charge: Charge, law: CostLaw, unit: Fraction) -> float:

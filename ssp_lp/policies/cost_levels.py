@@ -1,0 +1,69 @@
+"""Policies whose memory is the cost paid so far, on levels that need not be evenly spaced."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.model import SSP
+from ssp_lp.policies.deterministic import check_decisions
+from ssp_lp.policies.playing import Playable
+from ssp_lp.policies.policy import UNDECIDED, Branches, Policy
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class CostLevelPolicy(Policy, Playable):
+    """A deterministic decision for each (state, level of accumulated cost).
+
+    Memory is the level: after a step it is the one nearest to the last level plus the step's cost.
+    Where the levels are all sums that can occur, that is the cost paid; on a grid it is what is
+    left of it after rounding at every step, and the policy is what it is: its cost and failure are
+    evaluated with the true costs. From the last level on one decision holds for good.
+    """
+
+    model: SSP
+    levels: FloatArray  # [levels] increasing, the first is 0
+    decision: IntArray  # [levels, states] position in the state's pairs, GIVE_UP_CODE or UNDECIDED
+
+    def __post_init__(self) -> None:
+        for name in ("levels", "decision"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        everywhere = np.arange(self.model.n_states)
+        for level in self.decision:
+            check_decisions(self.model, self._pairs(level, everywhere), everywhere)
+
+    def member(self, rng: np.random.Generator | None) -> Policy:
+        """The policy itself."""
+        return self
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """Nothing is paid yet: level 0, [episodes]."""
+        return np.zeros(len(states), dtype=np.int64)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The one decision of each (state, memory)."""
+        pair = self._pairs(self.decision[memory, states], states)
+        return Branches(np.arange(len(states)), pair, np.ones(len(states)))
+
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """The level nearest to the total; the last one stays."""
+        last = len(self.levels) - 1
+        total = self.levels[memory] + np.where(np.isfinite(costs), costs, 0.0)
+        above = np.clip(np.searchsorted(self.levels, total), 1, max(last, 1))
+        below = self.levels[above - 1]
+        nearest = np.where(total - below <= self.levels[above] - total, above - 1, above)
+        acting = self.decision[0, successors] != UNDECIDED
+        moved = np.maximum(np.minimum(nearest, last), memory)
+        return np.where(acting & (memory < last), moved, memory)
+
+    def _pairs(self, decision: IntArray, states: IntArray) -> IntArray:
+        """Pairs of the model in place of positions; codes stay, [k] of [k]."""
+        return np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
+
+    def __repr__(self) -> str:
+        """One line: the levels and the last of them."""
+        return f"CostLevelPolicy({len(self.levels):,} levels up to {self.levels[-1]:g})"

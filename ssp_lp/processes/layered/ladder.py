@@ -1,0 +1,183 @@
+"""The totals that are told apart, and where each step leads from each of them.
+
+A ladder has one rung per total. Where the sums of step costs that can occur are few, they are the
+rungs, and every step leads from rung to rung. Where they are too many, the rungs are a grid, and a
+step that ends between two of them leads to both, in shares that keep its mean: as the value at a
+price is concave in the cost already paid (each policy's is affine, and the best one's is the least
+of them), interpolating it between rungs never exceeds it. So the process on a grid bounds the
+optimum of case S from below (paper, section 3.1.1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.chunks import chunks
+from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.processes.layered.lattice import Lattice, common_unit, layers_of
+
+_SUMS_PER_RUNG = 5  # sums told apart rather than so many rungs of a grid
+_SAME = 1e-11
+"""Totals this near to each other, relative to the cap, are one summed in two ways."""
+
+
+@dataclass(frozen=True, eq=False)
+class Ladder:
+    """Rungs, the last of which stands for all totals beyond it as well."""
+
+    rungs: FloatArray  # [rungs] increasing, the first is 0
+    steps: FloatArray  # [steps] distinct costs of a step, increasing, the first is 0
+
+    @property
+    def size(self) -> int:
+        """Number of rungs below the last."""
+        return len(self.rungs) - 1
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether every sum of steps up to the last rung is a rung."""
+        return not self.leads[1].any()
+
+    @cached_property
+    def leads(self) -> tuple[IntArray, FloatArray]:
+        """Where each step leads from each rung.
+
+        Returns:
+            The rung below, and the share that goes to the one above that, [rungs, steps] each.
+        """
+        last, totals = self.size, self.rungs[:, None] + self.steps
+        room = _SAME * self.rungs[-1]
+        below = np.searchsorted(self.rungs, totals + room, side="right") - 1
+        below = np.minimum(below, last)
+        below[last] = last
+        gap = np.diff(self.rungs, append=2.0 * self.rungs[-1] + 1.0)[below]
+        share = np.where(below < last, (totals - self.rungs[below]) / gap, 0.0)
+        return below, np.where(share * gap <= room, 0.0, np.maximum(share, 0.0))
+
+
+_MOST_RUNGS = 1600  # of a grid, unless more are asked for
+FIRST_RUNGS = 200
+"""Rungs of a first grid."""
+
+_MOST_SUMS = 20_000  # rungs up to which all sums are told apart, where there is room
+_TYPICAL = 2.5  # cap of a first attempt, in costs given success of the safest policy
+_MARGIN = 1.02  # beyond what a price asks for: the price still moves a little
+_FEW = 16  # layers that a step may pass before sums are thought of
+_STEPS_AHEAD = 32  # steps whose sums are counted
+_FEWER = 8  # times as many layers as sums make the sums worth while
+_LEAST_STEPS = 4.0  # a cap allows for, of the dearest kind
+_GROWTH = 2.0  # of a cap that loses something
+
+
+@dataclass(frozen=True)
+class Rungs:
+    """What is asked of a ladder."""
+
+    cap: float | None = None  # the last total; None: a first guess
+    grid: int = FIRST_RUNGS  # rungs, where the sums are too many
+    most: int = 0  # sums that are told apart rather than taking a grid; 0: by the grid's size
+    fixed: tuple[float, ...] | None = None  # the totals themselves
+
+    def ladder(self, model: SSP, typical: float) -> Ladder:
+        """The ladder for a model.
+
+        Args:
+            model: the model.
+            typical: a cost given success.
+        """
+        steps = step_lattice(model)[1]
+        if self.fixed is not None:
+            return Ladder(read_only(np.array(self.fixed)), steps)
+        cap = _TYPICAL * typical if self.cap is None else self.cap
+        cap = max(cap, _LEAST_STEPS * float(steps[-1]))
+        sums = sums_of(steps, cap, self.most or min(_MOST_SUMS, _SUMS_PER_RUNG * self.grid))
+        if sums is not None:
+            return Ladder(read_only(np.append(sums, cap)), steps)
+        return Ladder(read_only(np.linspace(0.0, cap, self.grid + 1)), steps)
+
+    def up_to(self, price: float) -> Rungs:
+        """With a cap at which failing is best, at a price that is about right."""
+        return replace(self, cap=_MARGIN * price) if self.cap is None and price > 0.0 else self
+
+    def finer(self, ladder: Ladder, price: float, most: int) -> Rungs | None:
+        """A higher or a finer ladder.
+
+        Args:
+            ladder: the present one.
+            price: what failing is worth.
+            most: rungs that there is room for.
+        """
+        cap, wanted = float(ladder.rungs[-1]), _MARGIN * price
+        if ladder.exact or cap < wanted:
+            higher = wanted if cap < wanted <= 4.0 * cap else _GROWTH * cap
+            return replace(self, cap=higher) if ladder.size < most else None
+        finest = min(self.most or _MOST_RUNGS, most)
+        if self.grid >= finest:
+            return None
+        return replace(self, cap=cap, grid=min(2 * self.grid, finest))
+
+
+def wanted_rungs(model: SSP) -> Rungs | None:
+    """Rungs for a model, or None where the multiples of its costs' unit serve.
+
+    Args:
+        model: the model.
+    """
+    steps = step_lattice(model)[1]
+    if len(steps) <= 2:
+        return None
+    try:
+        unit = common_unit(steps, model.exact_costs)
+        per_step = int(layers_of(steps[-1:], unit, model.exact_costs)[0])
+    except ModelError:
+        return Rungs()
+    if per_step <= _FEW:
+        return None
+    sums = sums_of(steps, _STEPS_AHEAD * float(steps[-1]), _STEPS_AHEAD * per_step // _FEWER)
+    return None if sums is None else Rungs()
+
+
+def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
+    """The model's distinct step costs in place of layers: each outcome's position among them.
+
+    Args:
+        model: the model.
+
+    Returns:
+        A lattice of one layer per distinct cost, and the costs, the first of which is 0.
+    """
+    going_on = ~(dead_ends(model) | model.goal_mask)
+    found = [np.zeros(1)]
+    for some in chunks(model.n_outcomes):
+        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
+        found.append(np.unique(model.costs[some][moving]))
+    steps = np.unique(np.concatenate(found))
+    ahead = np.zeros(model.n_outcomes, dtype=np.int32)
+    for some in chunks(model.n_outcomes):
+        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
+        ahead[some] = np.where(moving, np.searchsorted(steps, model.costs[some]), 0)
+    return Lattice(Fraction(1), ahead, len(steps)), read_only(steps)
+
+
+def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
+    """The sums of steps below a cap, increasing; None: there are more than so many."""
+    moves, found = steps[1:], np.zeros(1)
+    fresh = found
+    while fresh.size:
+        reached = (fresh[:, None] + moves).ravel()
+        reached = np.unique(reached[reached < cap * (1.0 - _SAME)])
+        together = np.unique(np.concatenate([found, reached]))
+        together = together[np.diff(together, prepend=-np.inf) > _SAME * cap]
+        if together.size > most:
+            return None
+        near = np.searchsorted(found, together - _SAME * cap)
+        known = np.append(found, np.inf)[np.minimum(near, found.size)] - together <= _SAME * cap
+        fresh, found = together[~known], together
+    return found
