@@ -46,7 +46,7 @@ from ssp_lp.processes.layered.measures_of_law import (
 from ssp_lp.processes.layered.utility import Utility
 from ssp_lp.processes.quantities.conditions import Condition
 from ssp_lp.processes.quantities.lookup import conditions, objective_of
-from ssp_lp.processes.quantities.quantity import Constraint, Quantity
+from ssp_lp.processes.quantities.quantity import Constraint, Quantity, expected_cost
 from ssp_lp.processes.quantities.stage_cost import CostLimit, constraints_of
 
 if TYPE_CHECKING:
@@ -80,6 +80,7 @@ __all__ = [
     "check_setting",
     "constraints_of",
     "dead_end_labels",
+    "expected_cost",
     "parse_give_up",
     "stated_budget",
 ]

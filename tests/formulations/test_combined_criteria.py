@@ -18,6 +18,7 @@ from formulations import (
     GUBS,
     S3P,
     CostBoundedReach,
+    CostBudgetedMaxProb,
     CostQuantile,
     CVaR,
     FinitePenalty,
@@ -197,6 +198,11 @@ CRITERIA = {
     "MaxProb": Criterion(
         lambda m, t, n, c: MaxProb(m, t.start, constraints=c | safe(t)),
         lambda t, p, n: greatest(t, p, lambda total: 1.0),
+        counts_cost=False,
+    ),
+    "CostBudgetedMaxProb": Criterion(
+        lambda m, t, n, c: CostBudgetedMaxProb(m, t.start, n.bound / 2, constraints=c | safe(t)),
+        lambda t, p, n: greatest(t._replace(most_cost=n.bound / 2), p, lambda total: 1.0),
         counts_cost=False,
     ),
     "FinitePenalty": Criterion(
