@@ -4,6 +4,7 @@ from formulations.alpha_mcmp import AlphaMCMP
 from formulations.comparison import CriteriaComparison, CriterionRow, compare_criteria
 from formulations.constrained_cost import ConstrainedCost
 from formulations.cost_bounded_reach import CostBoundedReach
+from formulations.cost_budgeted_maxprob import CostBudgetedMaxProb
 from formulations.cost_quantile import CostQuantile
 from formulations.cvar import CVaR
 from formulations.egubs import EGUBS
@@ -28,6 +29,7 @@ __all__ = [
     "CVaR",
     "ConstrainedCost",
     "CostBoundedReach",
+    "CostBudgetedMaxProb",
     "CostLimit",
     "CostQuantile",
     "CriteriaComparison",

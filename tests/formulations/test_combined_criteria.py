@@ -18,6 +18,7 @@ from formulations import (
     GUBS,
     S3P,
     CostBoundedReach,
+    CostBudgetedMaxProb,
     CostQuantile,
     CVaR,
     FinitePenalty,
@@ -198,6 +199,12 @@ CRITERIA = {
         lambda m, t, n, c: MaxProb(m, t.start, constraints=c | safe(t)),
         lambda t, p, n: greatest(t, p, lambda total: 1.0),
         counts_cost=False,
+    ),
+    "CostBudgetedMaxProb": Criterion(
+        lambda m, t, n, c: CostBudgetedMaxProb(m, t.start, n.bound / 2, constraints=c | safe(t)),
+        lambda t, p, n: greatest(t._replace(most_cost=n.bound / 2), p, lambda total: 1.0),
+        counts_cost=False,
+        anywhere=True,
     ),
     "FinitePenalty": Criterion(
         lambda m, t, n, c: FinitePenalty(m, t.start, n.penalty, constraints=c | safe(t)),

@@ -7,7 +7,17 @@ program where it is small.
 import pytest
 
 from cases import NAMES, expected, load_case
-from formulations import ISSPUDE, MCMP, S3P, AlphaMCMP, FinitePenalty, MaxProb, MinCost, MinProb
+from formulations import (
+    ISSPUDE,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    CostBudgetedMaxProb,
+    FinitePenalty,
+    MaxProb,
+    MinCost,
+    MinProb,
+)
 from ssp_lp import SSP, InfeasibleError, certify, evaluate, solve
 
 CLOSE = {"rel": 1e-6, "abs": 1e-9}
@@ -18,8 +28,15 @@ MOST_PAIRS = 1_000
 PENALTIES, SHARES = ("1", "10", "100", "1000"), ("0.1", "0.5", "0.9", "0.999")
 PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
 
+
+def least_cost_at_maxprob(model, start):
+    """The smallest cost budget that the greatest goal probability goes with."""
+    return solve(MCMP(model, start, charge_failing_step=False)).objective
+
+
 TRUTH = [
     ("maxprob", None, MaxProb),
+    ("maxprob", None, lambda m, s: CostBudgetedMaxProb(m, s, least_cost_at_maxprob(m, s))),
     ("minprob", None, MinProb),
     ("mcmp_at_maxprob", None, lambda m, s: MCMP(m, s, **PUBLISHED)),
     ("s3p_at_maxprob", None, S3P),

@@ -16,14 +16,17 @@ from formulations import (
     AlphaMCMP,
     ConstrainedCost,
     CostBoundedReach,
+    CostBudgetedMaxProb,
+    CostLimit,
     CostQuantile,
     CVaR,
     FinitePenalty,
+    LeastQuantity,
     MaxProb,
     MinCost,
     MinProb,
 )
-from ssp_lp import SSP, ModelError, certify, evaluate, secondary_cost, solve, trace_frontier
+from ssp_lp import SSP, ModelError, certify, evaluate, secondary_cost, solve, trace_frontier, visits
 from ssp_lp.formulation import ExponentialUtility, FailureSemantics, Formulation, GiveUp, Start
 
 
@@ -119,6 +122,8 @@ def test_replace_works_on_every_formulation() -> None:
         *(formulation(DEPOT, "depot") for formulation in (MCMP, S3P, MaxProb, MinProb, ISSPUDE)),
         *(formulation(DEPOT, "depot") for formulation in (MinCost, ConstrainedCost)),
         AlphaMCMP(DEPOT, "depot", 0.95),
+        LeastQuantity(DEPOT, "depot", visits("wreck")),
+        CostBudgetedMaxProb(DEPOT, "depot", 5.0),
         CVaR(DEPOT, "depot", 0.5),
         CostQuantile(DEPOT, "depot", 0.5),
         CostBoundedReach(DEPOT, "depot", 5),
@@ -130,6 +135,9 @@ def test_replace_works_on_every_formulation() -> None:
         copied = replace(problem, constraints=fuel)
         assert set(copied.constraints) == {"fuel"}
         assert copied.failure_budget == problem.failure_budget
+    limited = ConstrainedCost(DEPOT, "depot", {"fuel": CostLimit({"depot": {"alley": 2.0}}, 1.0)})
+    with pytest.raises(ModelError, match="names a limit of ConstrainedCost"):
+        replace(limited, constraints=fuel)
     shared = MCMP(DEPOT, "depot", reach_fraction=0.96)
     assert shared.failure_budget == pytest.approx(1.0 - 0.96 * 0.99)
     assert replace(shared, reach_fraction=0.95).failure_budget == pytest.approx(1.0 - 0.95 * 0.99)

@@ -31,6 +31,7 @@ class Task(NamedTuple):
     least_end: tuple[str, float] = ("", 0.0)  # a final state, and its least probability
     most_end: tuple[str, float] = ("", 1.0)
     most_failure: float = 1.0
+    most_cost: float = np.inf
 
 
 def dead_ends(task: Task) -> set[str]:
@@ -137,6 +138,7 @@ def least(task: Task, written: Program, objective: np.ndarray, *, ratio: bool) -
     limits = [
         (written.failure, task.most_failure),
         (written.fuel, task.most_fuel),
+        (written.cost, task.most_cost),
         (written.visits, task.most_visits - begun),
         (-written.least_end, -task.least_end[1]),
         (written.most_end, task.most_end[1]),

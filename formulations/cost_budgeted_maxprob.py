@@ -1,0 +1,95 @@
+"""CostBudgetedMaxProb: the greatest probability of reaching the goal within an expected cost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from ssp_lp.formulation import (
+    SSP,
+    Aim,
+    Constraint,
+    FailureSemantics,
+    Formulation,
+    GiveUp,
+    ModelError,
+    Start,
+    check_numbers,
+    expected_cost,
+)
+
+COST_BUDGET = "cost budget"
+"""Name of the row."""
+
+
+@dataclass(frozen=True, eq=False)
+class CostBudgetedMaxProb(Formulation):
+    """Maximise the probability of reaching the goal subject to ``E[cost] <= cost_budget``.
+
+    Problem:
+        max over policies of Pr(the goal is ever reached) among those whose expected total cost
+        until failure is declared is at most the budget: MAXPROB with a bounded resource.
+
+    Program:
+        minimise <failure, x> subject to flow balance, <cost, x> <= cost_budget, x >= 0, where x
+        counts the expected visits of each (state, action); the optimum is 1 - ``objective``.
+
+    Guarantee:
+        the optimum is attained by a lottery over at most (active rows + 1) deterministic stationary
+        policies. It is concave in the budget, and ``prices["cost budget"]`` is its slope.
+        ``upper_bound`` is certified. Where every policy costs more, ``InfeasibleError`` says so.
+
+    Semantics:
+        that of ``MaxProb``, wandering for ever is failure. The cost is counted until failure is
+        declared, in the mean over all runs, and giving up, where the goal can be avoided for sure,
+        is not charged. Policies that pay for ever do not count.
+
+    Reference:
+        Altman: Constrained Markov decision processes, 1999.
+
+    Args:
+        model: the model.
+        start: a state, or ``{state: probability}``; the budget holds in the mean.
+        cost_budget: the largest expected total cost, a number, finite and not negative.
+        constraints: name -> constraint on a quantity, any number (``Formulation``).
+
+    Returns:
+        the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,
+        the price of the budget in ``prices``, what is spent in ``secondary_costs``, and a lottery.
+
+    Raises:
+        ModelError: a budget that is no number or out of range, an unknown start, or a further
+            constraint that is named "cost budget".
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> model = SSP.from_transitions(
+        ...     {"road": {"fast": [(0.5, "home", 1.0), (0.5, "ditch", 1.0)],
+        ...               "safe": [(1.0, "home", 3.0)]}, "ditch": {}},
+        ...     goal={"home"}, treat_actionless_as_dead_ends=True)
+        >>> solution = solve(CostBudgetedMaxProb(model, "road", cost_budget=2.0))
+        >>> round(solution.objective, 9), round(solution.prices["cost budget"], 9)
+        (0.75, 0.25)
+    """
+
+    model: SSP
+    start: Start
+    cost_budget: float
+
+    failure_budget = 1.0  # failing is not limited: it is what is minimised
+
+    def __post_init__(self) -> None:
+        check_numbers(cost_budget=self.cost_budget)
+        if not 0 <= self.cost_budget < float("inf"):
+            raise ModelError(f"cost_budget must be a cost, not {self.cost_budget!r}")
+        super().__post_init__()
+
+    @property
+    def own_constraints(self) -> Mapping[str, Constraint]:
+        """The budget."""
+        return {COST_BUDGET: expected_cost() <= self.cost_budget}
+
+    @property
+    def semantics(self) -> FailureSemantics:
+        """Only the goal counts; whoever runs out of budget stops where he is, for nothing."""
+        return FailureSemantics(GiveUp.ANYWHERE, aim=Aim.GREATEST_GOAL)

@@ -1,0 +1,177 @@
+"""Case S for costs without a common unit: sums as levels, grids with a proof on both sides."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from formulations import MCMP, S3P
+from ssp_lp import (
+    SSP,
+    InfeasibleError,
+    ModelError,
+    certify,
+    evaluate,
+    secondary_cost,
+    simulate,
+    solve,
+)
+from ssp_lp.processes.layered.ladder import Ladder, sums_of
+
+COSTS = (0.37, 1.01, 0.5, 2.03, 1.73, 0.11)
+ROOT = 2.0**0.5
+
+
+def drawn_model(rng: np.random.Generator) -> SSP:
+    """A few states with loops, some of them free, and two or three different costs."""
+    live = [f"s{i}" for i in range(int(rng.integers(2, 6)))]
+    palette = [float(rng.choice(COSTS)) for _ in range(int(rng.integers(2, 4)))]
+    choices: dict[str, dict[str, list[tuple[float, str, float]]]] = {}
+    for state in live:
+        choices[state] = {}
+        for action in range(int(rng.integers(1, 4))):
+            count = int(rng.integers(1, 4))
+            successors = rng.choice([*live, "home", "wall", "home"], size=count)
+            weights = rng.integers(1, 6, size=count).astype(float)
+            free = rng.random() < 0.15
+            choices[state][f"a{action}"] = [
+                (float(w), str(s), 0.0 if free else float(rng.choice(palette)))
+                for w, s in zip(weights / weights.sum(), successors, strict=True)
+            ]
+    choices["s0"]["go"] = [(0.7, "home", palette[0]), (0.3, "wall", palette[1])]
+    choices |= {"home": {}, "wall": {}}
+    return SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+
+
+@pytest.mark.parametrize("block", range(4))
+def test_levels_grids_and_the_lattice(block: int) -> None:
+    """All sums as levels give the lattice's optimum; 30 levels bound it from both sides."""
+    for seed in range(20 * block, 20 * block + 20):
+        rng = np.random.default_rng(seed)
+        model = drawn_model(rng)
+        budget = float(rng.choice([0.05, 0.1, 0.2, 0.3, 0.5, 1.0]))
+        try:
+            known = solve(S3P(model, "s0", budget)).objective
+        except InfeasibleError:
+            with pytest.raises(InfeasibleError):
+                solve(S3P(model, "s0", budget, cost_levels=3000))
+            continue
+        exact = solve(S3P(model, "s0", budget, cost_levels=3000))
+        assert exact.objective == pytest.approx(known, rel=1e-8, abs=1e-9), seed
+        assert exact.gap < 1e-8, seed
+        rounded = solve(S3P(model, "s0", budget, cost_levels=30))
+        assert rounded.lower_bound <= known * (1.0 + 1e-9) + 1e-12, seed
+        assert rounded.objective >= known * (1.0 - 1e-9) - 1e-12, seed
+        assert rounded.failure_probability <= budget + 1e-9, seed
+        for solution in (exact, rounded):
+            assert certify(solution).accepted, seed
+            found = evaluate(solution.policy, solution.problem)
+            assert found.objective == pytest.approx(solution.objective, rel=1e-9, abs=1e-12), seed
+
+
+def ferry(diagonal: float) -> SSP:
+    """Two hops, straight or diagonal; the diagonal one costs less and sinks with 0.2."""
+    hop = {"straight": [(1.0, "mid", 2.0)], "across": [(0.8, "mid", diagonal), (0.2, "sea", 1.0)]}
+    land = {
+        "straight": [(1.0, "home", 2.0)],
+        "across": [(0.8, "home", diagonal), (0.2, "sea", 1.0)],
+    }
+    return SSP.from_transitions(
+        {"quay": hop, "mid": land, "sea": {}, "home": {}},
+        goal={"home"},
+        treat_actionless_as_dead_ends=True,
+    )
+
+
+def test_irrational_costs_in_closed_form() -> None:
+    """Budget 0.2: one diagonal hop at most, (2 + sqrt(2)) given success."""
+    problem = S3P(ferry(ROOT), "quay", failure_budget=0.2)
+    solution = solve(problem)
+    lottery = {"one": (0.2, 0.8 * (2.0 + ROOT)), "two": (0.36, 0.64 * 2.0 * ROOT), "no": (0.0, 4.0)}
+    pairs = [
+        (a, b) for a in lottery.values() for b in lottery.values() if a[0] <= 0.2 < b[0] or a is b
+    ]
+    best = min(
+        _mixed(a, b, 0.2) for a, b in pairs if a[0] <= 0.2
+    )  # the best lottery of two, by hand
+    assert solution.objective == pytest.approx(best, rel=1e-9)
+    assert solution.gap < 1e-9
+    assert certify(solution).accepted
+    measure = problem.program().solve()
+    assert measure.objective == pytest.approx(best, rel=1e-9)
+    for policy in (measure.mixed_policy(), measure.randomised_policy()):
+        assert evaluate(policy, problem).objective == pytest.approx(best, rel=1e-9)
+
+
+def _mixed(one: tuple[float, float], other: tuple[float, float], budget: float) -> float:
+    """Cost given success of the mixture of two policies that meets the budget."""
+    share = 0.0 if other is one else (budget - one[0]) / (other[0] - one[0])
+    cost = (1.0 - share) * one[1] + share * other[1]
+    return cost / (1.0 - (1.0 - share) * one[0] - share * other[0])
+
+
+def test_many_real_costs_are_solved_on_a_grid() -> None:
+    """A windy walk with a cost of its own for each step; the gap is honest and small."""
+    rng = np.random.default_rng(3)
+    choices: dict[int, dict[str, list[tuple[float, object, float]]]] = {}
+    for cell in range(12):
+        after = "home" if cell == 11 else cell + 1
+        back = max(cell - 1, 0)
+        run, walk = (float(x) for x in rng.uniform(0.5, 1.5, 2))
+        choices[cell] = {
+            "run": [(0.85, after, run), (0.1, back, run), (0.05, "sea", run)],
+            "walk": [(0.7, after, 2.0 * walk), (0.29, back, walk), (0.01, "sea", walk)],
+        }
+    model = SSP.from_transitions(
+        {**choices, "sea": {}, "home": {}}, goal={"home"}, treat_actionless_as_dead_ends=True
+    )
+    problem = S3P(model, 0, failure_budget=0.3)
+    solution = solve(problem, tolerance=1e-5)
+    assert 0.0 <= solution.gap < 1e-4
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.gap < 1e-4
+    report = simulate(
+        solution.policy,
+        problem,
+        episodes=20_000,
+        rng=np.random.default_rng(1),
+        confidence=0.9999,
+    )
+    for seen, known in (
+        (report.goal_probability, solution.goal_probability),
+        (report.conditional_cost, solution.conditional_cost),
+    ):
+        assert seen.low <= known <= seen.high
+    coarse = solve(S3P(model, 0, failure_budget=0.3, cost_levels=100), tolerance=1e-9)
+    assert coarse.lower_bound <= solution.objective <= coarse.objective * (1.0 + 1e-9)
+    assert "cost_levels" in coarse.note
+
+
+def test_limits_go_with_levels() -> None:
+    """The straight hop burns fuel: at most one of two may be straight, on average."""
+    fuel = {state: {"straight": 1.0} for state in ("quay", "mid")}
+    limits = {"fuel": secondary_cost(fuel) <= 1.0}
+    solution = solve(S3P(ferry(ROOT), "quay", failure_budget=0.3, constraints=limits))
+    assert solution.secondary_costs["fuel"] <= 1.0 + 1e-9
+    assert solution.gap < 1e-9
+    assert certify(solution).accepted
+
+
+def test_sums_and_where_steps_lead() -> None:
+    steps = np.array([0.0, 1.0, ROOT])
+    sums = sums_of(steps, 3.0, 100)
+    assert sums == pytest.approx([0.0, 1.0, ROOT, 2.0, 1.0 + ROOT, 2.0 * ROOT])
+    assert sums_of(steps, 30.0, 50) is None
+    below, share = Ladder(np.array([0.0, 1.0, 2.0, 3.0]), steps).leads
+    assert below.tolist() == [[0, 1, 1], [1, 2, 2], [2, 3, 3], [3, 3, 3]]
+    assert share[:, 2] == pytest.approx([ROOT - 1.0, ROOT - 1.0, 0.0, 0.0])
+    assert not share[:, :2].any()
+
+
+def test_what_is_refused() -> None:
+    with pytest.raises(ModelError, match="cost_levels"):
+        S3P(ferry(ROOT), "quay", cost_levels=0)
+    assert solve(MCMP(ferry(ROOT), "quay", 0.0)).objective == pytest.approx(4.0)
+    with pytest.raises(ModelError, match="deterministic"):
+        solve(S3P(ferry(ROOT), "quay", 0.2), "deterministic")
