@@ -21,7 +21,7 @@ ORDER = [
     ("analysis",),
     ("solution",),
     ("methods", "integer_programming", "game"),
-    ("solve", "formulation", "verification"),
+    ("solve", "formulation", "verification", "io"),
 ]
 WITH_SOLVERS = {"linear_programming", "integer_programming"}
 

@@ -13,7 +13,7 @@ CHUNK = 1 << 22
 """Entries that are worked on at a time: scratch arrays of some 32 MB."""
 
 
-class Piece(NamedTuple):
+class _Piece(NamedTuple):
     """Some segments in a row of a segmented array, and their entries."""
 
     segments: slice
@@ -43,10 +43,10 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
         begin = end
 
 
-def pieces(offsets: IntArray) -> Iterator[Piece]:
+def pieces(offsets: IntArray) -> Iterator[_Piece]:
     """The chunks of segments with what is needed to work on their entries, [segments + 1]."""
     for segments in segment_chunks(offsets):
         ends = offsets[segments.start : segments.stop + 1]
-        yield Piece(
+        yield _Piece(
             segments, slice(int(ends[0]), int(ends[-1])), ends[:-1] - ends[0], np.diff(ends)
         )

@@ -16,7 +16,7 @@ from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
 
 
 @dataclass
-class Episode:
+class _Episode:
     """The state of one episode: the member drawn, its memory, whether it gave up. Mutable."""
 
     policy: Policy
@@ -62,7 +62,7 @@ class Playable(ABC):
         >>> policy.observe("out", 2.0)
     """
 
-    _episode: Episode | None = None
+    _episode: _Episode | None = None
 
     @abstractmethod
     def member(self, rng: np.random.Generator | None) -> Policy:
@@ -74,7 +74,7 @@ class Playable(ABC):
         Raises:
             ModelError: a lottery without a generator.
         """
-        object.__setattr__(self, "_episode", Episode(self.member(rng), rng))
+        object.__setattr__(self, "_episode", _Episode(self.member(rng), rng))
 
     def action(self, state: Hashable) -> Hashable:
         """The action in this state, or :data:`GIVE_UP`, with which an episode ends.
@@ -97,7 +97,7 @@ class Playable(ABC):
         episode = self._current()
         episode.staying = staying_policy(episode.policy.model)
 
-    def _current(self) -> Episode:
+    def _current(self) -> _Episode:
         if self._episode is None:
             raise ModelError("call reset(rng) before the first action of an episode")
         return self._episode

@@ -66,7 +66,7 @@ class Checked:
     work: Work
 
 
-class Augmentation(Protocol):
+class _Augmentation(Protocol):
     """A process with its way back to the model."""
 
     @property
@@ -87,7 +87,7 @@ class Augmentation(Protocol):
 class ConstrainedPricing:
     """Minimises and measures weighted totals of several rewards of a process."""
 
-    augmented: Augmentation
+    augmented: _Augmentation
     rewards: FloatArray  # [pairs, rewards] cost, failure, secondary costs
     precise: bool = False  # compare pairs in twice the working precision
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is counted

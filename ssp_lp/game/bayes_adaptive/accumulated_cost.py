@@ -30,7 +30,7 @@ _SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
 
 
 @dataclass(frozen=True, eq=False)
-class TimedLayers:
+class _TimedLayers:
     """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
 
     choice: IntArray  # [horizon, cap, nodes] position among the pairs of the node
@@ -109,7 +109,7 @@ class BayesCostPlayer:
 
         Successive stages that decide alike are one object.
         """
-        strategy: TimedLayers = response.strategy
+        strategy: _TimedLayers = response.strategy
         after = np.broadcast_to(self._worst, strategy.choice.shape[1:])
         rows = [*strategy.choice, after.astype(strategy.choice.dtype)]
         never = np.full(self.base.n_nodes, -np.inf)
@@ -174,7 +174,7 @@ class BayesCostPlayer:
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
             lowest = np.hstack([below, self.tail.bound(layers[cap:], now, base.unit).T])
-        return self._at_start(weights, objective, condition, lowest, TimedLayers(choice))
+        return self._at_start(weights, objective, condition, lowest, _TimedLayers(choice))
 
     def _beyond(self, layers: IntArray, weights: FloatArray, cap: int) -> FloatArray:
         """Lower bound of every policy's weighted cost from the horizon on, [nodes, layers].
@@ -205,7 +205,7 @@ class BayesCostPlayer:
         objective: FloatArray,
         condition: FloatArray,
         lowest: FloatArray,
-        strategy: TimedLayers,
+        strategy: _TimedLayers,
     ) -> BestResponse:
         """The response's numbers at the start; rounding of non-negative sums counts against it."""
         start, failed = self.base.start, self.base.start_failure

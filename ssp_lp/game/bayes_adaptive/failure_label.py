@@ -41,7 +41,7 @@ _ROUGH = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class TimedStrategy:
+class _TimedStrategy:
     """A pair for each (time, node) up to the horizon, and one for each node from there on."""
 
     choice: IntArray  # [horizon, nodes]
@@ -49,7 +49,7 @@ class TimedStrategy:
 
 
 @dataclass(frozen=True, eq=False)
-class Cheapest:
+class _Cheapest:
     """The policy of least undiscounted J_obj, which is followed beyond the horizon."""
 
     choice: IntArray  # [nodes]
@@ -92,7 +92,7 @@ class BayesLabelPlayer:
 
     def policy(self, response: BestResponse) -> TimedPolicy:
         """The response's policy on the model's states, with the time as its memory."""
-        strategy: TimedStrategy = response.strategy
+        strategy: _TimedStrategy = response.strategy
         quotient = self.models.quotient
         rows = [*strategy.choice, strategy.after]
         return TimedPolicy(
@@ -105,7 +105,7 @@ class BayesLabelPlayer:
         return LabelPlayer(self.models)
 
     @cached_property
-    def cheapest(self) -> Cheapest:
+    def cheapest(self) -> _Cheapest:
         """Least J_obj by policy iteration from a policy that goes for the goal.
 
         Only strict gains are taken, so that every policy on the way leaves for good.
@@ -123,7 +123,7 @@ class BayesLabelPlayer:
             choice = np.where(better, backup.choice, choice)
         discounted = self.stationary.process.dynamics.chain(choice)
         condition = discounted.solve(models.condition[choice])
-        return Cheapest(
+        return _Cheapest(
             choice=choice,
             totals=np.stack([values, condition], axis=1),
             least_objective=sub_solution(models.dynamics, cost, values),
@@ -163,7 +163,7 @@ class BayesLabelPlayer:
         objective, condition = (models.start @ totals + fixed).tolist()
         bound = float(models.start @ lowest + fixed @ weights) * (1.0 - self._rounding(horizon))
         return BestResponse(
-            objective, condition, bound, TimedStrategy(choice, last.choice), horizon
+            objective, condition, bound, _TimedStrategy(choice, last.choice), horizon
         )
 
     def _rounding(self, horizon: int) -> float:

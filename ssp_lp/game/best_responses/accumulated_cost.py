@@ -44,7 +44,7 @@ _STALLED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredStrategy:
+class _LayeredStrategy:
     """A decision for each (layer, node), followed by a tail from the cap on."""
 
     choice: IntArray  # [cap, nodes] position among the pairs of the node
@@ -127,7 +127,7 @@ class CostPlayer:
 
     def policy(self, response: BestResponse) -> CostAwarePolicy:
         """The response's policy on the model's states, with the cost paid as its memory."""
-        strategy: LayeredStrategy = response.strategy
+        strategy: _LayeredStrategy = response.strategy
         return cost_aware(self.base, self.tail, strategy.choice, strategy.threshold)
 
     def _first_cap(self, weights: FloatArray) -> int:
@@ -157,7 +157,7 @@ class CostPlayer:
         objective, failing = (base.start @ totals + settled).tolist()
         *_, lowest = self.lowest(weights, cap)
         bound = float(base.start @ lowest + settled @ weights)
-        strategy = LayeredStrategy(choice, threshold)
+        strategy = _LayeredStrategy(choice, threshold)
         return BestResponse(objective, failing, bound, strategy, 2 * cap, self.origin)
 
     def lowest(self, weights: FloatArray, cap: int) -> Iterator[FloatArray]:

@@ -91,7 +91,7 @@ class Question(Protocol):
 
 
 @dataclass(frozen=True, eq=False)
-class WithinBudget:
+class _WithinBudget:
     """Failure alone is limited."""
 
     compiled: CompiledArrivalCost  # of the total cost
@@ -148,7 +148,7 @@ class WithinBudget:
 
 
 @dataclass(frozen=True, eq=False)
-class WithinRows:
+class _WithinRows:
     """Other quantities are limited, too."""
 
     problem: Problem
@@ -231,20 +231,20 @@ def pose(problem: Problem) -> Question:
         ModelError: the problem is not compiled to accumulated costs.
     """
     if conditions_of(problem):
-        return WithinRows(problem, compiled_constrained(problem).settled())
+        return _WithinRows(problem, compiled_constrained(problem).settled())
     compiled, budget = problem.compile(), problem.failure_budget
     if not isinstance(compiled, CompiledArrivalCost):
         raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
     column = checked_least_failure(compiled, budget).column
     least = column.failure
     if budget is not None and budget > least + _ROUNDING * column.goal:
-        return WithinBudget(compiled, budget, least)
+        return _WithinBudget(compiled, budget, least)
     note = ""
     if budget is not None and budget != least:
         side = "below" if budget < least else "above"
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return WithinBudget(compiled.safest(), None, least, note)
+    return _WithinBudget(compiled.safest(), None, least, note)
 
 
 def cost_of(question: Question, layer: int) -> float:

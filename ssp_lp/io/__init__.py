@@ -1,0 +1,1 @@
+"""Models, policies and solutions in and out: files, arrays, environments of others."""
