@@ -28,7 +28,7 @@ from ssp_lp.processes.goal_reach import (
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.arrival_cost import Charge
 from ssp_lp.processes.layered.ladder import Ladder, Rungs, step_lattice
-from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap
+from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, truncates
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
 
 ATTAINABLE = 1e-10
@@ -37,6 +37,7 @@ ATTAINABLE = 1e-10
 _MOST_PAIRS = 20_000_000
 """Pairs of a process that is written out."""
 
+_ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
 _KEPT = ("least", "greatest_goal", "least_goal", "_usable", "_shared", "_typical_cost", "base")
 
 
@@ -174,7 +175,14 @@ class CompiledConstrained:
     @cached_property
     def ladder(self) -> Ladder | None:
         """The totals that are told apart, where they are no multiples of a unit."""
-        return None if self.rungs is None else self.rungs.ladder(self.model, self._typical_cost)
+        if self.rungs is None:
+            return None
+        return self.rungs.ladder(self.model, self._typical_cost, self._room)
+
+    @property
+    def _room(self) -> int:
+        """Levels for which there is room."""
+        return max(_ROOM // max(len(self.base.gain), 1), 2)
 
     @cached_property
     def pricing(self) -> ConstrainedPricing:
@@ -248,27 +256,16 @@ class CompiledConstrained:
         Args:
             price: what failing is worth, from which accumulated cost on it is best to fail.
         """
-        if self.charge is None or self._is_lossless or self.fixed_cap is not None:
+        fixed = self.charge is None or self.fixed_cap is not None
+        if fixed or not truncates(self.base, self.charge, self.layers):
             return None
         if self.rungs is not None and self.ladder is not None:
-            finer = self.rungs.finer(self.ladder, price, _MOST_PAIRS // max(len(self.base.gain), 1))
+            finer = self.rungs.finer(self.ladder, price, self._room)
             return None if finer is None else self._handing_on(replace(self, rungs=finer))
         wanted = 2 * self.layers
         if (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
             return None
         return self.with_layers(wanted)
-
-    @property
-    def _is_lossless(self) -> bool:
-        """Whether the charge is constant from the cap on."""
-        charge = self.charge
-        if charge is None or charge.slope > 0.0:
-            return charge is None
-        unit = self.base.exact_unit
-        settled = charge.settled(unit)
-        if settled is None or self.layers < settled:
-            return False
-        return charge.is_affine_from(settled, unit)
 
     def with_layers(self, cap: int) -> CompiledConstrained:
         """The same with another cap."""

@@ -85,22 +85,24 @@ class Rungs:
     most: int = 0  # sums that are told apart rather than taking a grid; 0: by the grid's size
     fixed: tuple[float, ...] | None = None  # the totals themselves
 
-    def ladder(self, model: SSP, typical: float) -> Ladder:
+    def ladder(self, model: SSP, typical: float, room: int) -> Ladder:
         """The ladder for a model.
 
         Args:
             model: the model.
             typical: a cost given success.
+            room: rungs for which there is room.
         """
         steps = step_lattice(model)[1]
         if self.fixed is not None:
             return Ladder(read_only(np.array(self.fixed)), steps)
         cap = _TYPICAL * typical if self.cap is None else self.cap
         cap = max(cap, _LEAST_STEPS * float(steps[-1]))
-        sums = sums_of(steps, cap, self.most or min(_MOST_SUMS, _SUMS_PER_RUNG * self.grid))
+        most = self.most or min(_MOST_SUMS, _SUMS_PER_RUNG * self.grid)
+        sums = sums_of(steps, cap, min(most, room))
         if sums is not None:
             return Ladder(read_only(np.append(sums, cap)), steps)
-        return Ladder(read_only(np.linspace(0.0, cap, self.grid + 1)), steps)
+        return Ladder(read_only(np.linspace(0.0, cap, min(self.grid, room) + 1)), steps)
 
     def up_to(self, price: float) -> Rungs:
         """With a cap at which failing is best, at a price that is about right."""

@@ -181,3 +181,13 @@ def first_cap(
     if charge.slope == 0.0:
         return max(settled, 1)
     return max(settled, 1) + int(min(_TYPICAL * typical / base.unit, 1e15)) + base.width
+
+
+def truncates(base: AccumulatedCost, charge: Charge | None, layers: int) -> bool:
+    """Whether a cap may lose something: the charge still changes beyond it."""
+    if charge is None or charge.slope > 0.0:
+        return charge is not None
+    settled = charge.settled(base.exact_unit)
+    if settled is None or layers < settled:
+        return True
+    return not charge.is_affine_from(settled, base.exact_unit)
