@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -27,7 +26,6 @@ from ssp_lp.options import (
 )
 from ssp_lp.problem import Problem, by_rows, has_rows, rungs_of
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities
@@ -72,7 +70,7 @@ def solve(
         solution = replace(solution, run=replace(solution.run, reason=reason))
     _check_answer(solution)
     run = replace(solution.run, seconds=time.perf_counter() - began)
-    return replace(solution, run=run, note=_with_gap(solution, tolerance), prices=_prices(solution))
+    return replace(solution, run=run, note=_with_gap(solution, tolerance))
 
 
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
@@ -113,14 +111,6 @@ def _check_method(problem: Problem, method: Method) -> None:
         and method.backend == "highs-warm"
     ):
         raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
-
-
-def _prices(solution: Solution) -> Mapping[str, float]:
-    """The multiplier of each row, by name; where there is no other, that of the failure budget."""
-    price, penalty = solution.failure_price, solution.problem.semantics.penalty
-    if solution.prices or price is None or not np.isfinite(penalty):
-        return solution.prices
-    return {FAILURE_ROW: price - penalty}
 
 
 def _with_gap(solution: Solution, tolerance: float) -> str:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from ssp_lp.arrays import read_only
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
-from ssp_lp.column_generation.failure_constraint import Row, least_of
+from ssp_lp.column_generation.compiled_problems.sense import Sense
+from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import optimise
 from ssp_lp.options import SolveOptions
-from ssp_lp.policies import DeterministicPolicy, MixedPolicy
+from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.goal_reach import extreme_goal_reach
@@ -36,17 +35,11 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
         optimum = solve_program(compiled, row, options.program.backend, options.deadline)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
         reason, program = "the full linear program agrees with policy iteration", optimum.report
-    return Solution(
-        problem=problem,
-        policy=MixedPolicy((DeterministicPolicy(problem.model, reach.decision),), np.ones(1)),
-        objective=objective,
-        lower_bound=objective if greatest else least_of(bound, objective),
-        failure_price=None,
-        value_function=None,
-        budget_used=max(1.0 - objective, 0.0),
-        run=Run(options.method, reason, 1, 0.0, program=program),
-        upper_bound=-least_of(-bound, -objective) if greatest else None,
-    )
+    policy = DeterministicPolicy(problem.model, reach.decision)
+    sign = -1.0 if greatest else 1.0
+    found = Found(policy, sign * objective, sign * bound, max(1.0 - objective, 0.0))
+    run = Run(options.method, reason, 1, 0.0, program=program)
+    return assembled(problem, found, run, Sense(0.0 if greatest else None))
 
 
 def cheapest_at_least_failure(problem: Problem) -> Solution:
@@ -59,16 +52,8 @@ def cheapest_at_least_failure(problem: Problem) -> Solution:
     row = Row(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
     reason = "two stages: greatest goal probability, then least cost"
-    return Solution(
-        problem=problem,
-        policy=MixedPolicy((least.policy,), np.ones(1)),
-        objective=objective,
-        lower_bound=least_of(least.objective_bound, objective),
-        failure_price=None,
-        value_function=None,
-        budget_used=least.column.failure,
-        run=Run("columns", reason, 2, 0.0),
-    )
+    found = Found(least.policy, objective, least.objective_bound, least.column.failure)
+    return assembled(problem, found, Run("columns", reason, 2, 0.0))
 
 
 def best_within_budget(
@@ -93,17 +78,17 @@ def best_within_budget(
     reason = (
         f"{_REASONS['unlimited' if unlimited else options.method]}, {outcome.calls} pricing calls"
     )
-    solution = Solution(
-        problem=problem,
+    answer = Found(
         policy=outcome.lottery,
-        objective=found.objective,
-        lower_bound=found.lower_bound,
-        failure_price=price + problem.semantics.penalty,
-        value_function=read_only(found.proof.values),
-        budget_used=found.failure,
-        run=Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program),
+        value=found.objective,
+        bound=found.lower_bound,
+        failure=found.failure,
+        price=price,
+        values=found.proof.values,
         note=remarks(problem, outcome.row.budget, found.finished),
     )
+    run = Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program)
+    solution = assembled(problem, answer, run)
     if not deterministic:
         return solution
     from ssp_lp.integer_programming.best_policy import best_deterministic

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from ssp_lp.arrays import read_only
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
-from ssp_lp.column_generation.failure_constraint import least_of
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
+from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Run, Solution, remarks
@@ -26,16 +25,14 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     replies = optimum.threshold.responses
     reason = f"the paper's game, {len(optimum.threshold.trials)} values of c"
     work = Work(backups=sum(r.sweeps for r in replies))
-    return Solution(
-        problem=problem,
+    price = max(optimum.price - optimum.objective, 0.0) if problem.ratio else optimum.price
+    answer = Found(
         policy=found.policy,
-        objective=optimum.objective,
-        lower_bound=least_of(optimum.lower_bound, optimum.objective),
-        failure_price=max(optimum.price - optimum.objective, 0.0)
-        if problem.ratio
-        else optimum.price,
-        value_function=read_only(value_function(found)),
-        budget_used=optimum.threshold.condition,
-        run=Run(Game.name, reason, len(replies), 0.0, work),
+        value=optimum.objective,
+        bound=optimum.lower_bound,
+        failure=optimum.threshold.condition,
+        price=price,
+        values=value_function(found),
         note=remarks(problem, optimum.threshold.budget, optimum.threshold.in_time),
     )
+    return assembled(problem, answer, Run(Game.name, reason, len(replies), 0.0, work))

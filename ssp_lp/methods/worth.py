@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
-from ssp_lp.arrays import read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
     checked_least_failure,
 )
+from ssp_lp.column_generation.compiled_problems.sense import Sense
 from ssp_lp.column_generation.failure_constraint import relative_gap
+from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.refinement import Outcome, optimise
 from ssp_lp.options import SolveOptions
-from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Run, Solution, remarks
 
@@ -46,18 +44,16 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
             optimise(outcome.compiled, problem.failure_budget, replace(options, tolerance=finer))
         )
     found = outcome.found
-    return Solution(
-        problem=problem,
+    answer = Found(
         policy=outcome.lottery,
-        objective=failing - found.objective,
-        lower_bound=failing - found.objective,
-        failure_price=found.price,
-        value_function=read_only(found.proof.values),
-        budget_used=found.failure,
-        run=_run(outcome, options),
+        value=found.objective,
+        bound=found.lower_bound,
+        failure=found.failure,
+        price=found.price,
+        values=found.proof.values,
         note=_note(problem, outcome, options),
-        upper_bound=failing - found.lower_bound,
     )
+    return assembled(problem, answer, _run(outcome, options), Sense(failing))
 
 
 def _is_met(outcome: Outcome, failing: float, options: SolveOptions) -> bool:
@@ -67,19 +63,9 @@ def _is_met(outcome: Outcome, failing: float, options: SolveOptions) -> bool:
 
 def _at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
     least = checked_least_failure(compiled, None)
-    failing = problem.semantics.failing_worth
-    worth = failing - least.column.cost
-    return Solution(
-        problem=problem,
-        policy=MixedPolicy((least.policy,), np.ones(1)),
-        objective=worth,
-        lower_bound=worth,
-        failure_price=None,
-        value_function=None,
-        budget_used=least.column.failure,
-        run=Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0),
-        upper_bound=max(failing - least.objective_bound, worth),
-    )
+    found = Found(least.policy, least.column.cost, least.objective_bound, least.column.failure)
+    run = Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0)
+    return assembled(problem, found, run, Sense(problem.semantics.failing_worth))
 
 
 def _run(outcome: Outcome, options: SolveOptions) -> Run:

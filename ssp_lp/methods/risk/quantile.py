@@ -11,6 +11,7 @@ import time
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
+from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
@@ -46,17 +47,15 @@ def least_quantile(
         late = time.perf_counter() > options.deadline
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
-    return Solution(
-        problem=problem,
+    found = Found(
         policy=kept.policy,
-        objective=objective,
-        lower_bound=min(cost_of(question, refuted + 1), objective),
-        failure_price=None,
-        value_function=None,
-        budget_used=1.0 - law.goal,
-        run=Run(options.method, f"bisection over cost bounds, {calls} pricing calls", calls, 0.0),
+        value=objective,
+        bound=min(cost_of(question, refuted + 1), objective),
+        failure=1.0 - law.goal,
         note=remarks(question, in_time=high - low <= 1),
     )
+    reason = f"bisection over cost bounds, {calls} pricing calls"
+    return assembled(problem, found, Run(options.method, reason, calls, 0.0))
 
 
 def quantile_bound(

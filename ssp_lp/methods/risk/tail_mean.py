@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
+from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -135,18 +136,19 @@ def least_tail_mean(
     """
     best, bound, in_time = _proved(_Search(problem, question, level, options))
     reason = f"thresholds on the lattice of costs, {best.calls} pricing calls"
-    return Solution(
-        problem=problem,
-        policy=best.policy,
-        objective=best.value,
-        lower_bound=min(bound, best.value),
-        failure_price=None if question.budget is None else best.price,
-        value_function=None,
-        budget_used=best.failure,
-        run=Run(options.method, reason, best.calls, 0.0),
-        note=remarks(question, in_time=in_time),
-        prices=best.prices,
+    price = None if question.budget is None else best.price
+    note = remarks(question, in_time=in_time)
+    found = Found(
+        best.policy,
+        best.value,
+        min(bound, best.value),
+        best.failure,
+        price,
+        None,
+        best.prices,
+        note,
     )
+    return assembled(problem, found, Run(options.method, reason, best.calls, 0.0))
 
 
 def tail_mean_bound(

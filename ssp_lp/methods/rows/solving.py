@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.rows.optimum import RowsOptimum, optimum_of
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem, compiled_constrained
@@ -37,24 +38,15 @@ def _solution(problem: Problem, found: RowsOptimum, options: SolveOptions) -> So
         reason = f"the full linear program, as asked, then {reason}"
     if compiled.charge is not None:
         reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
-    objective, bound = compiled.sense.worth(found.value), compiled.sense.worth(found.bound)
-    maximised = compiled.sense.constant is not None
-    return Solution(
-        problem=problem,
+    answer = Found(
         policy=found.policy,
-        objective=objective,
-        lower_bound=objective if maximised else bound,
-        failure_price=failure_price(problem, found.prices),
-        value_function=found.values,
-        budget_used=found.failure,
-        run=Run(options.method, reason, found.calls, 0.0, found.work, found.program),
-        note=found.note,
-        upper_bound=bound if maximised else None,
+        value=found.value,
+        bound=found.bound,
+        failure=found.failure,
+        price=found.prices.get(FAILURE_ROW),
+        values=found.values,
         prices=found.prices,
+        note=found.note,
     )
-
-
-def failure_price(problem: Problem, prices: dict[str, float]) -> float | None:
-    """The multiplier of the failure row, and the penalty; None at least failure."""
-    price = prices.get(FAILURE_ROW)
-    return None if price is None else price + problem.semantics.penalty
+    run = Run(options.method, reason, found.calls, 0.0, found.work, found.program)
+    return assembled(problem, answer, run, compiled.sense)
