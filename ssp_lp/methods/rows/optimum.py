@@ -40,7 +40,7 @@ from ssp_lp.problem import Problem
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
-_PATIENCE = 3  # refinements that need not even halve the gap
+_PATIENCE = 6  # refinements that need not even halve the gap
 _COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
 

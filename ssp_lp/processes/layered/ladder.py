@@ -73,6 +73,7 @@ _FEW = 16  # layers that a step may pass before sums are thought of
 _STEPS_AHEAD = 32  # steps whose sums are counted
 _FEWER = 8  # times as many layers as sums make the sums worth while
 _LEAST_STEPS = 4.0  # a cap allows for, of the dearest kind
+_NEARBY = 1.1  # times a cap: no reason to move it by less
 _GROWTH = 2.0  # of a cap that loses something
 
 
@@ -117,8 +118,8 @@ class Rungs:
             most: rungs that there is room for.
         """
         cap, wanted = float(ladder.rungs[-1]), _MARGIN * price
-        if ladder.exact or cap < wanted:
-            higher = wanted if cap < wanted <= 4.0 * cap else _GROWTH * cap
+        if ladder.exact or _NEARBY * cap < wanted:
+            higher = wanted if _NEARBY * cap < wanted <= 4.0 * cap else _GROWTH * cap
             return replace(self, cap=higher) if ladder.size < most else None
         finest = min(self.most or _MOST_RUNGS, most)
         if self.grid >= finest:
