@@ -97,12 +97,12 @@ def from_gymnasium(
         >>> import gymnasium
         >>> world = from_gymnasium(gymnasium.make("FrozenLake-v1"))
         >>> world.model, world.start, world.horizon
-        (SSP(1,125 states, 4,268 pairs, 10,863 outcomes, 95 goals), {(0, 0): 1.0}, 100)
+        (SSP(1,568 states, 4,288 pairs, 12,864 outcomes, 95 goals), {(0, 0): 1.0}, 100)
     """
     limit = step_limit_of(env)
     table, begin = _table_of(env), _start_of(env, start)
-    model = _model_of(table, begin, goal, _cost_function(cost))
-    if horizon is not None and horizon != "env" and not isinstance(horizon, int):
+    model = _model_of(_Listing(table, begin, goal), _cost_function(cost))
+    if isinstance(horizon, str) and horizon != "env":
         raise ModelError(f"horizon must be 'env', a number of steps or None, not {horizon!r}")
     steps = limit if horizon == "env" else horizon
     if steps is None:
@@ -149,7 +149,8 @@ def _entries(listed: Any) -> list[tuple[Hashable, Any]]:
 
 def _plain(value: Any) -> Hashable:
     """A number of numpy's as one of Python's; anything else as it is."""
-    return value.item() if isinstance(value, np.generic) else value
+    plain: Hashable = value.item() if isinstance(value, np.generic) else value
+    return plain
 
 
 def _outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
@@ -198,65 +199,94 @@ def _penalty(state: Any, action: Any, next_state: Any, reward: float) -> float:
 _COSTS: dict[str, CostFunction] = {"step": _one, "reward": _penalty}
 
 
-def _model_of(
-    table: Table,
-    begin: Mapping[Hashable, float],
-    goal: Callable[[Any], bool] | None,
-    cost: CostFunction,
-) -> EnvironmentSSP:
+def _model_of(listing: _Listing, cost: CostFunction) -> EnvironmentSSP:
     """The model: every state of the table, and the ends."""
-    listed = [row for actions in table.values() for rows in actions.values() for row in rows]
-    goes_on = set(begin) | {to for _, to, _, over in listed if not over}
-    over_only = {to for _, to, _, over in listed if over} - goes_on
-    if goal is None:
-        going = {s: actions for s, actions in table.items() if s not in over_only}
-        goals = _rewarded(going)
-    else:
-        goals = {s for s in [*table, *goes_on, *over_only] if goal(s)}
-
-    def label(to: Hashable, over: bool) -> Hashable:
-        return (END, to) if over and to in goes_on and (goal is None or to not in goals) else to
-
+    label = listing.label
     transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, float]]]] = {
-        label(to, over): {} for _, to, _, over in listed if over
+        state: {
+            action: [
+                (p, label(to, over), float(cost(state, action, to, reward)))
+                for p, to, reward, over in rows
+            ]
+            for action, rows in actions.items()
+        }
+        for state, actions in listing.going.items()
     }
-    for state, actions in table.items():
-        if state not in over_only:
-            transitions[state] = {
-                action: [
-                    (p, label(to, over), float(cost(state, action, to, reward)))
-                    for p, to, reward, over in rows
-                ]
-                for action, rows in actions.items()
-            }
-    plain = SSP.from_transitions(
-        transitions,
-        goal=goals if goal is not None else {label(s, True) for s in goals},
-        treat_actionless_as_dead_ends=True,
-    )
+    for _, to, _, over in listing.steps:
+        transitions.setdefault(label(to, over), {})
+    goals = [label(state, True) for state in listing.goals]
+    plain = SSP.from_transitions(transitions, goals, treat_actionless_as_dead_ends=True)
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
     return EnvironmentSSP(**fields, step_cost=cost)
 
 
-def _rewarded(going: Table) -> set[Hashable]:
+@dataclass(frozen=True)
+class _Listing:
+    """An environment's table, and which of its states are ends and goals."""
+
+    table: Table
+    begin: Mapping[Hashable, float]
+    goal: Callable[[Any], bool] | None
+
+    @cached_property
+    def going(self) -> Table:
+        """The rows of the states in which an episode may go on."""
+        return {s: actions for s, actions in self.table.items() if s not in self._only_ends}
+
+    @cached_property
+    def steps(self) -> list[Outcome]:
+        """The outcomes listed there."""
+        return _steps(self.going)
+
+    @cached_property
+    def goals(self) -> frozenset[Hashable]:
+        """The environment's states that are goals, or end in one."""
+        if self.goal is None:
+            return frozenset(_rewarded(self.steps))
+        return frozenset(s for s in self._states if self.goal(s))
+
+    def label(self, state: Hashable, over: bool) -> Hashable:
+        """The model's state for one of the environment's: an end of its own where it needs one."""
+        chosen = self.goal is not None and state in self.goals
+        return (END, state) if over and state in self._goes_on and not chosen else state
+
+    @cached_property
+    def _goes_on(self) -> frozenset[Hashable]:
+        return frozenset(self.begin) | {to for _, to, _, over in _steps(self.table) if not over}
+
+    @cached_property
+    def _only_ends(self) -> frozenset[Hashable]:
+        return frozenset(to for _, to, _, over in _steps(self.table) if over) - self._goes_on
+
+    @cached_property
+    def _states(self) -> list[Hashable]:
+        return list(dict.fromkeys([*self.table, *(to for _, to, _, _ in self.steps)]))
+
+
+def _steps(table: Table) -> list[Outcome]:
+    return [row for actions in table.values() for rows in actions.values() for row in rows]
+
+
+def _rewarded(steps: Iterable[Outcome]) -> list[Hashable]:
     """The states in which the environment terminates with a reward.
 
     Raises:
         ModelError: there are none, or one is entered with a reward and without.
     """
     rewards: dict[Hashable, list[float]] = {}
-    for actions in going.values():
-        for rows in actions.values():
-            for _, to, reward, over in rows:
-                if over:
-                    rewards.setdefault(to, []).append(reward)
-    goals = {to for to, given in rewards.items() if min(given) > 0.0}
-    mixed = [to for to, given in rewards.items() if to not in goals and max(given) > 0.0]
-    if mixed:
-        raise ModelError(f"state {mixed[0]!r} ends some episodes with a reward and some without: "
-                         "say which states are goals, goal=lambda state: ...")
+    for _, to, reward, over in steps:
+        if over:
+            rewards.setdefault(to, []).append(reward)
+    for to, given in rewards.items():
+        if min(given) <= 0.0 < max(given):
+            raise ModelError(
+                f"state {to!r} ends some episodes with a reward and some without: "
+                "say which states are goals, goal=lambda state: ..."
+            )
+    goals = [to for to, given in rewards.items() if min(given) > 0.0]
     if not goals:
-        raise ModelError("no step into a state in which the environment terminates is rewarded "
-                         f"(states {sorted(map(str, rewards))}): say which of them are goals, "
-                         "goal=lambda state: ...")
+        raise ModelError(
+            f"no step into one of the environment's ends {list(rewards)[:5]} is rewarded: "
+            "say which states are goals, goal=lambda state: ..."
+        )
     return goals

@@ -6,7 +6,7 @@ import warnings
 from collections import Counter
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimat
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.io.gym_environments import EnvironmentSSP, step_limit_of
+from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.policies.mixed import MixedPolicy
@@ -37,8 +38,8 @@ class RolloutReport:
 
     episodes: int
     goal: int  # reached it
-    failed: int  # ended elsewhere
-    gave_up: int  # the policy gave up
+    failed: int  # ended elsewhere, or where the goal is out of reach
+    gave_up: int  # the policy gave up, as where too few steps are left
     truncated: int  # cut off by a limit on the steps
     goal_probability: Estimate
     failure_probability: Estimate  # whatever the reason
@@ -78,7 +79,7 @@ def rollout(
         policy: of a problem on ``from_gymnasium(env).model``, or on a product with that model.
         episodes: how many to play.
         seed: of the environment and of the policy's draws.
-        max_steps: steps after which an episode is cut off; None: 10,000, or what is shorter.
+        max_steps: steps after which an episode is cut off; None: 10,000.
         confidence: of the intervals.
 
     Raises:
@@ -95,12 +96,12 @@ def rollout(
         raise ModelError("episodes and max_steps must be at least 1")
     played, horizon = _on_environment(policy)
     limit = step_limit_of(env)
-    most = min(m for m in (max_steps, horizon, MOST_STEPS) if m is not None)
+    most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
     theirs, ours = np.random.SeedSequence(seed).spawn(2)  # one stream would couple their draws
     party = _Party(env, played, np.random.default_rng(ours), most)
     env.reset(seed=int(theirs.generate_state(1)[0]))
     ends = [party.episode() for _ in range(episodes)]
-    if party.cut_off and (horizon is None or (limit is not None and horizon > limit)):
+    if party.cut_off and (horizon is None or limit is None or horizon > limit):
         _warn(env, limit, party.cut_off, episodes)
     return _report(ends, limit, confidence)
 
@@ -176,8 +177,9 @@ class _Party:
         rng: np.random.Generator,
         most: int,
     ) -> None:
-        assert isinstance(policy.model, EnvironmentSSP)  # noqa: S101
-        self._env, self._model, self._most, self._rng = env, policy.model, most, rng
+        self._env, self._most, self._rng = env, most, rng
+        self._model = cast("EnvironmentSSP", policy.model)
+        self._over = dead_ends(policy.model) | policy.model.goal_mask
         self._players = [_Player(member, rng) for member in policy.policies]
         self._weights = policy.weights
         self._known: set[tuple[int, int]] = set()  # pairs and successors of the table
@@ -234,7 +236,7 @@ class _Party:
             )
 
     def _is_over(self, state: int) -> bool:
-        return bool(self._model.pair_offsets[state] == self._model.pair_offsets[state + 1])
+        return bool(self._over[state])
 
     def _name(self, state: int) -> str:
         return "goal" if self._model.goal_mask[state] else "failed"
@@ -242,10 +244,10 @@ class _Party:
 
 def _warn(env: gymnasium.Env[Any, Any], limit: int | None, cut_off: int, episodes: int) -> None:
     name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+    told = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
     warnings.warn(
-        f"{name} cut off {cut_off:,} of {episodes:,} episodes by its step limit (TimeLimit, "
-        f"max_episode_steps={limit}), which the policy does not know of; "
-        "from_gymnasium(env, horizon='env') counts it",
+        f"{name} cut off {cut_off:,} of {episodes:,} episodes ({told}), which the policy does not "
+        "know of: from_gymnasium(env, horizon=...) counts steps",
         StepLimitWarning,
         stacklevel=3,
     )

@@ -50,7 +50,7 @@ class StepLabels(Sequence[Label]):
     names: Sequence[Hashable]  # the original's states
     counts: tuple[Hashable, ...]  # 0 .. steps, LATE
     state: IntArray  # [states] of the original
-    count: IntArray  # [states] position in counts
+    taken: IntArray  # [states] position in counts
 
     def __len__(self) -> int:
         return len(self.state)
@@ -61,11 +61,11 @@ class StepLabels(Sequence[Label]):
     def __getitem__(self, index: slice) -> Sequence[Label]: ...
     def __getitem__(self, index: int | slice) -> Label | Sequence[Label]:
         if isinstance(index, slice):
-            return StepLabels(self.names, self.counts, self.state[index], self.count[index])
-        return self.names[int(self.state[index])], self.counts[int(self.count[index])]
+            return StepLabels(self.names, self.counts, self.state[index], self.taken[index])
+        return self.names[int(self.state[index])], self.counts[int(self.taken[index])]
 
     def __iter__(self) -> Iterator[Label]:
-        for state, count in zip(self.state.tolist(), self.count.tolist(), strict=True):
+        for state, count in zip(self.state.tolist(), self.taken.tolist(), strict=True):
             yield self.names[state], self.counts[count]
 
 
@@ -76,8 +76,8 @@ class HorizonSSP(ProductSSP):
     steps: int = field(kw_only=True)
     positions: IntArray = field(kw_only=True)  # [states, counts] the product's state, -1 for none
 
-    @property
-    def original_state(self) -> IntArray:  # type: ignore[override]
+    @cached_property
+    def original_state(self) -> IntArray:
         """State of the original, [states]."""
         return self._step_labels.state
 
@@ -86,8 +86,8 @@ class HorizonSSP(ProductSSP):
         """The counts of steps, and :data:`LATE`."""
         return self._step_labels.counts
 
-    @property
-    def table(self) -> IntArray:  # type: ignore[override]
+    @cached_property
+    def table(self) -> IntArray:
         """The product's state of each state and count, -1 for none, [states, counts]."""
         return self.positions
 
@@ -108,9 +108,7 @@ class HorizonSSP(ProductSSP):
         return cast("StepLabels", self.states)
 
 
-def within_steps(
-    model: SSP, steps: int, *, start: Iterable[Hashable] | None = None
-) -> HorizonSSP:
+def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = None) -> HorizonSSP:
     """The model in which an episode fails unless it reaches the goal within so many steps.
 
     It is the product with a memory that counts steps, made from arrays at once. A policy on it
