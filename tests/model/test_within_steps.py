@@ -7,6 +7,7 @@ import pytest
 
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import (
+    GIVE_UP,
     SSP,
     HorizonSSP,
     Memory,
@@ -132,6 +133,19 @@ def test_policies_act_on_the_model_and_carry_the_count(criterion: type[MCMP] | t
     report = simulate(played, criterion(model, "hall", failure_budget=0.3), episodes=2000, rng=rng)
     assert report.goal_probability.low <= 1.0 - solution.failure_probability
     assert report.goal_probability.high >= 1.0 - solution.failure_probability
+
+
+def test_where_too_few_steps_are_left_the_policy_gives_up() -> None:
+    walk = {"far": {"go": [(0.5, "near", 1.0), (0.5, "far", 1.0)]}}
+    walk["near"] = {"go": [(0.9, "out", 1.0), (0.1, "far", 1.0)]}
+    model = SSP.from_transitions(walk, goal={"out"})
+    horizon = within_steps(model, 3, start=["far"])
+    policy = on_original(solve(MCMP(horizon, ("far", 0), failure_budget=None)).policy)
+    policy.reset(np.random.default_rng(0))
+    for _ in range(2):  # it stays twice: two steps are needed and one is left
+        assert policy.action("far") == "go"
+        policy.observe("far", 1.0)
+    assert policy.action("far") is GIVE_UP
 
 
 def test_being_late_is_a_way_to_end() -> None:
