@@ -44,7 +44,7 @@ def _is_late(memory: Hashable) -> bool:
 
 
 @dataclass(frozen=True)
-class StepLabels(Sequence[Label]):
+class _StepLabels(Sequence[Label]):
     """The labels (state, count) of a horizon's states, made when they are asked for."""
 
     names: Sequence[Hashable]  # the original's states
@@ -61,7 +61,7 @@ class StepLabels(Sequence[Label]):
     def __getitem__(self, index: slice) -> Sequence[Label]: ...
     def __getitem__(self, index: int | slice) -> Label | Sequence[Label]:
         if isinstance(index, slice):
-            return StepLabels(self.names, self.counts, self.state[index], self.taken[index])
+            return _StepLabels(self.names, self.counts, self.state[index], self.taken[index])
         return self.names[int(self.state[index])], self.counts[int(self.taken[index])]
 
     def __iter__(self) -> Iterator[Label]:
@@ -104,8 +104,8 @@ class HorizonSSP(ProductSSP):
         raise ModelError(f"{state!r} is not a state of the model")
 
     @property
-    def _step_labels(self) -> StepLabels:
-        return cast("StepLabels", self.states)
+    def _step_labels(self) -> _StepLabels:
+        return cast("_StepLabels", self.states)
 
 
 def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = None) -> HorizonSSP:
@@ -180,7 +180,7 @@ def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
     table[state, count] = np.arange(len(state))
     counter = _StepCount(model, steps)
     return HorizonSSP(
-        states=StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
+        states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
         action_names=model.action_names,
         pair_action=read_only(model.pair_action[pairs]),
         pair_offsets=_offsets(actions),
