@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from ssp_lp.analysis.simulation import simulate
     from ssp_lp.formulation import Formulation
     from ssp_lp.model.product import Memory, ProductSSP, product
+    from ssp_lp.model.within_steps import HorizonSSP, within_steps
     from ssp_lp.policies.remembering import on_original
     from ssp_lp.programs.occupation_measure import OccupationMeasure
     from ssp_lp.programs.occupation_program import OccupationProgram
@@ -65,6 +66,7 @@ __all__ = [
     "Frontier",
     "Game",
     "GiveUp",
+    "HorizonSSP",
     "InfeasibleError",
     "LinearProgramming",
     "Memory",
@@ -95,6 +97,7 @@ __all__ = [
     "success_costs",
     "trace_frontier",
     "visits",
+    "within_steps",
 ]
 
 _ON_DEMAND = {
@@ -102,6 +105,8 @@ _ON_DEMAND = {
     "Memory": "ssp_lp.model.product",
     "ProductSSP": "ssp_lp.model.product",
     "product": "ssp_lp.model.product",
+    "HorizonSSP": "ssp_lp.model.within_steps",
+    "within_steps": "ssp_lp.model.within_steps",
     "on_original": "ssp_lp.policies.remembering",
     "OccupationMeasure": "ssp_lp.programs.occupation_measure",
     "OccupationProgram": "ssp_lp.programs.occupation_program",

@@ -9,10 +9,11 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP, check_product
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.playing import Playable
-from ssp_lp.policies.policy import GIVE_UP_CODE, Branches, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -57,8 +58,9 @@ class RememberingPolicy(Policy, Playable):
         found = self.inner.branches(here, inner)
         shift = product.pair_offsets[here] - self.model.pair_offsets[states]
         pair = np.where(found.pair >= 0, found.pair - shift[found.situation], found.pair)
-        failed = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
-        pair = np.where(failed[here][found.situation], GIVE_UP_CODE, pair)
+        over = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
+        lost = dead_ends(product)[here][found.situation] & (found.pair == UNDECIDED)
+        pair = np.where(over[here][found.situation] | lost, GIVE_UP_CODE, pair)
         return Branches(found.situation, pair, found.probability)
 
     def remember(

@@ -1,0 +1,212 @@
+"""The finite horizon: a model in which the goal counts only within so many steps."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Final, cast, overload
+
+import numpy as np
+
+from ssp_lp.arrays import (
+    BoolArray,
+    IntArray,
+    concatenated_ranges,
+    least_integer_type,
+    read_only,
+    segment_ids,
+)
+from ssp_lp.errors import ModelError
+from ssp_lp.model.product import Label, Memory, ProductSSP
+from ssp_lp.model.ssp import SSP
+
+LATE: Final = "late"
+"""The memory of an episode that has used up its steps, and the label of the states it ends in."""
+
+
+@dataclass(frozen=True)
+class _StepCount:
+    """How the count of steps goes on."""
+
+    model: SSP
+    steps: int
+
+    def after(self, count: int, state: Any, action: Any, successor: Any, cost: float) -> Hashable:
+        """One more, or :data:`LATE` where the last step ended in a state that one may act in."""
+        there = self.model.index_of(successor)
+        goes_on = self.model.pair_offsets[there] < self.model.pair_offsets[there + 1]
+        return LATE if goes_on and count + 1 >= self.steps else count + 1
+
+
+def _is_late(memory: Hashable) -> bool:
+    return memory == LATE
+
+
+@dataclass(frozen=True)
+class _StepLabels(Sequence[Label]):
+    """The labels (state, count) of a horizon's states, made when they are asked for."""
+
+    names: Sequence[Hashable]  # the original's states
+    counts: tuple[Hashable, ...]  # 0 .. steps, LATE
+    state: IntArray  # [states] of the original
+    taken: IntArray  # [states] position in counts
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    @overload
+    def __getitem__(self, index: int) -> Label: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Label]: ...
+    def __getitem__(self, index: int | slice) -> Label | Sequence[Label]:
+        if isinstance(index, slice):
+            return _StepLabels(self.names, self.counts, self.state[index], self.taken[index])
+        return self.names[int(self.state[index])], self.counts[int(self.taken[index])]
+
+    def __iter__(self) -> Iterator[Label]:
+        for state, count in zip(self.state.tolist(), self.taken.tolist(), strict=True):
+            yield self.names[state], self.counts[count]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HorizonSSP(ProductSSP):
+    """A model whose states are (state, steps taken); see :func:`within_steps`."""
+
+    steps: int = field(kw_only=True)
+    positions: IntArray = field(kw_only=True)  # [states, counts] the product's state, -1 for none
+
+    @cached_property
+    def original_state(self) -> IntArray:
+        """State of the original, [states]."""
+        return self._step_labels.state
+
+    @cached_property
+    def memories(self) -> tuple[Hashable, ...]:
+        """The counts of steps, and :data:`LATE`."""
+        return self._step_labels.counts
+
+    @cached_property
+    def table(self) -> IntArray:
+        """The product's state of each state and count, -1 for none, [states, counts]."""
+        return self.positions
+
+    def index_of(self, state: Hashable) -> int:
+        """Index of the state with the label (state, count).
+
+        Raises:
+            ModelError: no state has the label.
+        """
+        if isinstance(state, tuple) and len(state) == 2 and state[1] in self.memory_number:
+            here, count = self.original.index_of(state[0]), self.memory_number[state[1]]
+            if self.positions[here, count] >= 0:
+                return int(self.positions[here, count])
+        raise ModelError(f"{state!r} is not a state of the model")
+
+    @property
+    def _step_labels(self) -> _StepLabels:
+        return cast("_StepLabels", self.states)
+
+
+def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = None) -> HorizonSSP:
+    """The model in which an episode fails unless it reaches the goal within so many steps.
+
+    It is the product with a memory that counts steps, made from arrays at once. A policy on it
+    knows how many steps are left; ``on_original`` lets it act on the model's states.
+
+    Args:
+        model: the model.
+        steps: how many; a goal reached with the last one counts.
+        start: states in which episodes may begin; None: every state of the model.
+
+    Returns:
+        The product, with states (state, steps taken). The states in which the steps are used up
+        are dead-ends, (state, "late"), and bear the label "late"; other labels are kept.
+
+    Raises:
+        ModelError: ``steps`` is no positive number, an unknown start, or no goal can be reached.
+
+    Example:
+        >>> model = SSP.from_transitions(
+        ...     {"lock": {"try": [(0.5, "open", 1.0), (0.5, "lock", 1.0)]}}, goal={"open"})
+        >>> three = within_steps(model, 3, start=["lock"])
+        >>> list(three.states)[-2:], three.start("lock")
+        ([('lock', 'late'), ('open', 3)], {('lock', 0): 1.0})
+    """
+    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
+        raise ModelError(f"steps must be a whole number >= 1, not {steps!r}")
+    steps = int(steps)
+    begin = np.ones(model.n_states, dtype=np.bool_)
+    if start is not None:
+        begin[:] = False
+        begin[[model.index_of(state) for state in start]] = True
+    reached = _reached(model, begin, steps)
+    if not reached[:, model.goal_mask].any():
+        raise ModelError(f"no goal can be reached within {steps} steps from the start")
+    return _unrolled(model, reached)
+
+
+def _reached(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
+    """The states that an episode may be in after each number of steps, [steps + 1, states]."""
+    possible = model.probabilities > 0.0
+    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
+    target = model.successors[possible]
+    reached = np.zeros((steps + 1, model.n_states), dtype=np.bool_)
+    reached[0] = begin
+    for step in range(steps):
+        reached[step + 1][target[reached[step][source]]] = True
+    return reached
+
+
+def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
+    """The model once for each number of steps, one layer after the other."""
+    steps = len(reached) - 1
+    step, state = np.nonzero(reached)
+    position = np.cumsum(reached.ravel()).reshape(reached.shape) - 1
+
+    # what may be done, and what comes of it: copies of the model's pairs and outcomes
+    actions = np.where(step < steps, np.diff(model.pair_offsets)[state], 0)
+    pairs = concatenated_ranges(model.pair_offsets[state], actions)
+    possible = np.flatnonzero(model.probabilities > 0.0)
+    offsets = np.searchsorted(possible, model.outcome_offsets)
+    ends = np.diff(offsets)[pairs]
+    outcomes = possible[concatenated_ranges(offsets[pairs], ends)]
+    layer = np.repeat(np.repeat(step, actions), ends)
+    successors = position[layer + 1, model.successors[outcomes]]
+
+    late = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
+    count = np.where(late, steps + 1, step).astype(least_integer_type(steps + 1))
+    table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
+    table[state, count] = np.arange(len(state))
+    counter = _StepCount(model, steps)
+    return HorizonSSP(
+        states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
+        action_names=model.action_names,
+        pair_action=read_only(model.pair_action[pairs]),
+        pair_offsets=_offsets(actions),
+        outcome_offsets=_offsets(ends),
+        successors=read_only(successors, np.int32),
+        probabilities=read_only(model.probabilities[outcomes]),
+        costs=read_only(model.costs[outcomes]),
+        goal_mask=read_only(model.goal_mask[state]),
+        state_labels=_labels(model, state, late),
+        exact_costs=model.exact_costs,
+        original=model,
+        memory=Memory(start=0, update=counter.after, fails=_is_late),
+        steps=steps,
+        positions=read_only(table),
+    )
+
+
+def _offsets(counts: IntArray) -> IntArray:
+    return read_only(np.concatenate([[0], np.cumsum(counts)]), np.int64)
+
+
+def _labels(model: SSP, state: IntArray, late: BoolArray) -> dict[str, IntArray]:
+    """The labels of the original, and "late", [members] each."""
+    marked = {LATE: late}
+    for name, members in model.state_labels.items():
+        among = np.zeros(model.n_states, dtype=np.bool_)
+        among[members] = True
+        marked[name] = among[state] | marked.get(name, np.zeros(len(state), dtype=np.bool_))
+    return {name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()}
