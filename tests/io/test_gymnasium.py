@@ -283,6 +283,20 @@ def test_tables_that_cannot_be_read_are_told() -> None:
         from_gymnasium(fine)
 
 
+@pytest.mark.parametrize("accelerator", ["none", "numba"])
+def test_least_failure_where_success_is_rare(
+    accelerator: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Late states hardly ever succeed; exact fractions with 1/3 give the cost."""
+    monkeypatch.setenv("SSP_LP_ACCELERATOR", accelerator)
+    world = from_gymnasium(gym.make("FrozenLake-v1", map_name="8x8"))
+    solution = solve(MCMP(world.model, world.start, failure_budget=None))
+    assert solution.objective == pytest.approx(71.16707488470307, rel=1e-12)
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.gap < 1e-9
+
+
 def test_the_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     env = gym.make("FrozenLake-v1")
     monkeypatch.setitem(sys.modules, "gymnasium", None)

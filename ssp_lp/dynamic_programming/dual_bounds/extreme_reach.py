@@ -120,8 +120,12 @@ def _tied(
         place[kept] = np.arange(kept.size)
         among = dynamics.restricted(kept)
         worst = improve(among, other[kept][:, None], -_ONE, place[settled.choice])
+        if high.min() < _SMALL:
+            worst = improve(among, wanted[kept][:, None], _ONE, worst.choice)
         taken = kept[worst.choice]
-        loss = -worst.values - lost
+        both = np.stack([wanted[kept], other[kept]], axis=1)
+        less, more = evaluate_policy(among, worst.choice, both).values.T
+        loss = np.where(high < lost, high - less, more - lost)  # each is exact where it is small
         if (loss <= 10.0 * MAXIMISER * size[taken]).all():
             break
         share = np.maximum(-ahead[taken], 0.0) * 2.0 * worst.runs
