@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+import zlib
 from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
@@ -73,15 +74,15 @@ def read_archive(path: str | PathLike[str], kind: str, version: int) -> Archive:
     refused = ModelError(f"{path} is no ssp-lp {kind} file")
     try:
         arrays = _arrays_of(Path(path))
-    except (zipfile.BadZipFile, ValueError, EOFError) as error:
+    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError) as error:
         raise refused from error
     if _HEADER not in arrays:
         raise refused
     try:
-        header: dict[str, Any] = json.loads(arrays.pop(_HEADER).tobytes())
+        header = json.loads(arrays.pop(_HEADER).tobytes())
     except ValueError as error:
         raise refused from error
-    if header.get("format") != f"ssp-lp {kind}":
+    if not isinstance(header, dict) or header.get("format") != f"ssp-lp {kind}":
         raise refused
     if header["version"] > version:
         raise ModelError(

@@ -16,6 +16,7 @@ from ssp_lp.io.labels import are_numbers_in_turn, label_value
 from ssp_lp.io.model_fingerprint import fingerprint
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy, StochasticPolicy
 from ssp_lp.policies.cost_levels import CostLevelPolicy
+from ssp_lp.policies.joint_memory import JointMemory
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import UNDECIDED, Policy
 
@@ -68,6 +69,8 @@ def _memory(policy: Policy) -> dict[str, Any] | None:
             return None
         case StochasticPolicy(carrier=Policy() as carrier):
             return _memory(carrier)
+        case JointMemory(keepers=(keeper,)):
+            return _memory(keeper)
         case CostAwarePolicy():
             table = policy.tail_table
             return {
@@ -75,7 +78,7 @@ def _memory(policy: Policy) -> dict[str, Any] | None:
                 "unit": float(policy.unit),
                 "cap": policy.cap,
                 "tails": len(policy.tails),
-                "threshold": _finite_or_none(policy.tail_threshold),
+                "threshold": _thresholds(policy.tail_threshold),
                 "table": None if table is None else table.tolist(),
                 "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
             }
@@ -88,8 +91,9 @@ def _memory(policy: Policy) -> dict[str, Any] | None:
     raise ModelError(f"a controller cannot run a {type(policy).__name__}")
 
 
-def _finite_or_none(values: FloatArray) -> list[float | None]:
-    return [value if np.isfinite(value) else None for value in values.tolist()]
+def _thresholds(layers: FloatArray) -> list[float | None]:
+    """First layer of the last tail in each state; None for never, 0 for always."""
+    return [max(layer, 0.0) if layer < np.inf else None for layer in layers.tolist()]
 
 
 def _decisions(policy: Policy) -> list[list[Any]]:
@@ -122,6 +126,8 @@ def _memory_count(policy: Policy) -> int:
     match policy:
         case StochasticPolicy(carrier=Policy() as carrier):
             return _memory_count(carrier)
+        case JointMemory(keepers=(keeper,)):
+            return _memory_count(keeper)
         case CostAwarePolicy():
             return policy.cap + len(policy.tails)
         case CostLevelPolicy():

@@ -77,16 +77,16 @@ def to_frame(policy: Policy | MixedPolicy) -> Any:
 
 
 def _rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
-    model = policy.model
+    model, names = policy.model, policy.model.states
     for code, told in memories_of(policy):
         states = _states_with(policy, code)
         found = policy.branches(states, np.full(len(states), code, dtype=np.int64))
         decided = np.flatnonzero((found.pair != UNDECIDED) & (found.probability > 0.0))
-        for k in decided.tolist():
-            pair = int(found.pair[k])
+        here = states[found.situation[decided]].tolist()
+        pairs, shares = found.pair[decided].tolist(), found.probability[decided].tolist()
+        for state, pair, share in zip(here, pairs, shares, strict=True):
             action = GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
-            state = model.states[int(states[found.situation[k]])]
-            yield PolicyRow(state, told, action, float(found.probability[k]), member)
+            yield PolicyRow(names[state], told, action, share, member)
 
 
 def _states_with(policy: Policy, memory: int) -> IntArray:
@@ -120,6 +120,8 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
             return _joined(range(len(policy.stages)), memories_of(policy.stages[0]))
         case RememberingPolicy():
             return _joined(policy.product.memories, memories_of(policy.inner))
+        case JointMemory(keepers=(keeper,)):
+            return memories_of(keeper)
         case JointMemory():
             sizes = [memory_size(keeper) for keeper in policy.keepers]
             parts = list(every_choice(*(memories_of(keeper) for keeper in policy.keepers)))
