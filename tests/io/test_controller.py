@@ -16,7 +16,9 @@ import pytest
 import ssp_lp.io.controller
 from played import START, ferry, hall, level_policy, policies, remembering, step, task
 from ssp_lp import GIVE_UP, SSP, CostAwarePolicy, DeterministicPolicy, MixedPolicy, ModelError
-from ssp_lp.io import Controller, write_controller
+from ssp_lp.io import Controller, policy_table, write_controller
+from ssp_lp.io.tables import memories_of
+from ssp_lp.policies.mixed import as_lottery
 
 SOURCE = Path(ssp_lp.io.controller.__file__)
 
@@ -99,6 +101,27 @@ def test_random_policies_have_the_same_distribution(name: str, tmp_path: Path) -
     for seen in mine | theirs:
         apart = abs(mine.get(seen, 0) - theirs.get(seen, 0)) / runs
         assert apart <= 4.0 * np.sqrt(2.0 * 0.25 / runs), seen
+
+
+@pytest.mark.parametrize("name", ["stochastic", "carried", "cost aware", "solution"])
+def test_the_file_holds_every_probability(name: str, tmp_path: Path) -> None:
+    """Decision by decision, against the policy's table."""
+    policy = policies(hall())[name]
+    write_controller(policy, tmp_path / "controller.json")
+    told = json.loads((tmp_path / "controller.json").read_text())
+    actions = [tuple(a) if isinstance(a, list) else a for a in told["actions"]] + [GIVE_UP]
+    found = {}
+    for k, (member, own) in enumerate(
+        zip(told["members"], as_lottery(policy).policies, strict=True)
+    ):
+        words = [word for _, word in memories_of(own)]
+        for word, decisions in zip(words, member["decision"], strict=True):
+            for state, choice in zip(policy.model.states, decisions, strict=True):
+                for code, share in choice if isinstance(choice, list) else [(choice, 1.0)]:
+                    if code >= -1:
+                        found[k, state, word, actions[code]] = share
+    rows = policy_table(policy)
+    assert found == {(r.member, r.state, r.memory, r.action): r.probability for r in rows}
 
 
 def test_one_seed_one_episode_and_controllers_side_by_side(tmp_path: Path) -> None:
