@@ -59,6 +59,9 @@ _KINDS: Mapping[str, _Kind] = {
 
 _NAME_OF = {kind.made: name for name, kind in _KINDS.items()}
 
+SAVED_CLASSES = frozenset(_NAME_OF)
+"""The classes of policies that a file can hold: all of ``ssp_lp/policies``."""
+
 
 @dataclass
 class PolicyRecords:

@@ -66,7 +66,7 @@ def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
 
     Raises:
         ModelError: the file is none of a solution, the model is another one, or the problem has
-            another criterion, start, budget, discount, or other limits by name.
+            another criterion, start, budget, discount, penalty, or other limits.
     """
     archive = read_archive(path, "solution", _VERSION)
     header, arrays = archive
@@ -87,14 +87,18 @@ def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
 
 def _words_of(problem: Problem) -> dict[str, Any]:
     """What tells a problem from others on the same model."""
-    semantics = problem.semantics
+    semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
         "failure_budget": _number(problem.failure_budget),
         "discount": _number(problem.discount),
         "penalty": float(semantics.penalty),
         "give_up": str(semantics.give_up),
-        "limits": [condition.name for condition in conditions_of(problem)],
+        "measure": None if measure is None else measure.words,
+        "limits": {
+            condition.name: [float(row.bound) for row in condition.rows]
+            for condition in conditions_of(problem)
+        },
     }
 
 

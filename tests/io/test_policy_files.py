@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
+import pkgutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -14,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import ssp_lp.policies
 from played import (
     START,
     everywhere,
@@ -27,6 +30,7 @@ from played import (
 )
 from ssp_lp import SSP, MixedPolicy, ModelError, product
 from ssp_lp.io import fingerprint, load_policy, save_policy
+from ssp_lp.io.policy_records import SAVED_CLASSES
 from ssp_lp.policies.policy import Policy
 
 NAMES = sorted(policies(hall()))
@@ -135,6 +139,13 @@ def test_a_policy_of_a_class_of_its_own_is_refused_by_name(tmp_path: Path) -> No
     with pytest.raises(ModelError, match="Whim"):
         save_policy(MixedPolicy((policy,), np.ones(1)), tmp_path / "policy.npz")
     assert not (tmp_path / "policy.npz").exists()
+
+
+def test_every_class_of_policies_can_be_saved() -> None:
+    for module in pkgutil.iter_modules(ssp_lp.policies.__path__):
+        found = vars(importlib.import_module(f"ssp_lp.policies.{module.name}")).values()
+        classes = {made for made in found if isinstance(made, type) and issubclass(made, Policy)}
+        assert classes - {Policy} <= SAVED_CLASSES
 
 
 def test_the_same_policy_gives_the_same_file_and_parts_are_kept_once(tmp_path: Path) -> None:

@@ -73,12 +73,24 @@ def test_the_saved_numbers_are_not_believed(tmp_path: Path) -> None:
             ),
             "limits",
         ),
+        (lambda: CostQuantile(hall(), START, 0.5, failure_budget=0.2), "criterion"),
     ],
 )
 def test_another_problem_is_refused(other: object, words: str, tmp_path: Path) -> None:
     save_solution(solve(PROBLEMS["mcmp"]()), tmp_path / "solution.npz")
     with pytest.raises(ModelError, match=words):
         load_solution(tmp_path / "solution.npz", other())
+
+
+def test_another_bound_or_quantile_is_refused(tmp_path: Path) -> None:
+    save_solution(solve(PROBLEMS["limits"]()), tmp_path / "solution.npz")
+    other = MCMP(hall(), START, failure_budget=0.2, constraints=fuel(7.5))
+    with pytest.raises(ModelError, match=r"limits = .*7\.0.* has .*7\.5"):
+        load_solution(tmp_path / "solution.npz", other)
+    save_solution(solve(PROBLEMS["quantile"]()), tmp_path / "solution.npz")
+    quantile = CostQuantile(hall(), START, 0.6, failure_budget=0.3)
+    with pytest.raises(ModelError, match="measure"):
+        load_solution(tmp_path / "solution.npz", quantile)
 
 
 def test_a_policy_file_is_no_solution(tmp_path: Path) -> None:
