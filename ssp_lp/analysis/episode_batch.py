@@ -8,6 +8,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.policies import MixedPolicy, Policy
+from ssp_lp.policies.mixed import as_lottery
 
 
 class EpisodeBatch:
@@ -17,7 +18,7 @@ class EpisodeBatch:
         self, policy: Policy | MixedPolicy, episodes: int, rng: np.random.Generator
     ) -> None:
         """Draw one member for each episode."""
-        lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
+        lottery = as_lottery(policy)
         self._members, weights = lottery.policies, lottery.weights
         self._drawn = rng.choice(len(self._members), size=episodes, p=weights)
         self._memory = np.zeros(episodes, dtype=np.int64)

@@ -19,7 +19,7 @@ from ssp_lp.analysis.total_cost.cost_law import law_of_chains
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model.terminal_outcomes import end_marks
-from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import (
@@ -70,7 +70,7 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
     if policy.model is not problem.model:
         raise ModelError("the policy was made for another model object")
     start = start_distribution(problem.model, problem.start)
-    lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
+    lottery = as_lottery(policy)
     chains = (policy_chain(problem.model, member, start) for member in lottery.policies)
     measure = problem.semantics.measure
     if measure is None:

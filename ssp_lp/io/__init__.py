@@ -1,12 +1,60 @@
 """Models, policies and solutions in and out: files, arrays, environments of others."""
 
-from ssp_lp.io.gym_environments import GymnasiumWorld, from_gymnasium
-from ssp_lp.io.gym_rollout import RolloutReport, StepLimitWarning, rollout
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ssp_lp.io.controller import Controller
+    from ssp_lp.io.controller_files import write_controller
+    from ssp_lp.io.dot import write_dot
+    from ssp_lp.io.gym_environments import GymnasiumWorld, from_gymnasium
+    from ssp_lp.io.gym_rollout import RolloutReport, StepLimitWarning, rollout
+    from ssp_lp.io.model_fingerprint import fingerprint
+    from ssp_lp.io.policy_files import load_policy, save_policy
+    from ssp_lp.io.solution_files import load_solution, save_solution
+    from ssp_lp.io.tables import policy_table, to_frame
 
 __all__ = [
+    "Controller",
     "GymnasiumWorld",
     "RolloutReport",
     "StepLimitWarning",
+    "fingerprint",
     "from_gymnasium",
+    "load_policy",
+    "load_solution",
+    "policy_table",
     "rollout",
+    "save_policy",
+    "save_solution",
+    "to_frame",
+    "write_controller",
+    "write_dot",
 ]
+
+_ON_DEMAND = {
+    "Controller": "ssp_lp.io.controller",
+    "write_controller": "ssp_lp.io.controller_files",
+    "write_dot": "ssp_lp.io.dot",
+    "GymnasiumWorld": "ssp_lp.io.gym_environments",
+    "from_gymnasium": "ssp_lp.io.gym_environments",
+    "RolloutReport": "ssp_lp.io.gym_rollout",
+    "StepLimitWarning": "ssp_lp.io.gym_rollout",
+    "rollout": "ssp_lp.io.gym_rollout",
+    "fingerprint": "ssp_lp.io.model_fingerprint",
+    "load_policy": "ssp_lp.io.policy_files",
+    "save_policy": "ssp_lp.io.policy_files",
+    "policy_table": "ssp_lp.io.tables",
+    "to_frame": "ssp_lp.io.tables",
+    "load_solution": "ssp_lp.io.solution_files",
+    "save_solution": "ssp_lp.io.solution_files",
+}
+
+
+def __getattr__(name: str) -> object:
+    """Import what is first asked for: nothing here is needed by those who write no files."""
+    if name not in _ON_DEMAND:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(import_module(_ON_DEMAND[name]), name)
+    globals()[name] = found
+    return found

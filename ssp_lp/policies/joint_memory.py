@@ -18,7 +18,7 @@ from ssp_lp.policies.timed import TimedPolicy
 
 
 @dataclass(frozen=True, eq=False)
-class _JointMemory(Policy):
+class JointMemory(Policy):
     """The memories of several policies in one number, while one of them decides.
 
     The memory is a mixed-radix number, the first policy's memory its leading digit.
@@ -30,9 +30,9 @@ class _JointMemory(Policy):
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", self.decider.model)
 
-    def followed_by(self, decider: Policy) -> _JointMemory:
+    def followed_by(self, decider: Policy) -> JointMemory:
         """The same memories with another policy to decide."""
-        return _JointMemory(self.keepers, decider)
+        return JointMemory(self.keepers, decider)
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Each keeper's start memory, [episodes]."""
@@ -69,7 +69,7 @@ class _JointMemory(Policy):
         return parts[::-1]
 
 
-def common_memory(policy: MixedPolicy) -> _JointMemory | None:
+def common_memory(policy: MixedPolicy) -> JointMemory | None:
     """All that the members of a lottery remember, decided by the first; None: nothing.
 
     Raises:
@@ -79,7 +79,7 @@ def common_memory(policy: MixedPolicy) -> _JointMemory | None:
     for member in policy.policies:
         if memory_size(member) > 1:
             keepers.setdefault(meaning_of(member), member)
-    return _JointMemory(tuple(keepers.values()), policy.policies[0]) if keepers else None
+    return JointMemory(tuple(keepers.values()), policy.policies[0]) if keepers else None
 
 
 def memory_size(policy: Policy) -> int:
@@ -93,7 +93,7 @@ def memory_size(policy: Policy) -> int:
             return len(policy.stages) * memory_size(policy.stages[0])
         case CostAwarePolicy():
             return policy.cap + len(policy.tails)
-        case _JointMemory():
+        case JointMemory():
             return prod(memory_size(keeper) for keeper in policy.keepers)
         case StochasticPolicy():
             return 1 if policy.carrier is None else memory_size(policy.carrier)
@@ -110,7 +110,7 @@ def meaning_of(policy: Policy) -> tuple[object, ...]:
         case CostAwarePolicy():
             rule = policy.tail_threshold if policy.tail_table is None else policy.tail_table
             return policy.cap, policy.unit, len(policy.tails), rule.tobytes()
-        case _JointMemory():
+        case JointMemory():
             return tuple(meaning_of(keeper) for keeper in policy.keepers)
         case StochasticPolicy(carrier=Policy() as carrier):
             return meaning_of(carrier)

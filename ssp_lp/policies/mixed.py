@@ -55,3 +55,8 @@ class MixedPolicy(Playable):
         """The weights and the members."""
         parts = (f"{w:.6g} x {p!r}" for w, p in zip(self.weights, self.policies, strict=True))
         return f"MixedPolicy({' + '.join(parts)})"
+
+
+def as_lottery(policy: Policy | MixedPolicy) -> MixedPolicy:
+    """The policy as a lottery, of one member if it is none."""
+    return policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))

@@ -16,8 +16,11 @@ from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
 
 
 @dataclass
-class _Episode:
-    """The state of one episode: the member drawn, its memory, whether it gave up. Mutable."""
+class Episode:
+    """One episode of a policy: the member drawn, its memory, whether it gave up. Mutable.
+
+    Any number of episodes run side by side, each with a memory of its own.
+    """
 
     policy: Policy
     rng: np.random.Generator | None
@@ -26,7 +29,11 @@ class _Episode:
     staying: IntArray | None = None  # [states], once the episode goes on after giving up
 
     def action(self, state: Hashable) -> Hashable:
-        """The action in this state, or :data:`GIVE_UP`."""
+        """The action in this state, or :data:`GIVE_UP`, with which the episode ends.
+
+        Raises:
+            ModelError: unknown state, or one in which the policy has no decision.
+        """
         model = self.policy.model
         here = np.array([model.index_of(state)])
         if self.staying is not None:
@@ -40,13 +47,21 @@ class _Episode:
         return GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
 
     def observe(self, successor: Hashable, cost: float) -> None:
-        """Move the memory."""
+        """Tell where the step led and what it cost; this moves the memory.
+
+        Raises:
+            ModelError: a cost off the lattice that the policy was made for.
+        """
         if self.memory is None:
             raise ModelError("observe() was called before the first action() of the episode")
         if self.staying is None:
             there = np.array([self.policy.model.index_of(successor)])
             taken, paid = np.array([self.taken]), np.array([float(cost)])
             self.memory = self.policy.remember(self.memory, taken, there, paid)
+
+    def continue_after_give_up(self) -> None:
+        """From now on play the policy that stays in the attention states (it avoids the goal)."""
+        self.staying = staying_policy(self.policy.model)
 
 
 class Playable(ABC):
@@ -62,19 +77,27 @@ class Playable(ABC):
         >>> policy.observe("out", 2.0)
     """
 
-    _episode: _Episode | None = None
+    _episode: Episode | None = None
 
     @abstractmethod
     def member(self, rng: np.random.Generator | None) -> Policy:
         """The policy that plays the next episode, drawn where there is a lottery."""
 
-    def reset(self, rng: np.random.Generator | None = None) -> None:
-        """Begin an episode; ``rng`` draws the lottery and random actions.
+    def start(self, rng: np.random.Generator | None = None) -> Episode:
+        """A new episode of its own, beside any others; ``rng`` draws the lottery and actions.
 
         Raises:
             ModelError: a lottery without a generator.
         """
-        object.__setattr__(self, "_episode", _Episode(self.member(rng), rng))
+        return Episode(self.member(rng), rng)
+
+    def reset(self, rng: np.random.Generator | None = None) -> None:
+        """Begin the policy's own episode afresh; ``rng`` draws the lottery and random actions.
+
+        Raises:
+            ModelError: a lottery without a generator.
+        """
+        object.__setattr__(self, "_episode", self.start(rng))
 
     def action(self, state: Hashable) -> Hashable:
         """The action in this state, or :data:`GIVE_UP`, with which an episode ends.
@@ -94,10 +117,9 @@ class Playable(ABC):
 
     def continue_after_give_up(self) -> None:
         """From now on play the policy that stays in the attention states (it avoids the goal)."""
-        episode = self._current()
-        episode.staying = staying_policy(episode.policy.model)
+        self._current().continue_after_give_up()
 
-    def _current(self) -> _Episode:
+    def _current(self) -> Episode:
         if self._episode is None:
             raise ModelError("call reset(rng) before the first action of an episode")
         return self._episode

@@ -17,7 +17,7 @@ from ssp_lp.analysis.total_cost.arrivals import Arrivals
 from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
-from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -58,7 +58,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem) -> CostLaw:
     if policy.model is not problem.model:
         raise ModelError("the policy was made for another model object")
     start = start_distribution(problem.model, problem.start)
-    lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
+    lottery = as_lottery(policy)
     used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
     chains = [policy_chain(problem.model, p, start) for p, _ in used]
     return law_of_chains(chains, np.array([w for _, w in used]))

@@ -1,0 +1,176 @@
+"""A controller: runs a policy from a JSON file, with nothing but the standard library.
+
+This one file may be copied onto a robot; it needs no other part of ssp-lp. ``write_controller``
+writes the files that it reads:
+
+- ``format``: "ssp-lp controller"; ``version``: 1; ``model``: the model's fingerprint;
+- ``states``: the labels of the states, or their number where they are 0, 1, ...; tuples as lists;
+- ``actions``: the labels of the actions;
+- ``members``: the policies of a lottery that is drawn once in each episode, each with
+
+  - ``weight``: its probability;
+  - ``memory``: null, or an object whose ``kind`` is
+
+    - "layers": the cost paid in whole numbers of ``unit``; from ``cap`` on one of ``tails`` tails:
+      the last one where the layer has reached the state's ``threshold`` (null: never), else the
+      first; or by ``table``, from the cap on, [layer][state];
+    - "levels": the one of ``levels`` nearest to the last level plus the cost of the step;
+
+    with ``acting``: for each state 1 where the memory moves, else 0;
+  - ``decision``: [memory][state], the position of an action, -1 to give up, -2 for none, or a list
+    of [position, probability].
+"""
+
+from __future__ import annotations
+
+import json
+import random
+from bisect import bisect_left
+from collections.abc import Hashable
+from math import inf, isfinite
+from os import PathLike
+from typing import Any
+
+GIVE_UP = "give up"
+"""Answered instead of an action where the policy gives up."""
+
+_GIVE_UP_CODE = -1
+_VERSION = 1
+_OFF_LATTICE = 1e-6  # of a unit: far above the rounding of a sum of costs, far below a step
+
+
+class Controller:
+    """A policy read from a file, and the episode that it plays.
+
+    Several controllers of one file play several episodes side by side.
+
+    Args:
+        path: a file of ``write_controller``.
+
+    Raises:
+        ValueError: the file is none, or of a later version.
+    """
+
+    def __init__(self, path: str | PathLike[str]) -> None:
+        with open(path, encoding="utf-8") as file:
+            told = json.load(file)
+        if not isinstance(told, dict) or told.get("format") != "ssp-lp controller":
+            raise ValueError(f"{path} is no ssp-lp controller file")
+        if told["version"] > _VERSION:
+            raise ValueError(f"{path} has version {told['version']}, not 1 .. {_VERSION}")
+        states = told["states"]
+        labels = range(states) if isinstance(states, int) else map(_label, states)
+        self._index: dict[Hashable, int] = {label: k for k, label in enumerate(labels)}
+        self._actions: list[Hashable] = [_label(action) for action in told["actions"]]
+        self._members: list[dict[str, Any]] = told["members"]
+        self._rng = random.Random()
+        self._member: dict[str, Any] | None = None
+        self._memory: int | None = None
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode.
+
+        Args:
+            seed: of the lottery and of random actions; None: go on with the generator as it is.
+        """
+        if seed is not None:
+            self._rng.seed(seed)
+        weights = [member["weight"] for member in self._members]
+        self._member = self._rng.choices(self._members, weights)[0]
+        self._memory = None
+
+    def action(self, state: Hashable) -> Hashable:
+        """The action in this state, or "give up", with which an episode ends.
+
+        Raises:
+            ValueError: unknown state, or one in which the policy has no decision.
+            RuntimeError: no episode was begun.
+        """
+        member, here = self._current(), self._state(state)
+        if self._memory is None:
+            self._memory = _start_memory(member["memory"], here)
+        choice = member["decision"][self._memory][here]
+        if isinstance(choice, list):
+            codes, shares = zip(*choice, strict=True)
+            choice = self._rng.choices(codes, shares)[0]
+        if choice == _GIVE_UP_CODE:
+            return GIVE_UP
+        if choice < _GIVE_UP_CODE:
+            raise ValueError(f"the policy has no decision in state {state!r}")
+        found: Hashable = self._actions[choice]
+        return found
+
+    def observe(self, successor: Hashable, cost: float) -> None:
+        """Tell where the step led and what it cost; this moves the memory.
+
+        Raises:
+            ValueError: unknown state, or a cost that is no whole number of units.
+            RuntimeError: no action was asked for yet.
+        """
+        member, there = self._current(), self._state(successor)
+        if self._memory is None:
+            raise RuntimeError("observe() was called before the first action() of the episode")
+        self._memory = _after(member["memory"], self._memory, there, float(cost))
+
+    def _current(self) -> dict[str, Any]:
+        if self._member is None:
+            raise RuntimeError("call reset(seed) before the first action of an episode")
+        return self._member
+
+    def _state(self, label: Hashable) -> int:
+        if label not in self._index:
+            raise ValueError(f"{label!r} is not a state of the model")
+        return self._index[label]
+
+
+def _label(value: Any) -> Hashable:
+    """A label from its JSON value: lists are tuples."""
+    if isinstance(value, list):
+        return tuple(_label(part) for part in value)
+    found: Hashable = value
+    return found
+
+
+def _start_memory(memory: dict[str, Any] | None, state: int) -> int:
+    if memory is None or memory["kind"] == "levels":
+        return 0
+    return _at_layer(memory, 0, state)
+
+
+def _after(memory: dict[str, Any] | None, number: int, successor: int, cost: float) -> int:
+    """The memory after a step."""
+    if memory is None or not memory["acting"][successor]:
+        return number
+    if memory["kind"] == "levels":
+        return _nearest_level(memory["levels"], number, cost if isfinite(cost) else 0.0)
+    if number >= memory["cap"]:
+        return number
+    paid = cost / memory["unit"] if isfinite(cost) else -1.0
+    steps = round(paid)
+    if steps < 0 or abs(paid - steps) > _OFF_LATTICE:
+        raise ValueError(f"observed cost {cost!r} is no whole number of units {memory['unit']!r}")
+    return _at_layer(memory, number + steps, successor)
+
+
+def _at_layer(memory: dict[str, Any], layer: int, state: int) -> int:
+    """The layer below the cap, then the tail."""
+    cap: int = memory["cap"]
+    if layer < cap:
+        return layer
+    table = memory["table"]
+    if table is not None:
+        tail: int = table[min(layer - cap, len(table) - 1)][state]
+        return cap + tail
+    threshold = memory["threshold"][state]
+    last: int = memory["tails"] - 1
+    return cap + (last if layer >= (inf if threshold is None else threshold) else 0)
+
+
+def _nearest_level(levels: list[float], number: int, cost: float) -> int:
+    last = len(levels) - 1
+    if number >= last:
+        return number
+    total = levels[number] + cost
+    above = min(max(bisect_left(levels, total), 1), last)
+    nearer_below = total - levels[above - 1] <= levels[above] - total
+    return max(above - 1 if nearer_below else above, number)

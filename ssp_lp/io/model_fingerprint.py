@@ -1,0 +1,87 @@
+"""A fingerprint of what a model says: equal models have equal ones, in every process."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Hashable, Iterator, Sequence
+from hashlib import sha256
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.io.labels import are_numbers_in_turn, stated_value
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.kept import kept
+from ssp_lp.model.product import ProductSSP
+
+_VERSION = "ssp-lp model 1"
+
+_PIECE = 1 << 20
+"""Entries of an array that are converted at a time, so that large models need little room."""
+
+
+@kept
+def fingerprint(model: SSP) -> str:
+    """The SHA-256 of a model's content, in hexadecimal; worked out once and kept with the model.
+
+    What counts: which pairs and outcomes there are and in which order, successors, probabilities,
+    costs and the fractions that they were given as, goals, the labels of states, actions and sets
+    of states; of a product its original model too. What does not: the types in which arrays are
+    kept, the machine's byte order, the sign of zero, and whether states are numbered by default or
+    are given the same numbers as labels.
+
+    Each part goes into the hash as ``name length``, a line feed and its content: arrays as 8-byte
+    little-endian whole numbers or IEEE doubles, the rest as JSON with sorted keys.
+
+    Raises:
+        ModelError: a label cannot be stated the same way in every process.
+
+    Example:
+        >>> from ssp_lp import SSP
+        >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
+        >>> fingerprint(model)[:16]
+        '91f3cedaabf4992f'
+    """
+    digest = sha256(_VERSION.encode())
+    for name in ("pair_offsets", "outcome_offsets", "successors", "pair_action", "goal_mask"):
+        _add_array(digest.update, name, getattr(model, name), "<i8")
+    for name in ("probabilities", "costs"):
+        _add_array(digest.update, name, getattr(model, name), "<f8")
+    for name, value in _words(model):
+        told = json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
+        digest.update(f"\n{name} {len(told)}\n".encode() + told)
+    return digest.hexdigest()
+
+
+@kept
+def pair_print(model: SSP) -> str:
+    """The SHA-256 of which state has how many pairs: what a policy needs of a model."""
+    digest = sha256(b"ssp-lp pairs 1")
+    _add_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
+    return digest.hexdigest()
+
+
+def _add_array(
+    update: Callable[[bytes], None], name: str, array: FloatArray | IntArray | BoolArray, kind: str
+) -> None:
+    update(f"\n{name} {len(array)}\n".encode())
+    for first in range(0, len(array), _PIECE):
+        # adding zero turns -0.0 into 0.0
+        update((array[first : first + _PIECE] + np.zeros(1, kind)).astype(kind).tobytes())
+
+
+def _words(model: SSP) -> Iterator[tuple[str, object]]:
+    """What a model says besides its numbers, by name."""
+    yield "states", _labels(model.states)
+    yield "actions", _labels(model.action_names)
+    yield "state_labels", {name: found.tolist() for name, found in model.state_labels.items()}
+    yield "exact_costs", [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
+    if isinstance(model, ProductSSP):
+        yield "original", fingerprint(model.original)
+
+
+def _labels(labels: Sequence[Hashable]) -> object:
+    """Labels as JSON values; their number where they are the whole numbers in turn."""
+    if are_numbers_in_turn(labels):
+        return len(labels)
+    return [stated_value(label) for label in labels]

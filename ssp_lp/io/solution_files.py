@@ -1,0 +1,124 @@
+"""Solutions in files, to be read beside the problem that they answer."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from math import isclose
+from os import PathLike
+from typing import Any
+
+import numpy as np
+
+from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.errors import ModelError
+from ssp_lp.io.archive import ArrayStore, read_archive, write_archive
+from ssp_lp.io.policy_files import policy_header, policy_in
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.problem import Problem, conditions_of
+from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.solution import Run, Solution
+
+_VERSION = 1
+
+_NUMBERS = (
+    "objective",
+    "lower_bound",
+    "failure_price",
+    "budget_used",
+    "note",
+    "upper_bound",
+)
+
+_ROUNDING = 1e-9
+"""Relative; a budget that is a share of the greatest goal probability is worked out afresh."""
+
+
+def save_solution(solution: Solution, path: str | PathLike[str]) -> None:
+    """Write a solution to a file: its policy, numbers, prices, value function and run.
+
+    The model and the problem are not in it: :func:`load_solution` is given the problem.
+
+    Args:
+        solution: of ``solve``, or put together by hand.
+        path: of the file, ``solution.npz``; no ending is added to it.
+
+    Raises:
+        ModelError: its policy is of a class that cannot be saved.
+    """
+    store, values = ArrayStore(), solution.value_function
+    header = policy_header(solution.policy, store)
+    header["problem"] = _words_of(solution.problem)
+    header["start"] = store.add(_start_of(solution.problem))
+    header["numbers"] = {name: getattr(solution, name) for name in _NUMBERS}
+    header["prices"] = {name: float(price) for name, price in solution.prices.items()}
+    header["value_function"] = None if values is None else store.add(np.asarray(values))
+    header["run"] = asdict(solution.run)
+    write_archive(path, "solution", _VERSION, header, store.arrays)
+
+
+def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
+    """Read a solution beside its problem, stated again; ``certify`` says of it what it said before.
+
+    Args:
+        path: a file of :func:`save_solution`.
+        problem: the problem, on the same model.
+
+    Raises:
+        ModelError: the file is none of a solution, the model is another one, or the problem has
+            another criterion, start, budget, discount, penalty, or other limits.
+    """
+    archive = read_archive(path, "solution", _VERSION)
+    header, arrays = archive
+    policy = policy_in(archive, problem.model, check=True)
+    _check_problem(problem, header["problem"], arrays[header["start"]])
+    if not isinstance(policy, MixedPolicy):
+        raise ModelError(f"{path} holds no lottery: it is damaged")
+    run, values = header["run"], header["value_function"]
+    return Solution(
+        problem=problem,
+        policy=policy,
+        value_function=None if values is None else arrays[values],
+        run=Run(**{**run, "work": Work(**run["work"])}),
+        prices=header["prices"],
+        **header["numbers"],
+    )
+
+
+def _words_of(problem: Problem) -> dict[str, Any]:
+    """What tells a problem from others on the same model."""
+    semantics, measure = problem.semantics, problem.semantics.measure
+    return {
+        "criterion": type(problem).__name__,
+        "failure_budget": _number(problem.failure_budget),
+        "discount": _number(problem.discount),
+        "penalty": float(semantics.penalty),
+        "give_up": str(semantics.give_up),
+        "measure": None if measure is None else measure.words,
+        "limits": {
+            condition.name: [float(row.bound) for row in condition.rows]
+            for condition in conditions_of(problem)
+        },
+    }
+
+
+def _start_of(problem: Problem) -> np.ndarray[Any, np.dtype[np.float64]]:
+    return start_distribution(problem.model, problem.start)
+
+
+def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
+    for name, stated in _words_of(problem).items():
+        saved = kept[name]
+        same = saved == stated
+        if isinstance(saved, float) and isinstance(stated, float):
+            same = isclose(saved, stated, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
+        if not same:
+            raise ModelError(
+                f"the file answers a problem with {name} = {saved!r}, this one has {stated!r}"
+            )
+    if not np.array_equal(_start_of(problem), start):
+        raise ModelError("the file answers a problem with another start")
+
+
+def _number(value: float | None) -> float | None:
+    return None if value is None else float(value)

@@ -1,0 +1,147 @@
+"""Policies as tables: one row for each decision."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Sequence
+from importlib import import_module
+from itertools import product as every_choice
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ssp_lp.arrays import IntArray
+from ssp_lp.errors import MissingDependencyError, ModelError
+from ssp_lp.policies import (
+    GIVE_UP,
+    CostAwarePolicy,
+    DeterministicPolicy,
+    MixedPolicy,
+    StochasticPolicy,
+    TimedPolicy,
+)
+from ssp_lp.policies.cost_levels import CostLevelPolicy
+from ssp_lp.policies.joint_memory import JointMemory, memory_size
+from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.remembering import RememberingPolicy
+
+
+class PolicyRow(NamedTuple):
+    """One decision of a policy."""
+
+    state: Hashable
+    memory: Hashable  # None: nothing is remembered; else see policy_table
+    action: Hashable  # or GIVE_UP
+    probability: float
+    member: int = 0  # of a lottery
+
+
+def policy_table(policy: Policy | MixedPolicy) -> list[PolicyRow]:
+    """The decisions of a policy, in the order of members, memories and states.
+
+    States in which the policy never acts have no row. Memory is told by
+
+    - the cost paid so far (cost-aware policies, cost levels), "tail k" from the cap on;
+    - the time step, or (time step, memory of the stage) (timed policies);
+    - the product's memory, or (it, memory of the inner policy);
+    - a tuple, where several of these are kept side by side.
+
+    Args:
+        policy: any policy of the library.
+
+    Raises:
+        ModelError: the policy is of a class whose memory is not known.
+
+    Example:
+        >>> from ssp_lp import SSP, DeterministicPolicy
+        >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
+        >>> policy_table(DeterministicPolicy.from_actions(model, {"door": "open"}))
+        [PolicyRow(state='door', memory=None, action='open', probability=1.0, member=0)]
+    """
+    members = enumerate(as_lottery(policy).policies)
+    return [row for k, member in members for row in _rows(member, k)]
+
+
+def to_frame(policy: Policy | MixedPolicy) -> Any:
+    """:func:`policy_table` as a pandas ``DataFrame``, with a column for each field of a row.
+
+    Raises:
+        MissingDependencyError: pandas is not installed.
+        ModelError: the policy is of a class whose memory is not known.
+    """
+    try:
+        pandas = import_module("pandas")
+    except ImportError as error:
+        raise MissingDependencyError("pandas", "frames") from error
+    return pandas.DataFrame(policy_table(policy), columns=list(PolicyRow._fields))
+
+
+def _rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
+    model, names = policy.model, policy.model.states
+    for code, told in memories_of(policy):
+        states = _states_with(policy, code)
+        found = policy.branches(states, np.full(len(states), code, dtype=np.int64))
+        decided = np.flatnonzero((found.pair != UNDECIDED) & (found.probability > 0.0))
+        here = states[found.situation[decided]].tolist()
+        pairs, shares = found.pair[decided].tolist(), found.probability[decided].tolist()
+        for state, pair, share in zip(here, pairs, shares, strict=True):
+            action = GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
+            yield PolicyRow(names[state], told, action, share, member)
+
+
+def _states_with(policy: Policy, memory: int) -> IntArray:
+    """The states that a memory may occur in, [states]."""
+    if isinstance(policy, RememberingPolicy):
+        number = memory % len(policy.product.memories)
+        return np.flatnonzero(policy.product.table[:, number] >= 0)
+    if isinstance(policy, StochasticPolicy):
+        key, states = np.divmod(policy.situation_key, policy.model.n_states)
+        return np.asarray(states[key == memory])
+    return np.arange(policy.model.n_states)
+
+
+def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
+    """Every memory of a policy, and how it is told.
+
+    Raises:
+        ModelError: the policy is of a class whose memory is not known.
+    """
+    match policy:
+        case DeterministicPolicy() | StochasticPolicy(carrier=None):
+            return [(0, None)]
+        case StochasticPolicy(carrier=Policy() as carrier):
+            return memories_of(carrier)
+        case CostAwarePolicy():
+            told = [layer * policy.unit for layer in range(policy.cap)]
+            return list(enumerate([*told, *(f"tail {k}" for k in range(len(policy.tails)))]))
+        case CostLevelPolicy():
+            return list(enumerate(policy.levels.tolist()))
+        case TimedPolicy():
+            return _joined(range(len(policy.stages)), memories_of(policy.stages[0]))
+        case RememberingPolicy():
+            return _joined(policy.product.memories, memories_of(policy.inner))
+        case JointMemory(keepers=(keeper,)):
+            return memories_of(keeper)
+        case JointMemory():
+            sizes = [memory_size(keeper) for keeper in policy.keepers]
+            parts = list(every_choice(*(memories_of(keeper) for keeper in policy.keepers)))
+            return [(_mixed_radix([k for k, _ in p], sizes), tuple(w for _, w in p)) for p in parts]
+    raise ModelError(f"what a {type(policy).__name__} remembers is not known")
+
+
+def _joined(
+    last: Sequence[Hashable], inner: list[tuple[int, Hashable]]
+) -> list[tuple[int, Hashable]]:
+    """Two memories in one number, the inner one its leading digit."""
+    return [
+        (code * len(last) + k, outer if told is None else (outer, told))
+        for k, outer in enumerate(last)
+        for code, told in inner
+    ]
+
+
+def _mixed_radix(digits: list[int], sizes: list[int]) -> int:
+    number = 0
+    for digit, size in zip(digits, sizes, strict=True):
+        number = number * size + digit
+    return number

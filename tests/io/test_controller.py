@@ -1,0 +1,217 @@
+"""Controllers act as the policies that they were written from, with the standard library alone."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import ssp_lp.io.controller
+from played import START, ferry, hall, level_policy, policies, remembering, step, task
+from ssp_lp import GIVE_UP, SSP, CostAwarePolicy, DeterministicPolicy, MixedPolicy, ModelError
+from ssp_lp.io import Controller, policy_table, write_controller
+from ssp_lp.io.tables import memories_of
+from ssp_lp.policies.mixed import as_lottery
+
+SOURCE = Path(ssp_lp.io.controller.__file__)
+
+
+def written(policy: object, tmp_path: Path) -> Controller:
+    write_controller(policy, tmp_path / "controller.json")
+    return Controller(tmp_path / "controller.json")
+
+
+def acts_the_same(
+    policy: object, controller: Controller, start: object, episodes: int = 60
+) -> None:
+    """Side by side, through random episodes of the model."""
+    rng, model = np.random.default_rng(1), policy.model
+    for _ in range(episodes):
+        policy.reset()
+        controller.reset()
+        state = start
+        for _ in range(60):
+            if not np.diff(model.pair_offsets)[model.index_of(state)]:
+                break
+            action = policy.action(state)
+            assert controller.action(state) == ("give up" if action is GIVE_UP else action)
+            if action is GIVE_UP:
+                break
+            state, cost = step(model, state, action, rng)
+            cost += 20.0 * (rng.random() < 0.1)  # so that all of a memory is seen
+            policy.observe(state, cost)
+            controller.observe(state, cost)
+
+
+@pytest.mark.parametrize("name", ["deterministic", "gives up", "cost aware", "tail table"])
+def test_deterministic_policies(name: str, tmp_path: Path) -> None:
+    policy = policies(hall())[name]
+    acts_the_same(policy, written(policy, tmp_path), START)
+
+
+def test_every_member_of_a_solution(tmp_path: Path) -> None:
+    for member in (*policies(hall())["solution"].policies,):
+        acts_the_same(member, written(member, tmp_path), START)
+    for member in level_policy(ferry()).policies:
+        acts_the_same(member, written(member, tmp_path), "quay")
+
+
+def test_every_memory_of_a_cost_aware_policy(tmp_path: Path) -> None:
+    """Random decisions, thresholds and tails, so that nothing can be mixed up."""
+    model, rng = hall(), np.random.default_rng(5)
+    count = np.diff(model.pair_offsets)
+    drawn = rng.integers(-1, 2, size=(6, model.n_states))
+    tails = rng.integers(0, 2, size=(2, model.n_states)) + model.pair_offsets[:-1]
+    policy = CostAwarePolicy(
+        model,
+        0.5,
+        np.where(count > 0, drawn, -2),
+        np.where(count > 0, tails, -2),
+        np.where(rng.random(model.n_states) < 0.5, 7.0, np.inf),
+    )
+    table = replace(policy, tail_table=rng.integers(0, 2, size=(4, model.n_states)))
+    only_tails = replace(policy, decision=np.zeros((0, model.n_states), dtype=np.int64))
+    for some in (policy, table, only_tails):
+        acts_the_same(some, written(some, tmp_path), START, 300)
+
+
+@pytest.mark.parametrize("name", ["mixed", "stochastic", "carried"])
+def test_random_policies_have_the_same_distribution(name: str, tmp_path: Path) -> None:
+    """Frequencies of the first two actions, four standard deviations wide."""
+    policy, runs = policies(hall())[name], 4000
+    controller, rng = written(policy, tmp_path), np.random.default_rng(2)
+    mine, theirs = {}, {}
+    for k in range(runs):
+        policy.reset(rng)
+        controller.reset(k)
+        for player, found in ((policy, mine), (controller, theirs)):
+            first = player.action(START)
+            there = START if name == "carried" else ("hall", 1)
+            player.observe(there, 1.0)
+            second = player.action(there)
+            seen = first, "give up" if second is GIVE_UP else second
+            found[seen] = found.get(seen, 0) + 1
+    for seen in mine | theirs:
+        apart = abs(mine.get(seen, 0) - theirs.get(seen, 0)) / runs
+        assert apart <= 4.0 * np.sqrt(2.0 * 0.25 / runs), seen
+
+
+@pytest.mark.parametrize("name", ["stochastic", "carried", "cost aware", "solution"])
+def test_the_file_holds_every_probability(name: str, tmp_path: Path) -> None:
+    """Decision by decision, against the policy's table."""
+    policy = policies(hall())[name]
+    write_controller(policy, tmp_path / "controller.json")
+    told = json.loads((tmp_path / "controller.json").read_text())
+    actions = [tuple(a) if isinstance(a, list) else a for a in told["actions"]] + [GIVE_UP]
+    found = {}
+    for k, (member, own) in enumerate(
+        zip(told["members"], as_lottery(policy).policies, strict=True)
+    ):
+        words = [word for _, word in memories_of(own)]
+        for word, decisions in zip(words, member["decision"], strict=True):
+            for state, choice in zip(policy.model.states, decisions, strict=True):
+                for code, share in choice if isinstance(choice, list) else [(choice, 1.0)]:
+                    if code >= -1:
+                        found[k, state, word, actions[code]] = share
+    rows = policy_table(policy)
+    assert found == {(r.member, r.state, r.memory, r.action): r.probability for r in rows}
+
+
+def test_one_seed_one_episode_and_controllers_side_by_side(tmp_path: Path) -> None:
+    one = written(policies(hall())["mixed"], tmp_path)
+    other = Controller(tmp_path / "controller.json")
+    for seed in range(40):
+        one.reset(seed)
+        other.reset(seed)
+        assert one.action(START) == other.action(START)
+
+
+def test_the_file_runs_without_the_library(tmp_path: Path) -> None:
+    """Copied into an empty folder, in a process that sees no installed package."""
+    policy = policies(hall())["cost aware"]
+    write_controller(policy, tmp_path / "controller.json")
+    (tmp_path / "controller.py").write_text(SOURCE.read_text(encoding="utf-8"), encoding="utf-8")
+    code = (
+        "import sys; sys.path.insert(0, '.'); from controller import Controller\n"
+        "c = Controller('controller.json'); c.reset(0)\n"
+        "print([c.action(('hall', 0)), c.observe(('hall', 0), 99.0), c.action(('hall', 0))])\n"
+        "print('numpy' in sys.modules, 'ssp_lp' in sys.modules)"
+    )
+    told = subprocess.run(  # noqa: S603
+        [sys.executable, "-I", "-S", "-c", code],
+        cwd=tmp_path, capture_output=True, text=True, check=True, env={**os.environ},
+    ).stdout.splitlines()  # fmt: skip
+    policy.reset()
+    first = policy.action(START)
+    policy.observe(START, 99.0)
+    late = policy.action(START)
+    assert told[0] == str([first, None, "give up" if late is GIVE_UP else late])
+    assert told[1] == "False False"
+
+
+def test_the_file_imports_the_standard_library_alone() -> None:
+    for node in ast.walk(ast.parse(SOURCE.read_text(encoding="utf-8"))):
+        names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module] if isinstance(node, ast.ImportFrom) else []
+        assert {name.split(".")[0] for name in names} <= sys.stdlib_module_names
+
+
+def test_what_a_controller_refuses(tmp_path: Path) -> None:
+    controller = written(policies(hall())["cost aware"], tmp_path)
+    with pytest.raises(RuntimeError, match="reset"):
+        controller.action(START)
+    controller.reset()
+    with pytest.raises(RuntimeError, match="before the first action"):
+        controller.observe(START, 1.0)
+    controller.action(START)
+    for cost in (0.5, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="observed cost"):
+            controller.observe(START, cost)
+    with pytest.raises(ValueError, match="not a state"):
+        controller.action("window")
+    with pytest.raises(ValueError, match="no decision"):
+        controller.action("pit")
+    for told, words in (({"format": "other"}, "no ssp-lp"), ([], "no ssp-lp")):
+        (tmp_path / "other.json").write_text(json.dumps(told))
+        with pytest.raises(ValueError, match=words):
+            Controller(tmp_path / "other.json")
+    late = json.loads((tmp_path / "controller.json").read_text()) | {"version": 9}
+    (tmp_path / "late.json").write_text(json.dumps(late))
+    with pytest.raises(ValueError, match="version 9"):
+        Controller(tmp_path / "late.json")
+
+
+def test_what_cannot_be_written(tmp_path: Path) -> None:
+    path = tmp_path / "controller.json"
+    with pytest.raises(ModelError, match="TimedPolicy"):
+        write_controller(policies(hall())["timed"], path)
+    with pytest.raises(ModelError, match="RememberingPolicy"):
+        write_controller(remembering(task(hall())), path)
+    for state, action, words in ((frozenset("a"), "go", "cannot be"), ("a", "give up", "called")):
+        model = SSP.from_transitions({state: {action: [(1.0, "b", 1.0)]}}, goal={"b"})
+        with pytest.raises(ModelError, match=words):
+            write_controller(DeterministicPolicy.from_actions(model, {state: action}), path)
+
+
+def test_labels_come_back_as_they_were(tmp_path: Path) -> None:
+    labels = [("a", (1, 2.5)), 3, 0.1, "x", None, True]
+    after = [*labels[1:], "end"]
+    rows = {
+        label: {("go", label): [(1.0, to, 1.0)]} for label, to in zip(labels, after, strict=True)
+    }
+    model = SSP.from_transitions(rows, goal={"end"})
+    policy = DeterministicPolicy.from_actions(model, {label: ("go", label) for label in labels})
+    acts_the_same(policy, written(policy, tmp_path), labels[0])
+    numbered = SSP.from_arrays(
+        pair_offsets=[0, 1, 1], outcome_offsets=[0, 1], successors=[1], probabilities=[1.0],
+        costs=[1.0], goal_states=[1],
+    )  # fmt: skip
+    plain = DeterministicPolicy(numbered, np.array([0, -2]))
+    acts_the_same(plain, written(MixedPolicy((plain,), np.ones(1)), tmp_path), 0)

@@ -1,0 +1,99 @@
+"""Solutions in files: read beside the problem stated again, their certificates are the same."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from formulations import MCMP, S3P, CostQuantile, FinitePenalty, MaxProb
+from played import START, ferry, hall, traces
+from ssp_lp import ModelError, certify, secondary_cost, solve, visits
+from ssp_lp.io import load_solution, save_policy, save_solution
+
+
+def fuel(bound: float) -> dict[str, object]:
+    spent = {("hall", k): {"fast": 2.0, ("slow", 1): 0.5} for k in range(3)}
+    return {"fuel": secondary_cost(spent) <= bound}
+
+
+PROBLEMS = {
+    "mcmp": lambda: MCMP(hall(), START, failure_budget=0.2),
+    "a share": lambda: MCMP(hall(), START, reach_fraction=0.75),
+    "least failure": lambda: MCMP(hall(), START, failure_budget=None),
+    "discounted": lambda: MCMP(hall(), START, failure_budget=0.25, discount=0.99),
+    "s3p": lambda: S3P(hall(), {START: 0.5, ("hall", 1): 0.5}, failure_budget=0.2),
+    "levels": lambda: S3P(ferry(), "quay", failure_budget=0.1),
+    "limits": lambda: MCMP(hall(), START, failure_budget=0.2, constraints=fuel(7.0)),
+    "maxprob": lambda: MaxProb(hall(), START),
+    "penalty": lambda: FinitePenalty(hall(), START, penalty=30.0),
+    "quantile": lambda: CostQuantile(hall(), START, 0.5, failure_budget=0.3),
+}
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_certificates_are_the_same(name: str, tmp_path: Path) -> None:
+    solution = solve(PROBLEMS[name]())
+    save_solution(solution, tmp_path / "solution.npz")
+    found = load_solution(tmp_path / "solution.npz", PROBLEMS[name]())
+    certificate = certify(found)
+    assert certificate == certify(solution)
+    assert certificate.accepted
+    assert found.summary() == solution.summary()
+    assert (found.gap, found.prices, found.run) == (solution.gap, solution.prices, solution.run)
+    if solution.value_function is not None:
+        assert np.array_equal(found.value_function, solution.value_function)
+    start = "quay" if name == "levels" else START
+    assert traces(found.policy, start, 1) == traces(solution.policy, start, 1)
+
+
+def test_the_saved_numbers_are_not_believed(tmp_path: Path) -> None:
+    """A file with a price that proves less than it says: the certificate's gap tells."""
+    solution = solve(PROBLEMS["mcmp"]())
+    object.__setattr__(solution, "failure_price", 0.5 * solution.failure_price)
+    save_solution(solution, tmp_path / "solution.npz")
+    found = load_solution(tmp_path / "solution.npz", PROBLEMS["mcmp"]())
+    assert certify(found).gap > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (lambda: MCMP(hall(4.0), START, failure_budget=0.2), "fingerprint"),
+        (lambda: S3P(hall(), START, failure_budget=0.2), "criterion"),
+        (lambda: MCMP(hall(), START, failure_budget=0.21), "failure_budget"),
+        (lambda: MCMP(hall(), START, failure_budget=None), "failure_budget"),
+        (lambda: MCMP(hall(), START, failure_budget=0.2, discount=0.99), "discount"),
+        (lambda: MCMP(hall(), START, failure_budget=0.2, give_up="anywhere"), "give_up"),
+        (lambda: MCMP(hall(), ("hall", 1), failure_budget=0.2), "start"),
+        (
+            lambda: MCMP(
+                hall(), START, failure_budget=0.2, constraints={"pits": visits("fall") <= 1.0}
+            ),
+            "limits",
+        ),
+        (lambda: CostQuantile(hall(), START, 0.5, failure_budget=0.2), "criterion"),
+    ],
+)
+def test_another_problem_is_refused(other: object, words: str, tmp_path: Path) -> None:
+    save_solution(solve(PROBLEMS["mcmp"]()), tmp_path / "solution.npz")
+    with pytest.raises(ModelError, match=words):
+        load_solution(tmp_path / "solution.npz", other())
+
+
+def test_another_bound_or_quantile_is_refused(tmp_path: Path) -> None:
+    save_solution(solve(PROBLEMS["limits"]()), tmp_path / "solution.npz")
+    other = MCMP(hall(), START, failure_budget=0.2, constraints=fuel(7.5))
+    with pytest.raises(ModelError, match=r"limits = .*7\.0.* has .*7\.5"):
+        load_solution(tmp_path / "solution.npz", other)
+    save_solution(solve(PROBLEMS["quantile"]()), tmp_path / "solution.npz")
+    quantile = CostQuantile(hall(), START, 0.6, failure_budget=0.3)
+    with pytest.raises(ModelError, match="measure"):
+        load_solution(tmp_path / "solution.npz", quantile)
+
+
+def test_a_policy_file_is_no_solution(tmp_path: Path) -> None:
+    save_policy(solve(PROBLEMS["mcmp"]()).policy, tmp_path / "policy.npz")
+    with pytest.raises(ModelError, match="no ssp-lp solution file"):
+        load_solution(tmp_path / "policy.npz", PROBLEMS["mcmp"]())

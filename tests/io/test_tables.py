@@ -1,0 +1,132 @@
+"""Tables and graphs of policies say what the policies do."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from played import START, everywhere, ferry, hall, level_policy, policies, remembering, task
+from ssp_lp import GIVE_UP, MissingDependencyError, ModelError
+from ssp_lp.analysis.chain import policy_chain
+from ssp_lp.io import policy_table, to_frame, write_dot
+from ssp_lp.policies.joint_memory import common_memory
+from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.processes.failure_semantics import start_distribution
+
+NAMES = sorted(policies(hall()))
+
+
+def table_of(policy: object) -> dict[tuple[object, ...], float]:
+    return {(r.member, r.state, r.memory, r.action): r.probability for r in policy_table(policy)}
+
+
+def test_a_stationary_policy() -> None:
+    assert table_of(policies(hall())["stochastic"]) == {
+        (0, ("hall", 0), None, "fast"): 0.25,
+        (0, ("hall", 0), None, ("slow", 1)): 0.75,
+        (0, ("hall", 1), None, "fast"): 0.5,
+        (0, ("hall", 1), None, GIVE_UP): 0.5,
+        (0, ("hall", 2), None, "fast"): 1.0,
+    }
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_probabilities_sum_to_one(name: str) -> None:
+    sums: dict[tuple[object, ...], float] = {}
+    for row in policy_table(policies(hall())[name]):
+        key = row.member, row.state, row.memory
+        sums[key] = sums.get(key, 0.0) + row.probability
+    assert sums
+    assert all(total == pytest.approx(1.0) for total in sums.values())
+
+
+@pytest.mark.parametrize("name", [*NAMES, "remembering", "levels"])
+def test_what_is_reached_stands_in_the_table(name: str) -> None:
+    """Every decision on the policy's chain, played by a person who keeps the memory in words."""
+    if name == "levels":
+        policy, start = level_policy(ferry()), "quay"
+    else:
+        policy = remembering(task(hall())) if name == "remembering" else policies(hall())[name]
+        start = START
+    model = policy.model
+    rows = {(row.member, row.state, row.action) for row in policy_table(policy)}
+    for k, member in enumerate(as_lottery(policy).policies):
+        chain = policy_chain(model, member, start_distribution(model, start))
+        for node, pair in zip(chain.branch_node, chain.branch_pair, strict=True):
+            action = GIVE_UP if pair < 0 else model.action_of(int(pair))
+            assert (k, model.states[int(chain.state[node])], action) in rows
+
+
+def test_memories_in_words() -> None:
+    model = hall()
+    found = policies(model)
+    aware = {row.memory for row in policy_table(found["cost aware"])}
+    cap = found["cost aware"].cap
+    assert {k for k in aware if not isinstance(k, str)} <= {float(k) for k in range(cap)}
+    assert {k for k in aware if isinstance(k, str)} <= {"tail 0", "tail 1"}
+    assert {row.memory for row in policy_table(found["timed"])} == {0, 1, 2}
+    assert {row.memory for row in policy_table(found["carried"])} <= aware
+    assert {row.memory for row in policy_table(remembering(task(model)))} == {0, 1, 2}
+    both = common_memory(as_lottery(found["timed"])).followed_by(found["timed"])
+    assert table_of(both) == table_of(found["timed"])
+
+
+def test_a_frame_needs_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
+    policy = everywhere(hall(), "fast")
+    if importlib.util.find_spec("pandas") is None:
+        with pytest.raises(MissingDependencyError, match=r"pip install 'ssp-lp\[frames\]'"):
+            to_frame(policy)
+    made = SimpleNamespace(DataFrame=lambda rows, columns: (rows, columns))
+    monkeypatch.setitem(sys.modules, "pandas", made)
+    rows, columns = to_frame(policy)
+    assert rows == policy_table(policy)
+    assert columns == ["state", "memory", "action", "probability", "member"]
+
+
+def test_a_graph_has_the_nodes_and_steps_of_the_chain(tmp_path: Path) -> None:
+    model = hall()
+    for name in NAMES:
+        policy = policies(model)[name]
+        write_dot(policy, tmp_path / "policy.dot", START, most_nodes=2000)
+        text = (tmp_path / "policy.dot").read_text()
+        chains = [
+            policy_chain(model, member, start_distribution(model, START))
+            for member in as_lottery(policy).policies
+        ]
+        nodes = re.findall(r"^ *n(\d+_\d+) \[label", text, flags=re.MULTILINE)
+        steps = re.findall(r'n\d+_\d+ -> n\d+_\d+ \[label="([\d.e-]+)"\]', text)
+        assert len(nodes) == len(set(nodes)) == sum(chain.n_nodes for chain in chains)
+        moving = sum(float((chain.matrix.sum(axis=1))[()].sum()) for chain in chains)
+        assert sum(map(float, steps)) == pytest.approx(moving, rel=1e-4)
+        assert text.count("{") == text.count("}")
+        assert ("doublecircle" in text) == any(chain.goal.any() for chain in chains)
+
+
+def test_a_small_graph_in_full(tmp_path: Path) -> None:
+    write_dot(everywhere(hall(), "fast"), tmp_path / "policy.dot", ("hall", 2))
+    lines = (tmp_path / "policy.dot").read_text().splitlines()
+    assert [line.strip() for line in lines] == [
+        "digraph policy {",
+        "rankdir=LR;",
+        "node [shape=ellipse];",
+        "subgraph cluster_0 {",
+        "n0_0 [label=\"('hall', 2)\\nfast\", penwidth=2];",
+        'n0_1 [label="pit", shape=box];',
+        "n0_2 [label=\"('hall', 3)\", shape=doublecircle];",
+        'n0_0 -> n0_0 [label="0.2"];',
+        'n0_0 -> n0_1 [label="0.1"];',
+        'n0_0 -> n0_2 [label="0.7"];',
+        "}",
+        "}",
+    ]
+
+
+def test_a_graph_too_large_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelError, match="5 nodes, most_nodes is 4"):
+        write_dot(everywhere(hall(), "fast"), tmp_path / "policy.dot", START, most_nodes=4)
+    assert not (tmp_path / "policy.dot").exists()
