@@ -27,6 +27,7 @@ from ssp_lp.problem import (
     check_numbers,
     check_penalty,
     check_setting,
+    is_whole,
     stated_budget,
 )
 from ssp_lp.processes.failure_semantics import (
@@ -93,6 +94,7 @@ __all__ = [
     "expected_cost",
     "failure_probability",
     "goal_probability",
+    "is_whole",
     "parse_give_up",
     "secondary_cost",
     "stated_budget",

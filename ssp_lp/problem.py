@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from numbers import Real
+from dataclasses import replace
+from numbers import Integral, Real
 from typing import Protocol, overload
 
 from ssp_lp.arrays import LEAST_BUDGET
@@ -87,9 +88,13 @@ def rungs_of(problem: Problem) -> Rungs | None:
     if not problem.ratio or problem.semantics.measure is not None:
         return None
     asked = getattr(problem, "cost_levels", None)
+    cap: float | None = getattr(problem, "cost_cap", None)
     if asked is not None:
-        return Rungs(grid=min(int(asked), FIRST_RUNGS), most=int(asked))
-    return wanted_rungs(problem.model)
+        return Rungs(cap, grid=min(int(asked), FIRST_RUNGS), most=int(asked))
+    if problem.failure_budget is None and not has_rows(problem):
+        return None  # at least failure no cost has to be remembered
+    found = wanted_rungs(problem.model)
+    return found if found is None or cap is None else replace(found, cap=cap)
 
 
 def by_rows(problem: Problem) -> bool:
@@ -183,6 +188,11 @@ def budget_of_share(
     """
     greatest = float(start_distribution(model, start) @ greatest_goal_reach(model).goal)
     return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number, Python's or numpy's, and no truth value."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def check_numbers(**named: object) -> None:

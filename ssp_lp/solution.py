@@ -158,7 +158,8 @@ class Solution:
         """The stationary randomised policy equivalent to the lottery (paper, section 2.2).
 
         It lives on the augmented states: the model's states in case M, (state, accumulated cost)
-        in case S, and spends the same expected time in each.
+        in case S, and spends the same expected time in each. Where totals are rounded to levels, its
+        cost differs from the lottery's by rounding.
         """
         return equivalent_randomised_policy(self.policy, self.problem)
 

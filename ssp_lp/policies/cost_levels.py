@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.playing import Playable
@@ -21,6 +22,9 @@ class CostLevelPolicy(Policy, Playable):
     Where the levels are all sums that can occur, that is the cost paid; on a grid it is what is
     left of it after rounding at every step, and the policy is what it is: its cost and failure are
     evaluated with the true costs. From the last level on one decision holds for good.
+
+    Raises:
+        ModelError: levels that do not rise from 0, or decisions of another shape.
     """
 
     model: SSP
@@ -30,6 +34,11 @@ class CostLevelPolicy(Policy, Playable):
     def __post_init__(self) -> None:
         for name in ("levels", "decision"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+        rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())
+        if not (rising and self.levels[0] == 0.0 and np.isfinite(self.levels[-1])):
+            raise ModelError("levels of accumulated cost must rise from 0 and be finite")
+        if self.decision.shape != (len(self.levels), self.model.n_states):
+            raise ModelError("a policy on levels needs a decision for each level and state")
         everywhere = np.arange(self.model.n_states)
         for level in self.decision:
             check_decisions(self.model, self._pairs(level, everywhere), everywhere)

@@ -10,6 +10,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Branches, Policy
@@ -93,6 +94,8 @@ def memory_size(policy: Policy) -> int:
             return len(policy.stages) * memory_size(policy.stages[0])
         case CostAwarePolicy():
             return policy.cap + len(policy.tails)
+        case CostLevelPolicy():
+            return len(policy.levels)
         case JointMemory():
             return prod(memory_size(keeper) for keeper in policy.keepers)
         case StochasticPolicy():
@@ -110,6 +113,8 @@ def meaning_of(policy: Policy) -> tuple[object, ...]:
         case CostAwarePolicy():
             rule = policy.tail_threshold if policy.tail_table is None else policy.tail_table
             return policy.cap, policy.unit, len(policy.tails), rule.tobytes()
+        case CostLevelPolicy():
+            return ("levels", policy.levels.tobytes())
         case JointMemory():
             return tuple(meaning_of(keeper) for keeper in policy.keepers)
         case StochasticPolicy(carrier=Policy() as carrier):

@@ -160,7 +160,8 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
     prices = np.where(limited, prices, 0.0)
-    lower = _rows_bound(compiled, prices, raised, values, found.objective)
+    claims = (found.objective, solution.lower_bound)
+    lower = _rows_bound(compiled, prices, raised, values, claims)
     budget = float(raised[0]) if limited[0] else budget
     attained = found.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
@@ -177,11 +178,15 @@ def _rows_bound(
     prices: FloatArray,
     bounds: FloatArray,
     values: FloatArray,
-    objective: float,
+    claims: tuple[float, ...],
 ) -> float:
-    """The lower bound that prices and a value function prove, by one checked backup."""
+    """The lower bound that prices and a value function prove, by one checked backup.
+
+    In case S it is proved of a ratio: those that are claimed are tried, and no claim is believed.
+    """
     found = [0.0]
-    for ratio in ratios_below(objective) if compiled.ratio else (0.0,):
+    ratios = [r for c in claims if c > 0.0 for r in ratios_below(c)] if compiled.ratio else [0.0]
+    for ratio in ratios:
         weights = np.append(1.0, prices)
         weights[1] += ratio
         proof = compiled.pricing.check(weights, values)

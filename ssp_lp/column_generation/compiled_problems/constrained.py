@@ -38,7 +38,16 @@ _MOST_PAIRS = 20_000_000
 """Pairs of a process that is written out."""
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
-_KEPT = ("least", "greatest_goal", "least_goal", "_usable", "_shared", "_typical_cost", "base")
+_KEPT = (
+    "least",
+    "greatest_goal",
+    "least_goal",
+    "_least_goals",
+    "_usable",
+    "_shared",
+    "_typical_cost",
+    "base",
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,12 +145,16 @@ class CompiledConstrained:
     @cached_property
     def least_goal(self) -> float:
         """A goal probability that every policy within the budget exceeds, or has."""
+        least = float(self.start @ self._least_goals)
+        return max(least, 0.0) if self.budget is None else max(1.0 - self.budget, least, 0.0)
+
+    @cached_property
+    def _least_goals(self) -> FloatArray:
+        """A goal probability that every policy that counts attains, [states]."""
         survival = survival_of(self.discount)
         if self.budget is None:
-            reach = greatest_goal_reach(self.model, survival).goal
-            return float(self.start @ reach) * (1.0 - ATTAINABLE)
-        least = float(self.start @ least_goal_reach(self.model, survival).bound)
-        return max(1.0 - self.budget, least, 0.0)
+            return greatest_goal_reach(self.model, survival).goal * (1.0 - ATTAINABLE)
+        return least_goal_reach(self.model, survival).bound
 
     @cached_property
     def _usable(self) -> BoolArray | None:
@@ -164,8 +177,8 @@ class CompiledConstrained:
         if self.charge is None:
             setting = self.start, self.semantics, self.discount
             return label_failure(self.model, *setting, self._usable, self._shared)
-        layers, ladder = self.layers, self.ladder
-        return OpenEnded(self.base, self.charge, self.sense.shift, layers, self.start, ladder)
+        how = self.base, self.charge, self.sense.shift, self.layers, self.start
+        return OpenEnded(*how, self.ladder, self._least_goals)
 
     @property
     def is_rounded(self) -> bool:

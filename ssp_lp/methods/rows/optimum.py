@@ -161,6 +161,8 @@ def _with_value(found: RowsOptimum) -> RowsOptimum:
         SolverError: none was found that does so on the model itself.
     """
     levels = f"{found.compiled.layers:,} levels"
+    if found.compiled.ladder is not None:
+        levels = f"{levels} up to {found.compiled.ladder.rungs[-1]:.6g}"
     if not np.isfinite(found.value):
         raise SolverError(
             f"no policy on {levels} of accumulated cost keeps to the limits: more cost_levels, or "

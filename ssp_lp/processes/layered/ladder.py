@@ -20,10 +20,12 @@ from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import chunks
+from ssp_lp.model.graph.kept import kept
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.processes.layered.lattice import Lattice, common_unit, layers_of
 
 _SUMS_PER_RUNG = 5  # sums told apart rather than so many rungs of a grid
+_ULPS = 1e-15  # relative: the rounding of one sum
 _SAME = 1e-11
 """Totals this near to each other, relative to the cap, are one summed in two ways."""
 
@@ -43,7 +45,9 @@ class Ladder:
     @cached_property
     def exact(self) -> bool:
         """Whether every sum of steps up to the last rung is a rung."""
-        return not self.leads[1].any()
+        below, share = self.leads
+        gap = np.diff(self.rungs, append=np.inf)[below]
+        return bool(((share == 0.0) | ((1.0 - share) * gap <= self._room)).all())
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:
@@ -53,13 +57,17 @@ class Ladder:
             The rung below, and the share that goes to the one above that, [rungs, steps] each.
         """
         last, totals = self.size, self.rungs[:, None] + self.steps
-        room = _SAME * self.rungs[-1]
-        below = np.searchsorted(self.rungs, totals + room, side="right") - 1
+        below = np.searchsorted(self.rungs, totals * (1.0 + _ULPS), side="right") - 1
         below = np.minimum(below, last)
         below[last] = last
         gap = np.diff(self.rungs, append=2.0 * self.rungs[-1] + 1.0)[below]
-        share = np.where(below < last, (totals - self.rungs[below]) / gap, 0.0)
-        return below, np.where(share * gap <= room, 0.0, np.maximum(share, 0.0))
+        share = np.where(below < last, np.clip((totals - self.rungs[below]) / gap, 0.0, 1.0), 0.0)
+        return below, np.where(share * gap <= self._room, 0.0, share)  # down: never too dear
+
+    @property
+    def _room(self) -> float:
+        """Totals that differ by so little are one."""
+        return float(_SAME * self.rungs[-1])
 
 
 _MOST_RUNGS = 1600  # of a grid, unless more are asked for
@@ -69,10 +77,12 @@ FIRST_RUNGS = 200
 _MOST_SUMS = 20_000  # rungs up to which all sums are told apart, where there is room
 _TYPICAL = 2.5  # cap of a first attempt, in costs given success of the safest policy
 _MARGIN = 1.02  # beyond what a price asks for: the price still moves a little
+_PRODUCTS = 50  # sums that are formed at once, times those that may be kept
 _FEW = 16  # layers that a step may pass before sums are thought of
 _STEPS_AHEAD = 32  # steps whose sums are counted
-_FEWER = 8  # times as many layers as sums make the sums worth while
+_FEWER = 4  # times as many layers as sums make the sums worth while
 _LEAST_STEPS = 4.0  # a cap allows for, of the dearest kind
+_MOST_ENTRIES = 200_000_000  # layers times pairs beyond which a grid is taken
 _NEARBY = 1.1  # times a cap: no reason to move it by less
 _GROWTH = 2.0  # of a cap that loses something
 
@@ -84,6 +94,7 @@ class Rungs:
     cap: float | None = None  # the last total; None: a first guess
     grid: int = FIRST_RUNGS  # rungs, where the sums are too many
     most: int = 0  # sums that are told apart rather than taking a grid; 0: by the grid's size
+    turn: int = 0  # of refining
     fixed: tuple[float, ...] | None = None  # the totals themselves
 
     def ladder(self, model: SSP, typical: float, room: int) -> Ladder:
@@ -98,12 +109,14 @@ class Rungs:
         if self.fixed is not None:
             return Ladder(read_only(np.array(self.fixed)), steps)
         cap = _TYPICAL * typical if self.cap is None else self.cap
-        cap = max(cap, _LEAST_STEPS * float(steps[-1]))
+        cap = max(cap, _LEAST_STEPS * float(steps[-1])) or 1.0
         most = self.most or min(_MOST_SUMS, _SUMS_PER_RUNG * self.grid)
         sums = sums_of(steps, cap, min(most, room))
         if sums is not None:
             return Ladder(read_only(np.append(sums, cap)), steps)
-        return Ladder(read_only(np.linspace(0.0, cap, min(self.grid, room) + 1)), steps)
+        moving = int(min(np.ceil(2.0 * cap / steps[1]), 1e9))  # a step must not round to nothing
+        rungs = max(self.grid, min(moving, self.most or _MOST_SUMS))
+        return Ladder(read_only(np.linspace(0.0, cap, min(rungs, room) + 1)), steps)
 
     def up_to(self, price: float) -> Rungs:
         """With a cap at which failing is best, at a price that is about right."""
@@ -121,12 +134,16 @@ class Rungs:
         if ladder.exact or _NEARBY * cap < wanted:
             higher = wanted if _NEARBY * cap < wanted <= 4.0 * cap else _GROWTH * cap
             return replace(self, cap=higher) if ladder.size < most else None
-        finest = min(self.most or _MOST_RUNGS, most)
-        if self.grid >= finest:
+        finest, grid = min(self.most or _MOST_RUNGS, most), max(self.grid, ladder.size)
+        if grid >= finest:
             return None
-        return replace(self, cap=cap, grid=min(2 * self.grid, finest))
+        higher = (
+            cap * _GROWTH if self.turn % 3 == 2 else cap
+        )  # whichever of the two it is that loses
+        return replace(self, cap=higher, grid=min(2 * grid, finest), turn=self.turn + 1)
 
 
+@kept
 def wanted_rungs(model: SSP) -> Rungs | None:
     """Rungs for a model, or None where the multiples of its costs' unit serve.
 
@@ -143,8 +160,11 @@ def wanted_rungs(model: SSP) -> Rungs | None:
         return Rungs()
     if per_step <= _FEW:
         return None
-    sums = sums_of(steps, _STEPS_AHEAD * float(steps[-1]), _STEPS_AHEAD * per_step // _FEWER)
-    return None if sums is None else Rungs()
+    layers = _STEPS_AHEAD * per_step
+    sums = sums_of(steps, _STEPS_AHEAD * float(steps[-1]), min(layers // _FEWER, _MOST_SUMS))
+    if sums is not None:
+        return Rungs(most=_MOST_SUMS)
+    return Rungs() if layers * model.n_pairs > _MOST_ENTRIES else None
 
 
 def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
@@ -174,6 +194,8 @@ def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
     moves, found = steps[1:], np.zeros(1)
     fresh = found
     while fresh.size:
+        if fresh.size * moves.size > _PRODUCTS * (most + 1):
+            fresh = fresh[: max(_PRODUCTS * (most + 1) // moves.size, 1)]  # enough to be too many
         reached = (fresh[:, None] + moves).ravel()
         reached = np.unique(reached[reached < cap * (1.0 - _SAME)])
         together = np.unique(np.concatenate([found, reached]))

@@ -19,6 +19,7 @@ from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.processes.counting import Counting
+from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
@@ -40,6 +41,7 @@ class OpenEnded:
     cap: int  # layers told apart, at least 1
     start: FloatArray  # [states]
     ladder: Ladder | None = None  # the layers' totals, where they are no multiples of a unit
+    least_goal: FloatArray | None = None  # [states] of every policy that counts; None: unknown
 
     @property
     def n_nodes(self) -> int:
@@ -96,7 +98,7 @@ class OpenEnded:
         """
         base, n = self.base, self.n_nodes
         quotient, model = base.quotient, base.quotient.model
-        inner = choice[: (self.cap + 1) * n].reshape(-1, n) % max(len(base.gain), 1)
+        inner = choice[: (self.cap + 1) * n].reshape(self.cap + 1, n) % max(len(base.gain), 1)
         pairs = [quotient.pull_back(layer) for layer in inner]
         most = int(np.diff(model.pair_offsets).max(initial=1))
         decision = np.empty((self.cap + 1, model.n_states), dtype=least_integer_type(most))
@@ -116,10 +118,24 @@ class OpenEnded:
         """Charges of arriving, [process pairs]."""
         if self.ladder is not None:  # the total cost alone, which starts at nothing
             layers = self.base.gain_cost + self.ladder.rungs[:, None] * self.base.gain
+            layers[-1] += self._beyond()
             return np.append(layers.ravel(), 0.0)
         charges = ArrivalCharges(self.base, self.charge, self.cap + 1)
         each = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
+        if self.charge.slope > 0.0 and self.cap >= (self.charge.settled(self.base.exact_unit) or 0):
+            each[-1] = each[-1] + self.charge.slope * self._beyond()
         return np.append(np.concatenate(each), charges.at_start)
+
+    def _beyond(self) -> FloatArray:
+        """What a step beyond the cap costs those that succeed, at least, [pairs].
+
+        However a policy goes on, it reaches the goal with the least probability that there is.
+        """
+        base, quotient = self.base, self.base.quotient
+        if self.least_goal is None:
+            return np.zeros(len(base.gain))
+        going_on = np.where(quotient.node_of >= 0, self.least_goal, 0.0)
+        return quotient.at_pairs(cost_means(quotient.model, going_on)) / base.departs
 
     def _cost(self) -> FloatArray:
         """Charges of arriving, with the shift, [process pairs]."""
