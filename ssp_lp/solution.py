@@ -8,6 +8,7 @@ from functools import cached_property
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.analysis.occupation import equivalent_randomised_policy
+from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
@@ -173,11 +174,12 @@ class Solution:
             ("objective c*", f"{self.objective:.9g}"),
             (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
+            *self._failing,
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
         ]
         if self.discounted_failure is not None:
-            rows.insert(3, ("discounted failure", f"{self.discounted_failure:.6g}"))
+            rows.insert(-2, ("discounted failure", f"{self.discounted_failure:.6g}"))
         if self.failure_price is not None:
             rows.append(("failure price", f"{self.failure_price:.6g}"))
         for limit, spent in self.secondary_costs.items():
@@ -189,6 +191,13 @@ class Solution:
             rows.append(("note", self.note))
         body = "\n".join(f"  {label:<20} {value}" for label, value in rows)
         return f"{name}, {self._asked}, {setting}\n{body}"
+
+    @property
+    def _failing(self) -> list[tuple[str, str]]:
+        """A row that says how the policy fails, if it does."""
+        at_start = giving_up_at_start(self.policy, self.problem)
+        told = failing_in_words(self.evaluation.ends, at_start)
+        return [("failing", told)] if told else []
 
     @property
     def _asked(self) -> str:

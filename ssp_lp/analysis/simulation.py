@@ -20,6 +20,7 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.policies.randomness import Randomness, generator_of
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import dead_end_charges, start_distribution
 
@@ -97,7 +98,7 @@ def simulate(
     problem: Problem,
     *,
     episodes: int = 10_000,
-    rng: np.random.Generator,
+    rng: Randomness,
     max_steps: int = 10_000,
     simulator: Simulator | None = None,
     record: int = 0,
@@ -112,7 +113,7 @@ def simulate(
         policy: the policy, on the problem's model.
         problem: says the start and what failing costs.
         episodes: how many to play.
-        rng: the source of all randomness.
+        rng: the source of all randomness: a generator or a seed.
         max_steps: steps after which an episode counts as unfinished.
         simulator: another world than the model, such as a continuous one.
         record: keep the paths of this many first episodes.
@@ -130,7 +131,8 @@ def simulate(
     world_of = simulator
     if world_of is None:
         world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
-    played = _play(policy, problem, world_of, episodes, rng, max_steps, record)
+    source = generator_of(rng)
+    played = _play(policy, problem, world_of, episodes, source, max_steps, record)
     return _report(problem, played, confidence)
 
 

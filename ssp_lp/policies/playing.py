@@ -13,6 +13,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states, staying_pairs
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.randomness import Randomness, generator_of
 
 
 @dataclass
@@ -56,7 +57,7 @@ class Playable(ABC):
         >>> from ssp_lp import SSP, DeterministicPolicy
         >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
         >>> policy = DeterministicPolicy.from_actions(model, {"door": "open"})
-        >>> policy.reset(np.random.default_rng(0))
+        >>> policy.reset(0)
         >>> policy.action("door")
         'open'
         >>> policy.observe("out", 2.0)
@@ -68,13 +69,18 @@ class Playable(ABC):
     def member(self, rng: np.random.Generator | None) -> Policy:
         """The policy that plays the next episode, drawn where there is a lottery."""
 
-    def reset(self, rng: np.random.Generator | None = None) -> None:
+    def reset(self, rng: Randomness | None = None) -> None:
         """Begin an episode; ``rng`` draws the lottery and random actions.
+
+        Args:
+            rng: a generator, which goes on from episode to episode, or a seed, with which every
+                episode begins afresh.
 
         Raises:
             ModelError: a lottery without a generator.
         """
-        object.__setattr__(self, "_episode", _Episode(self.member(rng), rng))
+        drawn = None if rng is None else generator_of(rng)
+        object.__setattr__(self, "_episode", _Episode(self.member(drawn), drawn))
 
     def action(self, state: Hashable) -> Hashable:
         """The action in this state, or :data:`GIVE_UP`, with which an episode ends.
