@@ -17,11 +17,10 @@ from ssp_lp.analysis.quantity_values import (
 )
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
 from ssp_lp.arrays import BoolArray, FloatArray
-from ssp_lp.errors import ModelError
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, check_policy
 from ssp_lp.processes.failure_semantics import (
     Aim,
     start_distribution,
@@ -67,8 +66,7 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
             problem forbids it.
     """
-    if policy.model is not problem.model:
-        raise ModelError("the policy was made for another model object")
+    check_policy(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
     lottery = policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))
     chains = (policy_chain(problem.model, member, start) for member in lottery.policies)

@@ -21,7 +21,7 @@ from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.randomness import Randomness, generator_of
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, check_policy
 from ssp_lp.processes.failure_semantics import dead_end_charges, start_distribution
 
 World = npt.NDArray[Any]
@@ -126,8 +126,7 @@ def simulate(
         raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
     if episodes < 1 or max_steps < 1:
         raise ModelError("episodes and max_steps must be at least 1")
-    if policy.model is not problem.model:
-        raise ModelError("the policy was made for another model object")
+    check_policy(policy, problem, "simulate")
     world_of = simulator
     if world_of is None:
         world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))

@@ -100,7 +100,7 @@ def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
         pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
         for action, value in actions.items():
             if action not in pair_of:
-                raise ModelError(f"limit {name!r}: state {state!r} has no action {action!r}")
+                raise ModelError(f"limit {name!r}: {model.no_such_action(index, action)}")
             if not is_amount(value):
                 raise ModelError(
                     f"limit {name!r}, action {action!r} of state {state!r}: the cost must be "
