@@ -12,6 +12,7 @@ from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.problem import Problem, has_rows
 from ssp_lp.processes.failure_semantics import Aim
@@ -39,7 +40,7 @@ class Run:
         return self.work.products
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
 
@@ -163,12 +164,33 @@ class Solution:
         """
         return equivalent_randomised_policy(self.policy, self.problem)
 
+    def __repr__(self) -> str:
+        """One line: what was asked, the objective with its gap, the failure, and the method."""
+        failure = "failure" if self.problem.discount is None else "discounted failure"
+        return (
+            f"Solution({self._title}: objective {self.objective:.9g}, gap {self.gap:.1e}, "
+            f"{failure} {self.budget_used:.6g}, method {self.method})"
+        )
+
+    def _repr_html_(self) -> str:
+        """The summary as a table, for notebooks."""
+        return html_table(self._title, self._rows())
+
     def summary(self) -> str:
         """The answer in a few lines for a person."""
-        name, bound = type(self.problem).__name__, self.upper_bound
-        setting = (
-            "exact" if self.problem.discount is None else f"discount {self.problem.discount:g}"
-        )
+        body = "\n".join(f"  {label:<20} {value}" for label, value in self._rows())
+        return f"{self._title}\n{body}"
+
+    @property
+    def _title(self) -> str:
+        """The criterion, what is asked about failing, and whether it is discounted."""
+        discount = self.problem.discount
+        setting = "exact" if discount is None else f"discount {discount:g}"
+        return f"{type(self.problem).__name__}, {self._asked}, {setting}"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        """What the summary says, by name."""
+        bound = self.upper_bound
         side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
         rows = [
             ("objective c*", f"{self.objective:.9g}"),
@@ -189,8 +211,7 @@ class Solution:
         rows.append(("method", f"{self.method}: {self.run.reason}, {self.seconds:.3g} s"))
         if self.note:
             rows.append(("note", self.note))
-        body = "\n".join(f"  {label:<20} {value}" for label, value in rows)
-        return f"{name}, {self._asked}, {setting}\n{body}"
+        return rows
 
     @property
     def _failing(self) -> list[tuple[str, str]]:

@@ -79,7 +79,7 @@ class ModelSimulator:
         return np.cumsum(self.model.probabilities)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SimulationReport:
     """What happened in the episodes."""
 
@@ -91,6 +91,14 @@ class SimulationReport:
     success_costs: FloatArray  # [successes] total costs of the episodes that reached the goal
     mean_steps: float
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
+
+    def __repr__(self) -> str:
+        """One line: how the episodes ended, and the costs with their intervals."""
+        ends = ", ".join(f"{name} {count:,}" for name, count in self.ends.items() if count)
+        return (
+            f"SimulationReport({self.episodes:,} episodes: {ends}; goal {self.goal_probability}, "
+            f"cost given success {self.conditional_cost}, cost {self.expected_cost})"
+        )
 
 
 def simulate(

@@ -27,7 +27,7 @@ def ways_to_fail(ends: Mapping[str, float]) -> dict[str, float]:
     }
 
 
-def failing_in_words(ends: Mapping[str, float], at_start: float) -> str:
+def failing_in_words(ends: Mapping[str, float], at_start: float = 0.0) -> str:
     """The ways to fail in one line: "crash 0.03, gave up 0.02 (before the first step)".
 
     Args:

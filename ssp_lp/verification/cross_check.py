@@ -15,7 +15,7 @@ _DIGITS = {"c*": 10, "lower bound": 10, "gap": 2, "seconds": 2}
 """Significant digits of a column, where they are not six."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CrossCheck:
     """The methods side by side, and what they disagree about.
 
@@ -43,6 +43,15 @@ class CrossCheck:
     def failed(self) -> tuple[str, ...]:
         """The methods that were asked and gave no answer."""
         return tuple(method.name for method in self.methods if method.failed)
+
+    def __repr__(self) -> str:
+        """One line: the methods and the verdict."""
+        names = ", ".join(method.name for method in self.methods)
+        return f"CrossCheck({names}: {self._verdict()})"
+
+    def __str__(self) -> str:
+        """The table."""
+        return self.summary()
 
     def summary(self) -> str:
         """The methods as a table, their policies, the remarks, and one line with the verdict."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 
 import numpy as np
@@ -25,7 +25,7 @@ class CostLimit:
         bound: the largest expected total, in the unit of the cost, >= 0.
     """
 
-    cost: NestedCosts | npt.ArrayLike
+    cost: NestedCosts | npt.ArrayLike = field(repr=False)
     bound: float
 
 
