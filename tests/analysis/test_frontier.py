@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -182,7 +183,7 @@ def test_the_segment_with_most_below_it_is_split_first() -> None:
     for points in range(3, 9):
         ends = sorted(known)
         below = {}
-        for i, j in zip(ends, ends[1:], strict=False):
+        for i, j in pairwise(ends):
             line = np.interp(failure[i : j + 1], failure[[i, j]], cost[[i, j]])
             gaps = (line - cost[i : j + 1]) / cost[i]
             below[i + int(np.argmax(gaps))] = float(gaps.max())
