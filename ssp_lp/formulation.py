@@ -133,9 +133,8 @@ class Formulation(_Inherited):
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
 
     def __init_subclass__(cls) -> None:
-        """Every criterion has the short repr, which ``dataclass`` would else replace."""
-        if "__repr__" not in vars(cls):
-            cls.__repr__ = Formulation.__repr__  # type: ignore[method-assign]
+        """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""
+        cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
 
     def __repr__(self) -> str:
         """One line: the class, the model, the start, and what is not left to the default."""
@@ -161,8 +160,12 @@ class Formulation(_Inherited):
         """Check the start and the constraints.
 
         Raises:
-            ModelError: an unknown state, no distribution, or a constraint that is stated wrongly.
+            ModelError: no model, an unknown state, no distribution, or a constraint that is stated
+                wrongly.
         """
+        if not isinstance(self._asked.model, SSP):
+            name, given = type(self).__name__, in_short(self._asked.model)
+            raise ModelError(f"{name} takes an SSP first, then the start, not {given}")
         start_distribution(self._asked.model, self._asked.start)
         for condition in self.conditions:
             _ = condition.rows

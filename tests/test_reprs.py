@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from html.parser import HTMLParser
 
 import numpy as np
@@ -22,6 +23,7 @@ from ssp_lp import (
     GIVE_UP,
     SSP,
     DeterministicPolicy,
+    Formulation,
     MixedPolicy,
     Solution,
     certify,
@@ -171,6 +173,34 @@ def test_problems_say_what_was_stated() -> None:
         (GUBS(MODEL, "s", np.exp, 3.0), f"GUBS({size}, start='s', utility=<exp>, goal_bonus=3.0)"),
     ):
         assert repr(problem) == told
+
+
+@dataclass(frozen=True, eq=False)
+class Own(Formulation):
+    """A criterion with words of its own."""
+
+    model: SSP
+    start: str
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Worded(Own):
+    """A criterion with a repr of its own."""
+
+    def __repr__(self) -> str:
+        return "worded"
+
+
+@dataclass(frozen=True, eq=False)
+class WordedToo(Worded):
+    """One that inherits it."""
+
+
+def test_criteria_of_ones_own_have_the_short_repr_or_theirs() -> None:
+    assert repr(Own(MODEL, "s")) == f"Own({MODEL!r}, start='s')"
+    assert repr(Own(MODEL, "s", 2.5)) == f"Own({MODEL!r}, start='s', weight=2.5)"
+    assert repr(Worded(MODEL, "s")) == repr(WordedToo(MODEL, "s")) == "worded"
 
 
 def test_a_long_start_is_counted_not_listed() -> None:

@@ -20,7 +20,7 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProb
 from ssp_lp.column_generation.secant_search import Bracket, search
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.problem import Problem, by_rows
+from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.processes.failure_semantics import Aim
 
 _REFINEMENTS = 6
@@ -56,6 +56,7 @@ def trace_frontier(
         ModelError: an argument out of range, or a problem without a failure budget.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
+    check_problem(problem, "trace_frontier")
     if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
     if problem.semantics.measure is not None:

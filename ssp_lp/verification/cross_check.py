@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from ssp_lp.errors import ModelError
-from ssp_lp.problem import Problem, by_rows
+from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.verification.comparison import Comparison
 from ssp_lp.verification.method_result import METHODS, Member, MethodResult, result_by
 
@@ -103,6 +103,7 @@ def cross_check(
             does not know.
         InfeasibleError: every method says that no policy keeps to the budget.
     """
+    check_problem(problem, "cross_check")
     if not (0.0 < tolerance < 1.0 and 0.0 < weight_tolerance < 1.0):
         raise ModelError("tolerances must lie strictly between 0 and 1")
     if problem.semantics.measure is not None:

@@ -14,6 +14,7 @@ from ssp_lp import (
     DeterministicPolicy,
     Memory,
     ModelError,
+    cross_check,
     end_probability,
     evaluate,
     product,
@@ -21,6 +22,7 @@ from ssp_lp import (
     simulate,
     solve,
     success_costs,
+    trace_frontier,
     visits,
 )
 from ssp_lp.policies.randomness import generator_of
@@ -154,6 +156,11 @@ def test_a_model_is_no_problem_and_a_solution_no_policy() -> None:
     policy = SOLUTION.policy
     with pytest.raises(ModelError, match=r"solve takes a problem, such as MCMP\(model"):
         solve(MODEL)  # type: ignore[arg-type]
+    for question in (trace_frontier, cross_check):
+        with pytest.raises(ModelError, match="takes a problem"):
+            question(MODEL)  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="MCMP takes an SSP first"):
+        MCMP("depot", MODEL)  # type: ignore[arg-type]
     for verb in (evaluate, success_costs):
         with pytest.raises(ModelError, match=r"takes a policy: pass solution\.policy"):
             verb(SOLUTION, PROBLEM)  # type: ignore[arg-type]
