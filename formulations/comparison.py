@@ -50,7 +50,7 @@ class CriterionRow:
         )
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CriteriaComparison:
     """One row per criterion, in the order in which they were asked."""
 
@@ -66,6 +66,16 @@ class CriteriaComparison:
             if row.criterion == criterion:
                 return row
         raise KeyError(criterion)
+
+    def __repr__(self) -> str:
+        """One line: how many criteria there are; :meth:`summary` is the table."""
+        unmet = sum(row.solution is None for row in self.rows)
+        told = f", {unmet} that no policy meets" if unmet else ""
+        return f"CriteriaComparison({len(self.rows)} criteria{told})"
+
+    def __str__(self) -> str:
+        """The table."""
+        return self.summary()
 
     def summary(self) -> str:
         """The rows as an aligned table; what has no number says why."""

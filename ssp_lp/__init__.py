@@ -38,8 +38,9 @@ from ssp_lp.solve import solve
 from ssp_lp.verification.certificate import Certificate, certify
 
 if TYPE_CHECKING:
-    from ssp_lp.analysis.frontier import Frontier, trace_frontier
+    from ssp_lp.analysis.frontier import Frontier
     from ssp_lp.analysis.simulation import simulate
+    from ssp_lp.analysis.tracing import trace_frontier
     from ssp_lp.formulation import Formulation
     from ssp_lp.model.product import Memory, ProductSSP, product
     from ssp_lp.model.within_steps import HorizonSSP, within_steps
@@ -113,7 +114,7 @@ _ON_DEMAND = {
     "CrossCheck": "ssp_lp.verification.cross_check",
     "cross_check": "ssp_lp.verification.cross_check",
     "Frontier": "ssp_lp.analysis.frontier",
-    "trace_frontier": "ssp_lp.analysis.frontier",
+    "trace_frontier": "ssp_lp.analysis.tracing",
     "simulate": "ssp_lp.analysis.simulation",
 }
 

@@ -16,8 +16,8 @@ MACHINE_EPSILON: Final = float(np.finfo(np.float64).eps)
 PROBABILITY_SUM: Final = 1e-9
 """Sums of user probabilities this close to one are rounding and divided out; others are errors."""
 
-TABLE_SUM: Final = 1e-5
-"""As above for tables of other packages, whose probabilities may be in single precision."""
+SINGLE_PRECISION_SUM: Final = 1e-5
+"""The same where a user says that the probabilities are to be normalised: float32 or few digits."""
 
 MAXIMISER: Final = 1e-12
 """Relative distance to the best goal probability within which an action still counts as maximising.

@@ -8,8 +8,8 @@ methods solve it. This module is also where a page of ``formulations`` finds wha
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, field, fields
 from functools import cached_property
 from typing import TYPE_CHECKING, cast
 
@@ -20,6 +20,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import Compiled
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.in_short import in_short
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
@@ -105,6 +106,10 @@ Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 
+_PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
+"""What None stands for where a criterion asks for neither: the paper's section 2.4."""
+
+
 class _Inherited:
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
@@ -129,12 +134,40 @@ class Formulation(_Inherited):
 
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
 
+    def __init_subclass__(cls) -> None:
+        """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""
+        cls.__repr__ = cls.__repr__  # type: ignore[method-assign]
+
+    def __repr__(self) -> str:
+        """One line: the class, the model, the start, and what is not left to the default."""
+        return f"{type(self).__name__}({', '.join(self._stated())})"
+
+    def _stated(self) -> Iterator[str]:
+        """The arguments that say something, in short."""
+        for part in sorted(fields(self), key=lambda part: part.kw_only is True):
+            budget = isinstance(vars(type(self)).get(part.name), FailureBudget)
+            value = stated_budget(self) if budget else getattr(self, part.name)  # type: ignore[arg-type]
+            needed = part.default is MISSING and part.default_factory is MISSING
+            default = None if budget else part.default
+            if part.default_factory is not MISSING:
+                default = part.default_factory()
+            if part.name in _PAPER and default is None:
+                default = _PAPER[part.name]
+            if part.name == "model":
+                yield repr(value)
+            elif needed or (value is not default and in_short(value) != in_short(default)):
+                yield f"{part.name}={in_short(value)}"
+
     def __post_init__(self) -> None:
         """Check the start and the constraints.
 
         Raises:
-            ModelError: an unknown state, no distribution, or a constraint that is stated wrongly.
+            ModelError: no model, an unknown state, no distribution, or a constraint that is stated
+                wrongly.
         """
+        if not isinstance(self._asked.model, SSP):
+            name, given = type(self).__name__, in_short(self._asked.model)
+            raise ModelError(f"{name} takes an SSP first, then the start, not {given}")
         start_distribution(self._asked.model, self._asked.start)
         for condition in self.conditions:
             _ = condition.rows

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from numbers import Integral, Real
-from typing import Protocol, overload
+from typing import Protocol, cast, overload
 
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.in_short import in_short
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
@@ -195,6 +196,40 @@ def is_whole(value: object) -> bool:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
+def check_problem(problem: object, verb: str) -> None:
+    """Check that what should be a problem has a start and says what is asked.
+
+    Raises:
+        ModelError: a model alone, or something else; ``verb`` is what was to be done with it.
+    """
+    if not (hasattr(problem, "model") and hasattr(problem, "semantics")):
+        raise ModelError(
+            f"{verb} takes a problem, such as MCMP(model, start=..., failure_budget=...), not "
+            f"{in_short(problem)}"
+        )
+
+
+def check_policy(policy: object, problem: object, verb: str) -> None:
+    """Check that a policy and a problem are what they should be, on one model.
+
+    Raises:
+        ModelError: a solution, or something else, in place of the policy; no problem; two models.
+    """
+    check_problem(problem, verb)
+    if hasattr(policy, "policy") and hasattr(policy, "problem"):
+        raise ModelError(f"{verb} takes a policy: pass solution.policy")
+    if not hasattr(policy, "model") or hasattr(policy, "semantics"):
+        raise ModelError(
+            f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
+            f"model, {{state: action}}), not {in_short(policy)}"
+        )
+    theirs, mine = policy.model, cast("Problem", problem).model
+    if theirs is not mine:
+        of_product = getattr(theirs, "original", None) is mine
+        told = "; on_original(policy) acts on the original model" if of_product else ""
+        raise ModelError(f"the policy was made for another model object{told}")
+
+
 def check_numbers(**named: object) -> None:
     """Check that arguments are numbers: Python's, numpy's or fractions.
 
@@ -238,9 +273,15 @@ def check_setting(
     if reach_fraction is not None and failure_budget is not None:
         raise ModelError("give failure_budget or reach_fraction, not both: each says the other")
     if reach_fraction is not None and not 0.0 <= reach_fraction <= 1.0:
-        raise ModelError(f"reach_fraction must lie between 0 and 1, not {reach_fraction!r}")
+        raise ModelError(
+            f"reach_fraction must lie between 0 and 1, not {reach_fraction!r}"
+            f"{_as_percentage(reach_fraction)}"
+        )
     if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
-        raise ModelError(f"failure_budget must be a probability or None, not {failure_budget!r}")
+        raise ModelError(
+            f"failure_budget must be a probability or None, not {failure_budget!r}"
+            f"{_as_percentage(failure_budget)}"
+        )
     if discount is not None and not 0.0 < discount < 1.0:
         raise ModelError(
             f"discount must lie strictly between 0 and 1, not {discount!r}; None means exact"
@@ -250,3 +291,8 @@ def check_setting(
             "failure_budget=None (least failure) is exact only: leave discount out, or give a "
             "budget for the discounted surrogate"
         )
+
+
+def _as_percentage(share: float) -> str:
+    """What a number may have meant that is no probability."""
+    return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""

@@ -8,9 +8,11 @@ from functools import cached_property
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.analysis.occupation import equivalent_randomised_policy
+from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.problem import Problem, has_rows
 from ssp_lp.processes.failure_semantics import Aim
@@ -38,7 +40,7 @@ class Run:
         return self.work.products
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Solution:
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
 
@@ -158,27 +160,49 @@ class Solution:
         """The stationary randomised policy equivalent to the lottery (paper, section 2.2).
 
         It lives on the augmented states: the model's states in case M, (state, accumulated cost)
-        in case S, and spends the same expected time in each. Where totals are rounded to levels, its
-        cost differs from the lottery's by rounding.
+        in case S, and spends the same expected time in each. Where totals are rounded to levels,
+        its cost differs from the lottery's by rounding.
         """
         return equivalent_randomised_policy(self.policy, self.problem)
 
+    def __repr__(self) -> str:
+        """One line: what was asked, the objective with its gap, the failure, and the method."""
+        failure = "failure" if self.problem.discount is None else "discounted failure"
+        return (
+            f"Solution({self._title}: objective {self.objective:.9g}, gap {self.gap:.1e}, "
+            f"{failure} {self.budget_used:.6g}, method {self.method})"
+        )
+
+    def _repr_html_(self) -> str:
+        """The summary as a table, for notebooks."""
+        return html_table(self._title, self._rows())
+
     def summary(self) -> str:
         """The answer in a few lines for a person."""
-        name, bound = type(self.problem).__name__, self.upper_bound
-        setting = (
-            "exact" if self.problem.discount is None else f"discount {self.problem.discount:g}"
-        )
+        body = "\n".join(f"  {label:<20} {value}" for label, value in self._rows())
+        return f"{self._title}\n{body}"
+
+    @property
+    def _title(self) -> str:
+        """The criterion, what is asked about failing, and whether it is discounted."""
+        discount = self.problem.discount
+        setting = "exact" if discount is None else f"discount {discount:g}"
+        return f"{type(self.problem).__name__}, {self._asked}, {setting}"
+
+    def _rows(self) -> list[tuple[str, str]]:
+        """What the summary says, by name."""
+        bound = self.upper_bound
         side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
         rows = [
             ("objective c*", f"{self.objective:.9g}"),
             (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
+            *self._failing,
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
         ]
         if self.discounted_failure is not None:
-            rows.insert(3, ("discounted failure", f"{self.discounted_failure:.6g}"))
+            rows.insert(-2, ("discounted failure", f"{self.discounted_failure:.6g}"))
         if self.failure_price is not None:
             rows.append(("failure price", f"{self.failure_price:.6g}"))
         for limit, spent in self.secondary_costs.items():
@@ -188,8 +212,14 @@ class Solution:
         rows.append(("method", f"{self.method}: {self.run.reason}, {self.seconds:.3g} s"))
         if self.note:
             rows.append(("note", self.note))
-        body = "\n".join(f"  {label:<20} {value}" for label, value in rows)
-        return f"{name}, {self._asked}, {setting}\n{body}"
+        return rows
+
+    @property
+    def _failing(self) -> list[tuple[str, str]]:
+        """A row that says how the policy fails, if it does."""
+        at_start = giving_up_at_start(self.policy, self.problem)
+        told = failing_in_words(self.evaluation.ends, at_start)
+        return [("failing", told)] if told else []
 
     @property
     def _asked(self) -> str:

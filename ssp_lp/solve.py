@@ -24,7 +24,7 @@ from ssp_lp.options import (
     options_of,
     parse_method,
 )
-from ssp_lp.problem import Problem, by_rows, has_rows, rungs_of
+from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, rungs_of
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution
 
@@ -61,6 +61,7 @@ def solve(
             constraint cannot be kept, or failing is forbidden and cannot be avoided.
         SolverError: the method delivered nothing that passes its check.
     """
+    check_problem(problem, "solve")
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
     _check_method(problem, chosen)

@@ -3,17 +3,18 @@
 python examples/quickstart/first_problem.py
 """
 
-import numpy as np
-
 from formulations import MCMP
 from ssp_lp import SSP, solve
 
 alley = [(0.90, "home", 4.0), (0.10, "wreck", 2.0)]  # (probability, successor, cost)
 road = [(0.99, "home", 9.0), (0.01, "wreck", 5.0)]
 choices = {"depot": {"alley": alley, "road": road}, "wreck": {}}
-model = SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+names = {"crash": ["wreck"]}
+model = SSP.from_transitions(
+    choices, goal={"home"}, state_labels=names, treat_actionless_as_dead_ends=True
+)
 solution = solve(MCMP(model, start="depot", failure_budget=0.05))
 print(solution.summary())
 policy = solution.policy
-policy.reset(np.random.default_rng(0))  # it is a lottery between the two ways
+policy.reset(0)  # it is a lottery between the two ways
 print("first action:", policy.action("depot"))

@@ -17,6 +17,10 @@ class Estimate(NamedTuple):
     high: float
     confidence: float
 
+    def __str__(self) -> str:
+        """The mean and the interval."""
+        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+
 
 def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
     """Clopper and Pearson's exact interval of a probability."""

@@ -16,12 +16,12 @@ from ssp_lp.analysis.quantity_values import (
     until_failure,
 )
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
+from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
-from ssp_lp.errors import ModelError
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, check_policy
 from ssp_lp.processes.failure_semantics import (
     Aim,
     start_distribution,
@@ -30,7 +30,7 @@ from ssp_lp.processes.failure_semantics import (
 from ssp_lp.processes.quantities.conditions import OBJECTIVE
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Evaluation:
     """What a policy attains from the start. Costs are in the model's unit."""
 
@@ -45,6 +45,22 @@ class Evaluation:
     secondary_costs: Mapping[str, float] = field(
         default_factory=dict
     )  # each constrained quantity, by name; as ``objective``
+
+    def __repr__(self) -> str:
+        """One line: the objective, how episodes end, and the costs."""
+        failing = failing_in_words(self.ends)
+        costs = {
+            "cost given success": self.conditional_cost,
+            "cost until failure": self.expected_cost,
+            **self.secondary_costs,
+        }
+        parts = [
+            f"objective {self.objective:.6g}",
+            f"goal {self.goal_probability:.6g}",
+            *([failing] if failing else []),
+            *(f"{name} {cost:.6g}" for name, cost in costs.items()),
+        ]
+        return f"Evaluation({', '.join(parts)})"
 
 
 def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
@@ -67,8 +83,7 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
             problem forbids it.
     """
-    if policy.model is not problem.model:
-        raise ModelError("the policy was made for another model object")
+    check_policy(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
     lottery = as_lottery(policy)
     chains = (policy_chain(problem.model, member, start) for member in lottery.policies)

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP, FloatArray
-from ssp_lp.column_generation.compiled_problems.compiled_problem import (
-    CompiledProblem,
-    checked_least_failure,
-)
-from ssp_lp.column_generation.failure_constraint import Row
-from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
-from ssp_lp.column_generation.secant_search import Bracket, search
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.column_generation.failure_constraint import Row, least_of
+from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, by_rows
-from ssp_lp.processes.failure_semantics import Aim
 
-_REFINEMENTS = 6
+_SHOWN = 5  # points that a repr lists
+
+_BELOW = 1.0 - 2.5e-10
+"""The share of the best ratio at which it is proved: there it is strictly best to fail."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Frontier:
     """Turning points of the lower convex hull of (failure, cost), by increasing failure.
 
@@ -52,7 +48,10 @@ class Frontier:
         return self.cost / self.goal if self.ratio else self.cost
 
     def objective_at(self, budget: float) -> float:
-        """Least objective within a failure budget; no pricing call is made.
+        """Objective of :meth:`policy_at` within a failure budget; no pricing call is made.
+
+        That is the least objective to ``gap``, and at a turning point exactly. Where tracing was
+        cut short it may lie above the least one by more: :meth:`bounds_at` says between what.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
@@ -66,6 +65,39 @@ class Frontier:
         pair = slice(number, number + 2)
         return row.objective(float(ends @ self.cost[pair]), float(ends @ self.goal[pair]))
 
+    def bounds_at(self, budget: float) -> tuple[float, float]:
+        """What the least objective within a failure budget surely lies between.
+
+        The upper bound is :meth:`objective_at`. The lower one is proved afresh, at the price of
+        the segment: one or two pricing calls, remembered for every budget on the segment.
+
+        Raises:
+            InfeasibleError: the budget is below the least failure.
+            ModelError: the frontier was not traced down to the budget.
+        """
+        high, row = self.objective_at(budget), Row(budget, self.ratio)
+        number, _ = self._locate(budget)
+        segments = {number, number - 1} if budget <= float(self.failure[number]) else {number}
+        low = max(row.lower_bound(self._proof(k)) for k in segments if k >= 0)
+        return least_of(low, high), high
+
+    def _proof(self, segment: int) -> Proof:
+        """What is proved at a segment's price; beyond the last, at the price of the best policy."""
+        if segment not in self._proofs:
+            column = self._columns[segment]
+            last = segment == len(self._columns) - 1
+            price = 0.0 if last else float(self.price[segment])
+            if last and self.ratio:
+                price = float(self.objective[-1]) * _BELOW
+            slack = last and self.ratio
+            self._proofs[segment] = self._pricing.prove(price, column, slack=slack)
+        return self._proofs[segment]
+
+    @cached_property
+    def _proofs(self) -> dict[int, Proof]:
+        """Proofs by segment, filled as they are asked for."""
+        return {}
+
     def policy_at(self, budget: float) -> MixedPolicy:
         """A policy that attains :meth:`objective_at`; no pricing call is made.
 
@@ -78,6 +110,37 @@ class Frontier:
             return MixedPolicy((self._pricing.policy(self._columns[number]),), np.ones(1))
         members = tuple(self._pricing.policy(c) for c in self._columns[number : number + 2])
         return MixedPolicy(members, np.array([1.0 - weight, weight]))
+
+    def __repr__(self) -> str:
+        """One line, and a few of the points."""
+        rows = "".join(
+            f"\n  failure {failure:<12} objective {objective:<12} price {price}"
+            for failure, objective, price in self._some()
+        )
+        return f"Frontier({self._title}){rows}"
+
+    def _repr_html_(self) -> str:
+        """A few of the points as a table, for notebooks."""
+        head = ("failure", "objective", "price from here on")
+        return html_table(f"Frontier: {self._title}", self._some(), head)
+
+    @property
+    def _title(self) -> str:
+        """How many points, from where to where, and how near."""
+        failure, value = self.failure, self.objective
+        return (
+            f"{len(failure):,} points, failure {failure[0]:.6g} .. {failure[-1]:.6g}, "
+            f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}"
+        )
+
+    def _some(self) -> list[tuple[str, str, str]]:
+        """Failure, objective and price from there on, of a few points from first to last."""
+        count = len(self.failure)
+        shown = np.unique(np.linspace(0, count - 1, min(count, _SHOWN)).round().astype(int))
+        price = [f"{p:.6g}" for p in self.price] + ["-"]
+        return [
+            (f"{self.failure[k]:.6g}", f"{self.objective[k]:.6g}", price[k]) for k in shown.tolist()
+        ]
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """The turning point at or before the budget, and the weight of the next one."""
@@ -98,154 +161,3 @@ class Frontier:
             return number, 0.0
         width = float(self.failure[number + 1] - self.failure[number])
         return number, (budget - float(self.failure[number])) / width
-
-
-def trace_frontier(
-    problem: Problem,
-    *,
-    gap: float = RELATIVE_GAP,
-    steepest_price: float | None = None,
-    point_limit: int | None = None,
-    time_limit: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Frontier:
-    """Trace the frontier from the least failure to where more failure buys nothing.
-
-    Each segment is priced at its own slope: either no policy lies below it and it is part of the
-    frontier, or the policy found splits it. Case M ends at price 0; case S where the price falls
-    to the ratio itself, beyond which failing more does not lower the cost given success.
-
-    Args:
-        problem: its failure budget does not matter.
-        gap: how far a policy may lie below a segment, as a share of the cost at its safer end.
-        steepest_price: begin with the policy that is best at this price of failure (kappa in case
-            S) rather than at the least failure, near which the price grows without bound.
-        point_limit: stop splitting after so many turning points; ``gap`` is then what was reached.
-        time_limit: seconds after which splitting stops; segments that wait are still priced once,
-            so that ``gap`` is honest.
-        progress: called after each pricing call with (calls, turning points so far).
-
-    Raises:
-        ModelError: an argument out of range, or a problem without a failure budget.
-        InfeasibleError: case S, and the goal cannot be reached from the start.
-    """
-    if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
-        raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
-    if problem.semantics.measure is not None:
-        raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
-    if by_rows(problem):
-        raise ModelError(f"{type(problem).__name__} has several rows: trace MCMP's frontier")
-    if not 0.0 < gap < 1.0:
-        raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
-    if point_limit is not None and point_limit < 2:
-        raise ModelError(f"point_limit must be at least 2, not {point_limit!r}")
-    if steepest_price is not None and not 0.0 < steepest_price < np.inf:
-        raise ModelError(f"steepest_price must be a positive number, not {steepest_price!r}")
-    deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
-    limits = _Limits(gap, steepest_price, point_limit, deadline, progress)
-    compiled = problem.compile()
-    if steepest_price is None:
-        compiled = compiled.for_program()
-    elif compiled.is_trial:
-        compiled = compiled.refined(steepest_price) or compiled
-    calls, work = 0, Work()
-    for _ in range(_REFINEMENTS):
-        traced = _trace(compiled, limits)
-        calls, work = calls + traced.pricing_calls, work + traced.work
-        lost = _share_lost(compiled, traced)
-        finer = compiled.refined(float(traced.price[0])) if lost > gap else None
-        traced = replace(traced, gap=max(traced.gap, lost))
-        if finer is None or time.perf_counter() > deadline:
-            break
-        compiled = finer
-    return replace(traced, pricing_calls=calls, work=work)
-
-
-@dataclass(frozen=True)
-class _Limits:
-    """How far to trace."""
-
-    gap: float
-    steepest_price: float | None
-    point_limit: int | None
-    deadline: float  # on the clock of time.perf_counter
-    progress: Callable[[int, int], None] | None
-
-    def allows(self, points: int) -> bool:
-        """Whether a segment may still be split."""
-        full = self.point_limit is not None and points >= self.point_limit
-        return not full and time.perf_counter() <= self.deadline
-
-
-def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
-    """How far below the frontier policies may lie that the cap on accumulated cost hides."""
-    if len(traced.price) == 0:
-        return 0.0
-    lost = max(compiled.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
-    return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
-
-
-def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
-    pricing, row = compiled.pricing(), Row(1.0, compiled.ratio)
-    if limits.steepest_price is None:
-        first, calls = checked_least_failure(compiled, None).column, 0
-    else:
-        first, calls = pricing.minimise(limits.steepest_price, pricing.first()), 1
-        if row.ratio and row.objective(first.cost, first.goal) >= limits.steepest_price:
-            raise ModelError(
-                f"at the price {limits.steepest_price:g} of failure it is best to fail: "
-                "steepest_price must lie above the least cost given success"
-            )
-    free = search(pricing, Bracket(row, first), tolerance=limits.gap, deadline=limits.deadline)
-    last, calls, work = free.columns[-1], calls + free.rounds, first.work + free.work
-    columns = [first] if last.failure <= first.failure else [first, last]
-    waiting = [(first, last)] if len(columns) == 2 else []
-    columns = [replace(column, totals=None) for column in columns]
-    reached = 0.0
-    while waiting:
-        bracket = Bracket(Row(1.0, compiled.ratio), *waiting.pop())
-        if bracket.outside is None or bracket.slope == 0.0:
-            continue
-        found, calls = pricing.minimise(bracket.slope, bracket.outside), calls + 1
-        below, work = _share_below(bracket, found), work + found.work
-        if below > limits.gap and limits.allows(len(columns)):
-            columns.append(replace(found, totals=None))  # only those waiting start others warmly
-            waiting += [(bracket.inside, found), (found, bracket.outside)]
-        else:
-            reached = max(reached, below)
-        if limits.progress is not None:
-            limits.progress(calls, len(columns))
-    traced = _frontier(pricing, columns, max(reached, limits.gap), compiled.ratio)
-    return replace(traced, complete=limits.steepest_price is None, pricing_calls=calls, work=work)
-
-
-def _share_below(bracket: Bracket, found: Column) -> float:
-    """How far a column lies below the bracket's line, relative to the cost; 0 outside of it."""
-    if (
-        bracket.outside is None
-        or not bracket.inside.failure < found.failure < bracket.outside.failure
-    ):
-        return 0.0
-    below = (
-        bracket.inside.cost - found.cost - bracket.slope * (found.failure - bracket.inside.failure)
-    )
-    return max(below, 0.0) / max(bracket.inside.cost, 1e-300)
-
-
-def _frontier(pricing: PricingProblem, columns: list[Column], gap: float, ratio: bool) -> Frontier:
-    ordered = sorted(columns, key=lambda c: c.failure)
-    failure = np.array([c.failure for c in ordered])
-    cost = np.array([c.cost for c in ordered])
-    return Frontier(
-        failure=failure,
-        goal=np.array([c.goal for c in ordered]),
-        cost=cost,
-        price=-np.diff(cost) / np.diff(failure),
-        gap=gap,
-        ratio=ratio,
-        complete=True,
-        pricing_calls=0,
-        work=Work(),
-        _pricing=pricing,
-        _columns=tuple(ordered),
-    )

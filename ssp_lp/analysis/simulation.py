@@ -20,7 +20,8 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE
-from ssp_lp.problem import Problem
+from ssp_lp.policies.randomness import Randomness, generator_of
+from ssp_lp.problem import Problem, check_policy
 from ssp_lp.processes.failure_semantics import dead_end_charges, start_distribution
 
 World = npt.NDArray[Any]
@@ -78,7 +79,7 @@ class ModelSimulator:
         return np.cumsum(self.model.probabilities)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SimulationReport:
     """What happened in the episodes."""
 
@@ -91,13 +92,21 @@ class SimulationReport:
     mean_steps: float
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
 
+    def __repr__(self) -> str:
+        """One line: how the episodes ended, and the costs with their intervals."""
+        ends = ", ".join(f"{name} {count:,}" for name, count in self.ends.items() if count)
+        return (
+            f"SimulationReport({self.episodes:,} episodes: {ends}; goal {self.goal_probability}, "
+            f"cost given success {self.conditional_cost}, cost {self.expected_cost})"
+        )
+
 
 def simulate(
     policy: Policy | MixedPolicy,
     problem: Problem,
     *,
     episodes: int = 10_000,
-    rng: np.random.Generator,
+    rng: Randomness,
     max_steps: int = 10_000,
     simulator: Simulator | None = None,
     record: int = 0,
@@ -112,7 +121,7 @@ def simulate(
         policy: the policy, on the problem's model.
         problem: says the start and what failing costs.
         episodes: how many to play.
-        rng: the source of all randomness.
+        rng: the source of all randomness: a generator or a seed.
         max_steps: steps after which an episode counts as unfinished.
         simulator: another world than the model, such as a continuous one.
         record: keep the paths of this many first episodes.
@@ -125,12 +134,12 @@ def simulate(
         raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
     if episodes < 1 or max_steps < 1:
         raise ModelError("episodes and max_steps must be at least 1")
-    if policy.model is not problem.model:
-        raise ModelError("the policy was made for another model object")
+    check_policy(policy, problem, "simulate")
     world_of = simulator
     if world_of is None:
         world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
-    played = _play(policy, problem, world_of, episodes, rng, max_steps, record)
+    source = generator_of(rng)
+    played = _play(policy, problem, world_of, episodes, source, max_steps, record)
     return _report(problem, played, confidence)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ssp_lp.arrays import TABLE_SUM
+from ssp_lp.arrays import SINGLE_PRECISION_SUM
 from ssp_lp.errors import MissingDependencyError, ModelError
 from ssp_lp.model.ssp import SSP
 from ssp_lp.model.within_steps import HorizonSSP, within_steps
@@ -156,7 +156,7 @@ def _plain(value: Any) -> Hashable:
 def _outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
     found = [(float(p), _plain(to), float(reward), bool(over)) for p, to, reward, over in rows]
     total = fsum(p for p, *_ in found)
-    if abs(total - 1.0) > TABLE_SUM:
+    if abs(total - 1.0) > SINGLE_PRECISION_SUM:
         raise ModelError(
             f"action {action!r} of state {state!r}: the table's probabilities sum to {total:.9g}"
         )
@@ -175,7 +175,7 @@ def _start_of(
     if not isinstance(start, Mapping):
         return {_plain(start): 1.0}
     total = fsum(start.values())
-    if not abs(total - 1.0) <= TABLE_SUM:
+    if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
         raise ModelError(f"the start's probabilities sum to {total:.9g}")
     return {_plain(state): float(share) / total for state, share in start.items() if share != 0.0}
 

@@ -8,6 +8,7 @@ from fractions import Fraction
 from typing import Any, NamedTuple, cast
 
 from ssp_lp.errors import ModelError
+from ssp_lp.model.nearest import did_you_mean
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 
@@ -137,6 +138,7 @@ class _Found:
         raise ModelError(
             f"action {self._actions[pair]!r} of state {state!r} leads to {self.states[known]!r}, "
             "which is neither a state of the model nor a goal"
+            f"{did_you_mean(self.states[known], self.states[:known])}"
         )
 
     def flat(self) -> FlatModel:

@@ -8,12 +8,24 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import PROBABILITY_SUM, BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import (
+    PROBABILITY_SUM,
+    SINGLE_PRECISION_SUM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    read_only,
+)
 from ssp_lp.errors import ModelError
 from ssp_lp.model.chunks import chunks, pieces
 
 AnyArray = npt.NDArray[Any]
 Describe = Callable[[int], str]
+
+_NEGATIVE_COST = (
+    "has a negative cost: costs must be >= 0 (rewards? pass costs=-rewards; a constant added to "
+    "every step would ask another question)"
+)
 
 
 def check_offsets(name: str, offsets: IntArray, end: int) -> None:
@@ -51,7 +63,7 @@ def check_outcomes(
         (probabilities, lambda p: p < 0, "has a negative probability"),
         (probabilities, np.isinf, "has an infinite probability"),
         (paid, np.isnan, "has a cost that is NaN"),
-        (paid, lambda c: c < 0, "has a negative cost"),
+        (paid, lambda c: c < 0, _NEGATIVE_COST),
         (paid, np.isinf, "has an infinite cost"),
     ]
     for values, is_broken, complaint in rules:
@@ -61,13 +73,16 @@ def check_outcomes(
                 raise ModelError(f"{describe(some.start + int(np.argmax(broken)))} {complaint}")
 
 
-def unit_sums(probabilities: FloatArray, offsets: IntArray, describe: Describe) -> FloatArray:
+def unit_sums(
+    probabilities: FloatArray, offsets: IntArray, describe: Describe, *, normalise: bool = False
+) -> FloatArray:
     """Return the probabilities with rounding of their sums (up to 1e-9) divided out, [outcomes].
 
     Args:
         probabilities: [outcomes].
         offsets: the outcomes of pair k are ``offsets[k] : offsets[k + 1]``, [pairs + 1].
         describe: turns a pair's index into "action a of state s".
+        normalise: divide out the rounding of single precision as well (up to 1e-5).
 
     Raises:
         ModelError: a pair without outcomes, or whose probabilities do not sum to one.
@@ -78,10 +93,14 @@ def unit_sums(probabilities: FloatArray, offsets: IntArray, describe: Describe) 
     sums = np.empty(empty.size)
     for piece in pieces(offsets):
         sums[piece.segments] = np.add.reduceat(probabilities[piece.entries], piece.firsts)
-    wrong = np.abs(sums - 1.0) > PROBABILITY_SUM
+    off = np.abs(sums - 1.0)
+    wrong = off > (SINGLE_PRECISION_SUM if normalise else PROBABILITY_SUM)
     if wrong.any():
         pair = int(np.argmax(wrong))
-        raise ModelError(f"{describe(pair)}: probabilities sum to {sums[pair]:.12g}, not to 1")
+        told = f"{describe(pair)}: probabilities sum to {sums[pair]:.12g}, not to 1"
+        if off[wrong].max() <= SINGLE_PRECISION_SUM:
+            told += "; normalise=True divides out the rounding of single precision"
+        raise ModelError(told)
     if np.all(sums == 1.0):
         return probabilities
     shared = np.empty_like(probabilities)

@@ -28,16 +28,12 @@ from ssp_lp.model.checks import (
     unit_sums,
 )
 from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
-from ssp_lp.model.labels import (
-    action_table,
-    check_state_names,
-    goal_mask_of,
-    indexed_labels,
-)
+from ssp_lp.model.labels import action_table, check_state_names, goal_mask_of, indexed_labels
+from ssp_lp.model.naming import Naming
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SSP:
+class SSP(Naming):
     """A finite Markov decision process with goal states, in sparse state-action-pair form.
 
     Build it with :meth:`from_transitions`, :meth:`from_arrays` or :meth:`from_successors`, which
@@ -67,6 +63,7 @@ class SSP:
         *,
         state_labels: Mapping[str, Iterable[Hashable]] | None = None,
         treat_actionless_as_dead_ends: bool = False,
+        normalise: bool = False,
     ) -> SSP:
         """Build a model from nested dicts ``{state: {action: [(probability, successor, cost)]}}``.
 
@@ -76,6 +73,7 @@ class SSP:
             goal: the labels of the goal states.
             state_labels: names for sets of states ("wall"), used in reports.
             treat_actionless_as_dead_ends: accept states without actions that are not goals.
+            normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Returns:
             The model, with states numbered in the order of the keys, goals that are no keys last.
@@ -91,7 +89,7 @@ class SSP:
             (3, 1, 2)
         """
         flat = flatten_transitions(transitions, goal)
-        return cls._from_flat(flat, state_labels, treat_actionless_as_dead_ends)
+        return cls._from_flat(flat, state_labels, treat_actionless_as_dead_ends, normalise)
 
     @classmethod
     def from_successors(
@@ -104,6 +102,7 @@ class SSP:
         progress: Callable[[int], None] | None = None,
         state_labels: Mapping[str, Callable[[Any], bool]] | None = None,
         treat_actionless_as_dead_ends: bool = False,
+        normalise: bool = False,
     ) -> SSP:
         """Explore a successor function breadth-first from the start and build the model.
 
@@ -115,6 +114,7 @@ class SSP:
             progress: called now and then with the number of states found so far.
             state_labels: label -> predicate on states.
             treat_actionless_as_dead_ends: accept states without actions that are not goals.
+            normalise: divide out sums of probabilities that miss 1 by up to 1e-5.
 
         Raises:
             ModelError: naming the state and the action at fault, or that the limit was passed.
@@ -124,7 +124,7 @@ class SSP:
             name: [s for s in flat.states if holds(s)]
             for name, holds in (state_labels or {}).items()
         }
-        return cls._from_flat(flat, marked, treat_actionless_as_dead_ends)
+        return cls._from_flat(flat, marked, treat_actionless_as_dead_ends, normalise)
 
     @classmethod
     def _from_flat(
@@ -132,11 +132,13 @@ class SSP:
         flat: FlatModel,
         state_labels: Mapping[str, Iterable[Hashable]] | None,
         treat_actionless_as_dead_ends: bool,
+        normalise: bool,
     ) -> SSP:
         return cls.from_arrays(
             **flat._asdict(),
             state_labels=state_labels,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
+            normalise=normalise,
         )
 
     @classmethod
@@ -154,6 +156,7 @@ class SSP:
         state_labels: Mapping[str, Iterable[Hashable]] | None = None,
         exact_costs: Mapping[float, Fraction] | None = None,
         treat_actionless_as_dead_ends: bool = False,
+        normalise: bool = False,
     ) -> SSP:
         """Build a model from CSR arrays; those of the right type are kept, not copied.
 
@@ -171,6 +174,8 @@ class SSP:
             exact_costs: the fraction meant by a float cost such as 1/3; others mean their
                 shortest decimal. It decides the lattice of accumulated costs.
             treat_actionless_as_dead_ends: accept states without pairs that are not goals.
+            normalise: divide out sums of probabilities that miss 1 by up to 1e-5, such as those
+                of single precision; else 1e-9 is the limit.
 
         Raises:
             ModelError: naming the state and the action at fault.
@@ -183,7 +188,7 @@ class SSP:
             raise ModelError(f"successors and probabilities must have length {n_outcomes}")
         stage_cost = cost_array(costs, draft.outcome_offsets)
         check_outcomes(target, chance, stage_cost, draft.n_states, draft._describe_outcome)
-        chance = unit_sums(chance, draft.outcome_offsets, draft.describe_pair)
+        chance = unit_sums(chance, draft.outcome_offsets, draft.describe_pair, normalise=normalise)
         check_idle_states(
             draft.pair_offsets, draft.goal_mask, draft.states, treat_actionless_as_dead_ends
         )
@@ -262,38 +267,3 @@ class SSP:
     def kept_facts(self) -> dict[str, Any]:
         """What was found out about the model's graph, by name (``ssp_lp.model.graph.kept``)."""
         return {}
-
-    @cached_property
-    def _index(self) -> Mapping[Hashable, int]:
-        return {label: i for i, label in enumerate(self.states)}
-
-    def index_of(self, state: Hashable) -> int:
-        """Index of the state with this label.
-
-        Raises:
-            ModelError: no state has the label.
-        """
-        if isinstance(self.states, range):
-            if isinstance(state, (int, np.integer)) and state in self.states:
-                return int(state)
-        elif state in self._index:
-            return self._index[state]
-        raise ModelError(f"{state!r} is not a state of the model")
-
-    def action_of(self, pair: int) -> Hashable:
-        """Label of the action of a pair."""
-        return self.action_names[int(self.pair_action[pair])]
-
-    def describe_pair(self, pair: int) -> str:
-        """Name a pair for a person: "action 'go' of state 'start'"."""
-        state = int(np.searchsorted(self.pair_offsets, pair, side="right")) - 1
-        return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
-
-    def __repr__(self) -> str:
-        """One line: the sizes."""
-        sizes = f"{self.n_states:,} states, {self.n_pairs:,} pairs, {self.n_outcomes:,} outcomes"
-        return f"SSP({sizes}, {int(self.goal_mask.sum()):,} goals)"
-
-    def _describe_outcome(self, outcome: int) -> str:
-        pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
-        return self.describe_pair(pair)

@@ -85,7 +85,7 @@ def find_pair(model: SSP, state: int, action: Hashable) -> int:
     for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
         if model.action_of(pair) == action:
             return pair
-    raise ModelError(f"state {model.states[state]!r} has no action {action!r}")
+    raise ModelError(model.no_such_action(state, action))
 
 
 def check_decisions(model: SSP, decision: IntArray, states: IntArray) -> None:

@@ -12,6 +12,8 @@ from ssp_lp.model import SSP
 from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import Policy
 
+_LISTED = 3  # members that a repr names
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class MixedPolicy(Playable):
@@ -52,9 +54,12 @@ class MixedPolicy(Playable):
         return self.policies[int(rng.choice(len(self.policies), p=self.weights))]
 
     def __repr__(self) -> str:
-        """The weights and the members."""
-        parts = (f"{w:.6g} x {p!r}" for w, p in zip(self.weights, self.policies, strict=True))
-        return f"MixedPolicy({' + '.join(parts)})"
+        """One line: how many members there are, and the first of them with their weights."""
+        some = list(zip(self.weights, self.policies, strict=True))[:_LISTED]
+        parts = [f"{weight:.6g} x {policy!r}" for weight, policy in some]
+        parts += ["..."] if len(self.policies) > _LISTED else []
+        count = f"{len(self.policies)} member{'s' if len(self.policies) > 1 else ''}"
+        return f"MixedPolicy({count}: {' + '.join(parts)})"
 
 
 def as_lottery(policy: Policy | MixedPolicy) -> MixedPolicy:

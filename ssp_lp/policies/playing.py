@@ -13,6 +13,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states, staying_pairs
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.randomness import Randomness, generator_of
 
 
 @dataclass
@@ -71,7 +72,7 @@ class Playable(ABC):
         >>> from ssp_lp import SSP, DeterministicPolicy
         >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
         >>> policy = DeterministicPolicy.from_actions(model, {"door": "open"})
-        >>> policy.reset(np.random.default_rng(0))
+        >>> policy.reset(0)
         >>> policy.action("door")
         'open'
         >>> policy.observe("out", 2.0)
@@ -83,15 +84,20 @@ class Playable(ABC):
     def member(self, rng: np.random.Generator | None) -> Policy:
         """The policy that plays the next episode, drawn where there is a lottery."""
 
-    def start(self, rng: np.random.Generator | None = None) -> Episode:
+    def start(self, rng: Randomness | None = None) -> Episode:
         """A new episode of its own, beside any others; ``rng`` draws the lottery and actions.
+
+        Args:
+            rng: a generator, which goes on from episode to episode, or a seed, with which every
+                episode begins afresh.
 
         Raises:
             ModelError: a lottery without a generator.
         """
-        return Episode(self.member(rng), rng)
+        drawn = None if rng is None else generator_of(rng)
+        return Episode(self.member(drawn), drawn)
 
-    def reset(self, rng: np.random.Generator | None = None) -> None:
+    def reset(self, rng: Randomness | None = None) -> None:
         """Begin the policy's own episode afresh; ``rng`` draws the lottery and random actions.
 
         Raises:

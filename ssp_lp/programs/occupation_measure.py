@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OccupationMeasure:
     """Expected visits of every pair of the process, with what the solver said besides.
 
@@ -94,7 +94,7 @@ class OccupationMeasure:
         choices, weights = decomposed(self.program.process, self.visits)
         return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The objective, and each row with what is spent and its price."""
         lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]
         for row in self.program.rows:

@@ -43,7 +43,7 @@ _BELOW = 2.5e-10  # relative step below a ratio
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class OccupationProgram:
     """A linear program over the visits of an augmented process.
 
@@ -273,7 +273,7 @@ class OccupationProgram:
         names = [f"x{k}.{self.label(k)}" for k in range(self.process.n_pairs)]
         write_program(self.linear, Path(path), names + ["t"] * self.ratio)
 
-    def __str__(self) -> str:
+    def __repr__(self) -> str:
         """The program as the page of a paper would have it."""
         process = self.process
         fraction = f"<{self.objective}, x> / <goal, x>" if self.ratio else f"<{self.objective}, x>"

@@ -9,10 +9,7 @@ import numpy as np
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.constrained import (
-    ATTAINABLE,
-    CompiledConstrained,
-)
+from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.failure_constraint import CONTRADICTION, Row, relative_gap
 from ssp_lp.column_generation.pricing.constrained import LARGEST
@@ -38,7 +35,7 @@ _BELOW = 2.5e-10
 best to fail, so that no rounding enters (see ``Row.lower_bound``)."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Certificate:
     """What was recomputed. ``accepted`` says that the policy keeps to the budget and all limits."""
 
@@ -60,6 +57,16 @@ class Certificate:
         if self.upper_bound is not None:
             return relative_gap(self.upper_bound, self.objective)
         return relative_gap(self.objective, self.lower_bound)
+
+    def __repr__(self) -> str:
+        """One line: accepted or why not, both sides, and what is left of the budget."""
+        upper = self.upper_bound
+        side, bound = ("lower", self.lower_bound) if upper is None else ("upper", upper)
+        verdict = "accepted" if self.accepted else f"refused: {self.reason}"
+        return (
+            f"Certificate({verdict}, objective {self.objective:.9g}, {side} bound {bound:.9g}, "
+            f"gap {self.gap:.1e}, failure {self.failure:.6g} of {self.budget:.6g})"
+        )
 
 
 def certify(solution: Solution) -> Certificate:

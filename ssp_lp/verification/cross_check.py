@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from ssp_lp.errors import ModelError
-from ssp_lp.problem import Problem, by_rows
+from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.verification.comparison import Comparison
 from ssp_lp.verification.method_result import METHODS, Member, MethodResult, result_by
 
@@ -15,7 +15,7 @@ _DIGITS = {"c*": 10, "lower bound": 10, "gap": 2, "seconds": 2}
 """Significant digits of a column, where they are not six."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CrossCheck:
     """The methods side by side, and what they disagree about.
 
@@ -43,6 +43,15 @@ class CrossCheck:
     def failed(self) -> tuple[str, ...]:
         """The methods that were asked and gave no answer."""
         return tuple(method.name for method in self.methods if method.failed)
+
+    def __repr__(self) -> str:
+        """One line: the methods and the verdict."""
+        names = ", ".join(method.name for method in self.methods)
+        return f"CrossCheck({names}: {self._verdict()})"
+
+    def __str__(self) -> str:
+        """The table."""
+        return self.summary()
 
     def summary(self) -> str:
         """The methods as a table, their policies, the remarks, and one line with the verdict."""
@@ -94,6 +103,7 @@ def cross_check(
             does not know.
         InfeasibleError: every method says that no policy keeps to the budget.
     """
+    check_problem(problem, "cross_check")
     if not (0.0 < tolerance < 1.0 and 0.0 < weight_tolerance < 1.0):
         raise ModelError("tolerances must lie strictly between 0 and 1")
     if problem.semantics.measure is not None:

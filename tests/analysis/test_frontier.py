@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -128,3 +129,64 @@ def test_tracing_stops_early_and_says_how_far_it_came() -> None:
             trace_frontier(PROBLEMS[0], steepest_price=wrong)
     with pytest.raises(ModelError, match="best to fail"):
         trace_frontier(PROBLEMS[3], steepest_price=1e-3)
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: f"{type(p).__name__}-{p.discount}")
+@pytest.mark.parametrize("points", [2, 3, None])
+def test_bounds_are_true_however_early_tracing_stopped(problem: Any, points: int | None) -> None:
+    whole, part = trace_frontier(problem), trace_frontier(problem, point_limit=points)
+    for budget in np.linspace(float(whole.failure[0]), 1.0, 17):
+        low, high = part.bounds_at(float(budget))
+        exact = whole.objective_at(float(budget))
+        assert low <= exact * (1 + 1e-9)
+        assert exact <= high * (1 + 1e-12)
+        assert high == part.objective_at(float(budget))
+        if points is None:
+            assert low == pytest.approx(high, rel=1e-8)
+    with pytest.raises(InfeasibleError):
+        part.bounds_at(float(whole.failure[0]) - 1e-6)
+
+
+def test_bounds_of_frontiers_without_an_edge() -> None:
+    sure = SSP.from_transitions({"s": {"go": [(1.0, "g", 2.0)]}}, goal={"g"})
+    for criterion in (MCMP, S3P):
+        for budget in (0.0, 0.3, 1.0):
+            assert trace_frontier(criterion(sure, "s")).bounds_at(budget) == pytest.approx((2, 2))
+
+
+def test_bounds_close_in_on_the_robot() -> None:
+    grid = RobotGrid()
+    problem = MCMP(grid_model(grid), start_state(grid))
+    exact = solve(with_budget(problem, 0.05)).objective
+    widths = []
+    for points in (2, 4, 8, 16):
+        low, high = trace_frontier(problem, point_limit=points).bounds_at(0.05)
+        assert low <= exact * (1 + 1e-9)
+        assert exact <= high * (1 + 1e-12)
+        widths.append(high - low)
+    assert widths[-1] < 0.1 * widths[0]
+
+
+def test_the_segment_with_most_below_it_is_split_first() -> None:
+    """One state whose actions lie on a convex curve: what is below a segment is known."""
+    failure = np.linspace(0.0, 0.9, 19)
+    cost = 1.0 + (1.0 - failure) ** 6 * 40.0
+    actions = {
+        k: [(1.0 - f, "g", c), (f, "d", c)]
+        for k, (f, c) in enumerate(zip(failure, cost, strict=True))
+    }
+    model = SSP.from_transitions(
+        {"s": actions, "d": {}}, goal={"g"}, treat_actionless_as_dead_ends=True
+    )
+    problem = MCMP(model, "s", give_up="dead_ends")
+    known = {0, 18}
+    for points in range(3, 9):
+        ends = sorted(known)
+        below = {}
+        for i, j in pairwise(ends):
+            line = np.interp(failure[i : j + 1], failure[[i, j]], cost[[i, j]])
+            gaps = (line - cost[i : j + 1]) / cost[i]
+            below[i + int(np.argmax(gaps))] = float(gaps.max())
+        known.add(max(below, key=below.__getitem__))
+        part = trace_frontier(problem, point_limit=points)
+        assert part.failure == pytest.approx(failure[sorted(known)], abs=1e-12)

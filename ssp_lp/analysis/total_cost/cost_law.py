@@ -19,7 +19,7 @@ from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, check_policy
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.layered.arrival_cost import Utility, utilities
 from ssp_lp.processes.layered.lattice import last_layer
@@ -55,8 +55,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem) -> CostLaw:
         >>> law.within(0.3), law.quantile(0.95)
         (0.875, 0.5)
     """
-    if policy.model is not problem.model:
-        raise ModelError("the policy was made for another model object")
+    check_policy(policy, problem, "success_costs")
     start = start_distribution(problem.model, problem.start)
     lottery = as_lottery(policy)
     used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]

@@ -38,16 +38,7 @@ _MOST_PAIRS = 20_000_000
 """Pairs of a process that is written out."""
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
-_KEPT = (
-    "least",
-    "greatest_goal",
-    "least_goal",
-    "_least_goals",
-    "_usable",
-    "_shared",
-    "_typical_cost",
-    "base",
-)
+_OWN = {"augmented", "pricing", "ladder", "layers"}  # what depends on charge, cap or rungs
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,8 +185,7 @@ class CompiledConstrained:
 
     @property
     def _room(self) -> int:
-        """Levels for which there is room."""
-        return max(_ROOM // max(len(self.base.gain), 1), 2)
+        return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
     @cached_property
     def pricing(self) -> ConstrainedPricing:
@@ -247,11 +237,7 @@ class CompiledConstrained:
 
     @cached_property
     def layers(self) -> int:
-        """Layers of accumulated cost that are told apart.
-
-        Raises:
-            ModelError: the process would be too large to be written out.
-        """
+        """Layers of accumulated cost that are told apart; ModelError: too many to write out."""
         layers = self.cap if self.ladder is None else self.ladder.size
         if layers is None:
             layers = first_cap(self.base, self.charge, self._typical_cost, self.fixed_cap)
@@ -285,11 +271,7 @@ class CompiledConstrained:
         return self._handing_on(replace(self, cap=cap))
 
     def matching(self, values: FloatArray) -> CompiledConstrained:
-        """The same with as many layers as a value function of its process, [process states].
-
-        Raises:
-            ModelError: no number of layers makes so many states.
-        """
+        """The same with as many layers as a value function has, [process states]; or ModelError."""
         if self.charge is None:
             return self
         if self.rungs is not None:
@@ -305,6 +287,6 @@ class CompiledConstrained:
 
     def _handing_on(self, other: CompiledConstrained) -> CompiledConstrained:
         """Hand what depends on neither charge nor cap to a copy."""
-        known = vars(self)
-        vars(other).update((name, known[name]) for name in _KEPT if name in known)
+        shared = vars(self).keys() - vars(other).keys() - _OWN
+        vars(other).update((name, vars(self)[name]) for name in shared)
         return other

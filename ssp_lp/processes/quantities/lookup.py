@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.nearest import did_you_mean
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.processes.quantities.conditions import (
     OBJECTIVE,
@@ -125,7 +127,11 @@ def _members(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
         try:
             mask[model.index_of(one)] = True
         except ModelError as error:
-            raise ModelError(f"limit {name!r}: {error}") from error
+            names = chain(model.state_labels, model.states)
+            raise ModelError(
+                f"limit {name!r}: {one!r} is neither a state nor a label of states"
+                f"{did_you_mean(one, names)}"
+            ) from error
     return mask
 
 
@@ -144,6 +150,7 @@ def _final_states(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArra
             known = ", ".join(repr(k) for k in named)
             raise ModelError(
                 f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
+                f"{did_you_mean(way, chain(named, model.states))}"
             ) from error
         if marks[state] < 0:
             raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")

@@ -21,32 +21,45 @@ from ssp_lp.errors import ModelError
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StageCosts:
     """A cost of steps: None: the model's own; else by pair, by outcome, or nested dicts."""
 
     cost: NestedCosts | npt.ArrayLike | None = None
 
+    def __repr__(self) -> str:
+        """What was called, without the costs."""
+        return "expected_cost()" if self.cost is None else "secondary_cost(...)"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Visits:
     """How often some states are entered or started in; names are states or labels of states."""
 
     of: tuple[Hashable, ...]
 
+    def __repr__(self) -> str:
+        """What was called."""
+        return f"visits({', '.join(map(repr, self.of))})"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Ends:
     """The probability of ending in one of several ways, or, as ``others``, in none of them."""
 
     ways: tuple[Hashable, ...]
     others: bool = False
 
+    def __repr__(self) -> str:
+        """What was called."""
+        ways = f"end_probability({', '.join(map(repr, self.ways))})"
+        return f"1 - {ways}" if self.others else ways
+
 
 Counted = StageCosts | Visits | Ends
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Quantity:
     """A weighted sum of what is counted, and a constant."""
 
@@ -92,14 +105,26 @@ class Quantity:
         """Exactly a number."""
         return Constraint(self, lower=_number(value), upper=_number(value))
 
+    def __repr__(self) -> str:
+        """The sum as it would be typed."""
+        parts = [f"{c!r}" if w == 1.0 else f"{w:g} * {c!r}" for w, c in self.terms]
+        parts += [f"{self.constant:g}"] if self.constant or not parts else []
+        return " + ".join(parts)
 
-@dataclass(frozen=True, eq=False)
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Constraint:
     """A quantity with bounds."""
 
     quantity: Quantity
     lower: float | None = None
     upper: float | None = None
+
+    def __repr__(self) -> str:
+        """The quantity between its bounds."""
+        low = "" if self.lower is None else f"{self.lower:g} <= "
+        high = "" if self.upper is None else f" <= {self.upper:g}"
+        return f"{low}{self.quantity!r}{high}"
 
     def __bool__(self) -> bool:
         """Refused: ``0.1 <= quantity <= 0.2`` would silently drop its first half.

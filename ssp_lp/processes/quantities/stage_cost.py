@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from numbers import Real
 
 import numpy as np
@@ -25,7 +25,7 @@ class CostLimit:
         bound: the largest expected total, in the unit of the cost, >= 0.
     """
 
-    cost: NestedCosts | npt.ArrayLike
+    cost: NestedCosts | npt.ArrayLike = field(repr=False)
     bound: float
 
 
@@ -100,7 +100,7 @@ def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
         pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
         for action, value in actions.items():
             if action not in pair_of:
-                raise ModelError(f"limit {name!r}: state {state!r} has no action {action!r}")
+                raise ModelError(f"limit {name!r}: {model.no_such_action(index, action)}")
             if not is_amount(value):
                 raise ModelError(
                     f"limit {name!r}, action {action!r} of state {state!r}: the cost must be "

@@ -1,0 +1,217 @@
+"""Tracing: the turning points of the frontier, each segment priced until nothing lies below."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from heapq import heappop, heappush
+
+import numpy as np
+
+from ssp_lp.analysis.frontier import Frontier
+from ssp_lp.arrays import RELATIVE_GAP
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    CompiledProblem,
+    checked_least_failure,
+)
+from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
+from ssp_lp.column_generation.secant_search import Bracket, search
+from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.errors import ModelError
+from ssp_lp.problem import Problem, by_rows, check_problem
+from ssp_lp.processes.failure_semantics import Aim
+
+_REFINEMENTS = 6
+
+
+def trace_frontier(
+    problem: Problem,
+    *,
+    gap: float = RELATIVE_GAP,
+    steepest_price: float | None = None,
+    point_limit: int | None = None,
+    time_limit: float | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Frontier:
+    """Trace the frontier from the least failure to where more failure buys nothing.
+
+    Each segment is priced at its own slope: either no policy lies below it and it is part of the
+    frontier, or the policy found splits it. Case M ends at price 0; case S where the price falls
+    to the ratio itself, beyond which failing more does not lower the cost given success.
+
+    Args:
+        problem: its failure budget does not matter.
+        gap: how far a policy may lie below a segment, as a share of the cost at its safer end.
+        steepest_price: begin with the policy that is best at this price of failure (kappa in case
+            S) rather than at the least failure, near which the price grows without bound.
+        point_limit: stop splitting after so many turning points, of which the segments with most
+            below them get theirs first; ``gap`` is then what was reached.
+        time_limit: seconds after which splitting stops; segments that wait are still priced once,
+            so that ``gap`` is honest.
+        progress: called after each pricing call with (calls, turning points so far).
+
+    Raises:
+        ModelError: an argument out of range, or a problem without a failure budget.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    check_problem(problem, "trace_frontier")
+    if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
+        raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
+    if problem.semantics.measure is not None:
+        raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
+    if by_rows(problem):
+        raise ModelError(f"{type(problem).__name__} has several rows: trace MCMP's frontier")
+    if not 0.0 < gap < 1.0:
+        raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
+    if point_limit is not None and point_limit < 2:
+        raise ModelError(f"point_limit must be at least 2, not {point_limit!r}")
+    if steepest_price is not None and not 0.0 < steepest_price < np.inf:
+        raise ModelError(f"steepest_price must be a positive number, not {steepest_price!r}")
+    deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
+    limits = _Limits(gap, steepest_price, point_limit, deadline, progress)
+    compiled = problem.compile()
+    if steepest_price is None:
+        compiled = compiled.for_program()
+    elif compiled.is_trial:
+        compiled = compiled.refined(steepest_price) or compiled
+    calls, work = 0, Work()
+    for _ in range(_REFINEMENTS):
+        traced = _trace(compiled, limits)
+        calls, work = calls + traced.pricing_calls, work + traced.work
+        lost = _share_lost(compiled, traced)
+        finer = compiled.refined(float(traced.price[0])) if lost > gap else None
+        traced = replace(traced, gap=max(traced.gap, lost))
+        if finer is None or time.perf_counter() > deadline:
+            break
+        compiled = finer
+    return replace(traced, pricing_calls=calls, work=work)
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """How far to trace."""
+
+    gap: float
+    steepest_price: float | None
+    point_limit: int | None
+    deadline: float  # on the clock of time.perf_counter
+    progress: Callable[[int, int], None] | None
+
+    @property
+    def may_stop(self) -> bool:
+        """Whether some segments may be left, so that it matters which are split."""
+        return self.point_limit is not None or self.deadline < np.inf
+
+    def allows(self, points: int) -> bool:
+        """Whether a segment may still be split."""
+        full = self.point_limit is not None and points >= self.point_limit
+        return not full and time.perf_counter() <= self.deadline
+
+
+def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
+    """How far below the frontier policies may lie that the cap on accumulated cost hides."""
+    if len(traced.price) == 0:
+        return 0.0
+    lost = max(compiled.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
+    return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
+
+
+def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
+    pricing, row = compiled.pricing(), Row(1.0, compiled.ratio)
+    if limits.steepest_price is None:
+        first, calls = checked_least_failure(compiled, None).column, 0
+    else:
+        first, calls = pricing.minimise(limits.steepest_price, pricing.first()), 1
+        if row.ratio and row.objective(first.cost, first.goal) >= limits.steepest_price:
+            raise ModelError(
+                f"at the price {limits.steepest_price:g} of failure it is best to fail: "
+                "steepest_price must lie above the least cost given success"
+            )
+    free = search(pricing, Bracket(row, first), tolerance=limits.gap, deadline=limits.deadline)
+    last, calls, work = free.columns[-1], calls + free.rounds, first.work + free.work
+    columns = [first] if last.failure <= first.failure else [first, last]
+    waiting = _Waiting(pricing, compiled.ratio, limits, calls)
+    if len(columns) == 2:
+        waiting.add(first, last, len(columns))
+    columns = [replace(column, totals=None) for column in columns]
+    while waiting.found and limits.allows(len(columns)):
+        inside, found, outside = waiting.next()
+        columns.append(replace(found, totals=None))  # only those waiting start others warmly
+        waiting.add(inside, found, len(columns))
+        waiting.add(found, outside, len(columns))
+    reached, work = max(waiting.reached(), limits.gap), work + waiting.work
+    traced = _frontier(pricing, columns, reached, compiled.ratio)
+    complete = limits.steepest_price is None
+    return replace(traced, complete=complete, pricing_calls=waiting.calls, work=work)
+
+
+class _Waiting:
+    """Segments with a policy below them, the worst first where not all can be split. Grows."""
+
+    def __init__(self, pricing: PricingProblem, ratio: bool, limits: _Limits, calls: int) -> None:
+        """Nothing waits; ``calls`` were made before."""
+        self.found: list[tuple[float, int, tuple[Column, Column, Column]]] = []  # a heap
+        self.calls, self.work = calls, Work()
+        self._pricing, self._ratio, self._limits = pricing, ratio, limits
+        self._left = 0.0  # share by which policies may lie below segments that are done with
+
+    def add(self, inside: Column, outside: Column, points: int) -> None:
+        """Price a segment, and keep it if a policy lies below it by more than the gap."""
+        bracket = Bracket(Row(1.0, self._ratio), inside, outside)
+        if bracket.slope == 0.0:
+            return
+        found, self.calls = self._pricing.minimise(bracket.slope, outside), self.calls + 1
+        below, self.work = _share_below(bracket, found), self.work + found.work
+        if below > self._limits.gap:
+            urgency = -below if self._limits.may_stop else -float(self.calls)
+            heappush(self.found, (urgency, self.calls, (inside, found, outside)))
+        else:
+            self._left = max(self._left, below)
+        if self._limits.progress is not None:
+            self._limits.progress(self.calls, points)
+
+    def next(self) -> tuple[Column, Column, Column]:
+        """Take out the segment to split: its ends and the policy between them."""
+        return heappop(self.found)[2]
+
+    def reached(self) -> float:
+        """The share by which no policy lies below a segment as things stand."""
+        open_ones = (
+            _share_below(Bracket(Row(1.0, self._ratio), inside, outside), found)
+            for _, _, (inside, found, outside) in self.found
+        )
+        return max(open_ones, default=self._left)
+
+
+def _share_below(bracket: Bracket, found: Column) -> float:
+    """How far a column lies below the bracket's line, relative to the cost; 0 outside of it."""
+    if (
+        bracket.outside is None
+        or not bracket.inside.failure < found.failure < bracket.outside.failure
+    ):
+        return 0.0
+    below = (
+        bracket.inside.cost - found.cost - bracket.slope * (found.failure - bracket.inside.failure)
+    )
+    return max(below, 0.0) / max(bracket.inside.cost, 1e-300)
+
+
+def _frontier(pricing: PricingProblem, columns: list[Column], gap: float, ratio: bool) -> Frontier:
+    ordered = sorted(columns, key=lambda c: c.failure)
+    failure = np.array([c.failure for c in ordered])
+    cost = np.array([c.cost for c in ordered])
+    return Frontier(
+        failure=failure,
+        goal=np.array([c.goal for c in ordered]),
+        cost=cost,
+        price=-np.diff(cost) / np.diff(failure),
+        gap=gap,
+        ratio=ratio,
+        complete=True,
+        pricing_calls=0,
+        work=Work(),
+        _pricing=pricing,
+        _columns=tuple(ordered),
+    )

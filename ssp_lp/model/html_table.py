@@ -1,0 +1,20 @@
+"""A small table for notebooks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+
+def html_table(title: str, rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
+    """Rows of text as an HTML table under a title, escaped."""
+    lines = [f"<caption>{escape(title)}</caption>"]
+    if head:
+        lines.append(_row(head, "th"))
+    lines += [_row(row, "td") for row in rows]
+    return "\n".join(["<table>", *lines, "</table>"])
+
+
+def _row(cells: Sequence[str], tag: str) -> str:
+    inside = "".join(f'<{tag} style="text-align: left">{escape(cell)}</{tag}>' for cell in cells)
+    return f"<tr>{inside}</tr>"

@@ -1,0 +1,93 @@
+"""States, actions and pairs by their names: what a model tells a person."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model.html_table import html_table
+from ssp_lp.model.nearest import did_you_mean
+
+_LISTED = 5  # actions that an error names
+
+
+class Naming:
+    """The names of a model's states and actions, and the model in a line."""
+
+    states: Sequence[Hashable]  # [states] labels
+    action_names: Sequence[Hashable]
+    pair_action: IntArray  # [pairs]
+    pair_offsets: IntArray  # [states + 1]
+    outcome_offsets: IntArray  # [pairs + 1]
+    successors: IntArray  # [outcomes]
+    goal_mask: BoolArray  # [states]
+
+    @cached_property
+    def _index(self) -> Mapping[Hashable, int]:
+        return {label: i for i, label in enumerate(self.states)}
+
+    def index_of(self, state: Hashable) -> int:
+        """Index of the state with this label.
+
+        Raises:
+            ModelError: no state has the label.
+        """
+        if isinstance(self.states, range):
+            if isinstance(state, (int, np.integer)) and state in self.states:
+                return int(state)
+            raise ModelError(
+                f"{state!r} is not a state of the model: states are 0 .. {len(self.states) - 1}"
+            )
+        try:
+            found = self._index.get(state)
+        except TypeError:  # a list, say
+            found = None
+        if found is not None:
+            return found
+        nearest = did_you_mean(state, self.states)
+        raise ModelError(f"{state!r} is not a state of the model{nearest}")
+
+    def action_of(self, pair: int) -> Hashable:
+        """Label of the action of a pair."""
+        return self.action_names[int(self.pair_action[pair])]
+
+    def no_such_action(self, state: int, action: Hashable) -> str:
+        """What to say of an action that a state does not have: the nearest one, or some."""
+        first, end = int(self.pair_offsets[state]), int(self.pair_offsets[state + 1])
+        known = [self.action_of(pair) for pair in range(first, end)]
+        some = ", ".join(repr(name) for name in known[:_LISTED]) or "none"
+        nearest = did_you_mean(action, known) or f"; it has {some}"
+        return f"state {self.states[state]!r} has no action {action!r}{nearest}"
+
+    def describe_pair(self, pair: int) -> str:
+        """Name a pair for a person: "action 'go' of state 'start'"."""
+        state = int(np.searchsorted(self.pair_offsets, pair, side="right")) - 1
+        return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
+
+    def _describe_outcome(self, outcome: int) -> str:
+        pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
+        return self.describe_pair(pair)
+
+    @property
+    def _sizes(self) -> dict[str, int]:
+        """How many there are of everything."""
+        return {
+            "states": len(self.pair_offsets) - 1,
+            "pairs": len(self.outcome_offsets) - 1,
+            "outcomes": len(self.successors),
+            "goals": int(self.goal_mask.sum()),
+        }
+
+    def __repr__(self) -> str:
+        """One line: the sizes."""
+        sizes = ", ".join(f"{count:,} {name}" for name, count in self._sizes.items())
+        return f"{type(self).__name__}({sizes})"
+
+    def _repr_html_(self) -> str:
+        """The sizes as a table, for notebooks."""
+        rows = [(name, f"{count:,}") for name, count in self._sizes.items()]
+        return html_table(type(self).__name__, rows)

@@ -1,0 +1,238 @@
+"""What a person prints: short, without arrays, and true."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from formulations import (
+    GUBS,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    ConstrainedCost,
+    CostLimit,
+    MaxProb,
+    MinProb,
+    compare_criteria,
+)
+from ssp_lp import (
+    GIVE_UP,
+    SSP,
+    DeterministicPolicy,
+    Formulation,
+    MixedPolicy,
+    Solution,
+    certify,
+    cross_check,
+    evaluate,
+    secondary_cost,
+    simulate,
+    solve,
+    trace_frontier,
+    visits,
+)
+from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
+
+MODEL = SSP.from_transitions(
+    {
+        "s": {
+            "go": [(0.9, "g", 4.0), (0.04, "pit", 1.0), (0.06, "wall", 1.0)],
+            "round": [(0.99, "g", 9.0), (0.01, "wall", 1.0)],
+            "loop": [(1.0, "s", 1.0)],
+        },
+        "pit": {},
+        "wall": {},
+    },
+    goal={"g"},
+    state_labels={"crash <b>": ["wall"]},
+    treat_actionless_as_dead_ends=True,
+)
+PROBLEM = MCMP(MODEL, "s", failure_budget=0.3)
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    return solve(PROBLEM)
+
+
+def failing_line(solution: Solution) -> str:
+    lines = [line for line in solution.summary().splitlines() if line.startswith("  failing")]
+    assert len(lines) <= 1
+    return lines[0].removeprefix("  failing").strip() if lines else ""
+
+
+def test_the_summary_says_how_the_policy_fails(solution: Solution) -> None:
+    ends = solution.evaluation.ends
+    told = failing_line(solution)
+    assert ends["gave_up"] > 0.2
+    for word in ("crash <b>", "dead-end", "gave up"):
+        name = {"dead-end": "dead_end", "gave up": "gave_up"}.get(word, word)
+        assert f"{word} {ends[name]:.6g}" in told
+    assert told.endswith("(before the first step)")
+    assert "wandering" not in told
+    assert failing_line(solve(MaxProb(MODEL, "s"))) == "crash <b> 0.01"
+
+
+def test_who_never_fails_has_no_line_for_it() -> None:
+    sure = SSP.from_transitions({"s": {"go": [(1.0, "g", 2.0)]}}, goal={"g"})
+    assert failing_line(solve(MCMP(sure, "s", 0.5))) == ""
+    assert failing_line(solve(MinProb(MODEL, "s"))).startswith(("gave up 1", "wandering 1"))
+
+
+def test_giving_up_later_is_no_giving_up_at_the_start() -> None:
+    model = SSP.from_transitions(
+        {
+            "s": {"on": [(0.5, "g", 1.0), (0.5, "t", 1.0)]},
+            "t": {"far": [(1.0, "g", 50.0)], "stay": [(1.0, "t", 1.0)]},
+        },
+        goal={"g"},
+    )
+    assert failing_line(solve(MCMP(model, "s", 0.2))) == "gave up 0.2"
+    policy = DeterministicPolicy.from_actions(model, {"s": "on", "t": GIVE_UP})
+    problem = MCMP(model, {"s": 0.5, "t": 0.5}, 0.9)
+    at_start = giving_up_at_start(MixedPolicy((policy,), np.ones(1)), problem)
+    told = failing_in_words(evaluate(policy, problem).ends, at_start)
+    assert told == "gave up 0.75 (0.5 of it before the first step)"
+
+
+def test_wandering_is_told() -> None:
+    policy = DeterministicPolicy.from_actions(MODEL, {"s": "loop"})
+    assert "wandering 1" in repr(evaluate(policy, PROBLEM))
+
+
+def test_reprs_are_short(solution: Solution) -> None:
+    policy = solution.policy
+    assert repr(solution).startswith("Solution(MCMP, failure budget 0.3, exact: objective ")
+    assert repr(policy).startswith("MixedPolicy(2 members: ")
+    many = MixedPolicy(tuple(policy.policies[:1] * 50), np.full(50, 0.02))
+    assert repr(many).endswith("+ ...)")
+    assert repr(certify(solution)).startswith("Certificate(accepted, objective ")
+    found = [
+        solution,
+        policy,
+        many,
+        policy.policies[0],
+        solution.evaluation,
+        certify(solution),
+        simulate(policy, PROBLEM, rng=0, episodes=100, record=100),
+        PROBLEM,
+        MODEL,
+        compare_criteria(MODEL, "s"),
+        cross_check(PROBLEM),
+        solution.randomised_policy,
+    ]
+    for one in found:
+        assert "\n" not in repr(one)
+        assert "array" not in repr(one)
+        assert len(repr(one)) < 400, repr(one)
+
+
+def test_a_frontier_lists_five_points_at_most() -> None:
+    text = str(trace_frontier(PROBLEM))
+    assert text.startswith("Frontier(")
+    steep = SSP.from_transitions(
+        {"s": {k: [(k / 20, "g", k * k), (1 - k / 20, "d", 0.0)] for k in range(20)}, "d": {}},
+        goal={"g"},
+        treat_actionless_as_dead_ends=True,
+    )
+    frontier = trace_frontier(MCMP(steep, "s"))
+    lines = str(frontier).splitlines()
+    assert len(frontier.failure) > 5
+    assert len(lines) == 6
+    assert f"{frontier.failure[0]:.6g}" in lines[1]
+    assert f"{frontier.failure[-1]:.6g}" in lines[-1]
+
+
+def test_programs_and_measures_read_like_a_page() -> None:
+    program = PROBLEM.program()
+    assert repr(program).startswith("MCMP, failure budget 0.3\n  minimise")
+    assert repr(program.solve()).startswith("objective ")
+
+
+def test_problems_say_what_was_stated() -> None:
+    fuel = secondary_cost({"s": {"go": 2.0}}) + 2 * visits("wall") + 1 <= 3.5
+    size = repr(MODEL)
+    for problem, told in (
+        (PROBLEM, f"MCMP({size}, start='s', failure_budget=0.3)"),
+        (MCMP(MODEL, {"s": 1.0}), f"MCMP({size}, start={{'s': 1.0}})"),
+        (MCMP(MODEL, "s", give_up="anywhere"), f"MCMP({size}, start='s', give_up='anywhere')"),
+        (AlphaMCMP(MODEL, "s", 0.8), f"AlphaMCMP({size}, start='s', reach_fraction=0.8)"),
+        (
+            S3P(MODEL, "s", 0.3, constraints={"fuel": fuel}),
+            f"S3P({size}, start='s', failure_budget=0.3, constraints={{'fuel': "
+            "secondary_cost(...) + 2 * visits('wall') + 1 <= 3.5})",
+        ),
+        (
+            ConstrainedCost(MODEL, "s", {"f": CostLimit(np.ones(MODEL.n_pairs), 3.0)}),
+            f"ConstrainedCost({size}, start='s', limits={{'f': CostLimit(bound=3.0)}})",
+        ),
+        (GUBS(MODEL, "s", np.exp, 3.0), f"GUBS({size}, start='s', utility=<exp>, goal_bonus=3.0)"),
+    ):
+        assert repr(problem) == told
+
+
+@dataclass(frozen=True, eq=False)
+class Own(Formulation):
+    """A criterion with words of its own."""
+
+    model: SSP
+    start: str
+    weight: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Worded(Own):
+    """A criterion with a repr of its own."""
+
+    def __repr__(self) -> str:
+        return "worded"
+
+
+@dataclass(frozen=True, eq=False)
+class WordedToo(Worded):
+    """One that inherits it."""
+
+
+def test_criteria_of_ones_own_have_the_short_repr_or_theirs() -> None:
+    assert repr(Own(MODEL, "s")) == f"Own({MODEL!r}, start='s')"
+    assert repr(Own(MODEL, "s", 2.5)) == f"Own({MODEL!r}, start='s', weight=2.5)"
+    assert repr(Worded(MODEL, "s")) == repr(WordedToo(MODEL, "s")) == "worded"
+
+
+def test_a_long_start_is_counted_not_listed() -> None:
+    model = SSP.from_transitions({k: {"go": [(1.0, "g", 1.0)]} for k in range(50)}, goal={"g"})
+    assert "start=<dict of 50>" in repr(MCMP(model, dict.fromkeys(range(50), 0.02)))
+
+
+class Tags(HTMLParser):
+    """Counts opened and closed tags."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: set[str] = set()
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.open.append(tag)
+        self.seen.add(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_notebooks_show_escaped_tables(solution: Solution) -> None:
+    for shown in (solution, MODEL, trace_frontier(PROBLEM)):
+        tags = Tags()
+        tags.feed(shown._repr_html_())
+        assert tags.open == []
+        assert tags.seen <= {"table", "caption", "tr", "th", "td"}
+    assert "crash &lt;b&gt;" in solution._repr_html_()
+
+
+def test_a_policy_that_gives_up_is_described() -> None:
+    policy = DeterministicPolicy.from_actions(MODEL, {"s": GIVE_UP})
+    assert "gives up in 1" in repr(policy)
