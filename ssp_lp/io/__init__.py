@@ -7,8 +7,8 @@ if TYPE_CHECKING:
     from ssp_lp.io.controller import Controller
     from ssp_lp.io.controller_files import write_controller
     from ssp_lp.io.dot import write_dot
-    from ssp_lp.io.gym_environments import GymnasiumWorld, from_gymnasium
-    from ssp_lp.io.gym_rollout import RolloutReport, StepLimitWarning, rollout
+    from ssp_lp.io.environments.gym_environments import GymnasiumWorld, from_gymnasium
+    from ssp_lp.io.environments.gym_rollout import RolloutReport, StepLimitWarning, rollout
     from ssp_lp.io.model_fingerprint import fingerprint
     from ssp_lp.io.policy_files import load_policy, save_policy
     from ssp_lp.io.solution_files import load_solution, save_solution
@@ -36,11 +36,11 @@ _ON_DEMAND = {
     "Controller": "ssp_lp.io.controller",
     "write_controller": "ssp_lp.io.controller_files",
     "write_dot": "ssp_lp.io.dot",
-    "GymnasiumWorld": "ssp_lp.io.gym_environments",
-    "from_gymnasium": "ssp_lp.io.gym_environments",
-    "RolloutReport": "ssp_lp.io.gym_rollout",
-    "StepLimitWarning": "ssp_lp.io.gym_rollout",
-    "rollout": "ssp_lp.io.gym_rollout",
+    "GymnasiumWorld": "ssp_lp.io.environments.gym_environments",
+    "from_gymnasium": "ssp_lp.io.environments.gym_environments",
+    "RolloutReport": "ssp_lp.io.environments.gym_rollout",
+    "StepLimitWarning": "ssp_lp.io.environments.gym_rollout",
+    "rollout": "ssp_lp.io.environments.gym_rollout",
     "fingerprint": "ssp_lp.io.model_fingerprint",
     "load_policy": "ssp_lp.io.policy_files",
     "save_policy": "ssp_lp.io.policy_files",

@@ -6,9 +6,9 @@ from os import PathLike
 from typing import Any
 
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archive import Archive, ArrayStore, read_archive, write_archive
+from ssp_lp.io.archives.archive import Archive, ArrayStore, read_archive, write_archive
+from ssp_lp.io.archives.policy_records import AnyPolicy, PolicyRecords, carries_a_memory, made_of
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
-from ssp_lp.io.policy_records import AnyPolicy, PolicyRecords, carries_a_memory, made_of
 from ssp_lp.model import SSP
 
 _VERSION = 1

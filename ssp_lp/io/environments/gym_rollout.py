@@ -13,7 +13,7 @@ import numpy as np
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.io.gym_environments import EnvironmentSSP, step_limit_of
+from ssp_lp.io.environments.gym_environments import EnvironmentSSP, step_limit_of
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.within_steps import HorizonSSP

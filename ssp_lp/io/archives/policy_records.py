@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archive import Array, ArrayStore
+from ssp_lp.io.archives.archive import Array, ArrayStore
 from ssp_lp.model import SSP
 from ssp_lp.policies import (
     CostAwarePolicy,

@@ -1,0 +1,1 @@
+"""What files of policies and solutions are made of."""

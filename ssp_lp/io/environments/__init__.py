@@ -1,0 +1,1 @@
+"""Models of the environments of others, and policies back in them."""
