@@ -7,7 +7,7 @@ if TYPE_CHECKING:
     from ssp_lp.io.drn import read_drn, write_drn
     from ssp_lp.io.matrices import from_matrices
     from ssp_lp.io.model_archive import load_model, save_model
-    from ssp_lp.io.model_file import ModelFile
+    from ssp_lp.io.model_files.model_file import ModelFile
     from ssp_lp.io.prism import read_prism, write_prism
 
 __all__ = [
@@ -22,7 +22,7 @@ __all__ = [
 ]
 
 _ON_DEMAND = {
-    "ModelFile": "ssp_lp.io.model_file",
+    "ModelFile": "ssp_lp.io.model_files.model_file",
     "from_matrices": "ssp_lp.io.matrices",
     "load_model": "ssp_lp.io.model_archive",
     "save_model": "ssp_lp.io.model_archive",

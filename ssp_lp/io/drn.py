@@ -8,11 +8,11 @@ from collections.abc import Hashable, Iterator
 import numpy as np
 
 from ssp_lp.arrays import IntArray
-from ssp_lp.io.drn_body import read_body
-from ssp_lp.io.drn_header import read_header
-from ssp_lp.io.exported import Exported, exported, write_text
-from ssp_lp.io.model_file import ModelFile, finished
-from ssp_lp.io.text_file import FilePath, TextFile
+from ssp_lp.io.model_files.drn_body import read_body
+from ssp_lp.io.model_files.drn_header import read_header
+from ssp_lp.io.model_files.exported import Exported, exported, write_text
+from ssp_lp.io.model_files.model_file import ModelFile, finished
+from ssp_lp.io.model_files.text_file import FilePath, TextFile
 from ssp_lp.model import SSP
 
 _COMMENT = rb"//[^\n]*"

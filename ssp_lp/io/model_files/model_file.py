@@ -41,8 +41,7 @@ class ModelFile:
         """
         if len(self.initial_states) != 1:
             raise ModelError(
-                f"the file names {len(self.initial_states)} initial states: "
-                "choose a start yourself"
+                f"the file names {len(self.initial_states)} initial states: choose a start yourself"
             )
         return self.initial_states[0]
 
@@ -55,7 +54,7 @@ class RawModel(NamedTuple):
     successors: IntArray  # [outcomes]
     probabilities: FloatArray  # [outcomes]
     costs: FloatArray  # [outcomes]
-    actions: Sequence[str] | None  # [pairs]
+    actions: Sequence[Hashable] | None  # [pairs]
     labels: Mapping[str, IntArray]  # label -> states
     states: Sequence[Hashable] | None = None
     exact_costs: Mapping[float, Fraction] | None = None
@@ -113,7 +112,9 @@ def absorbed(raw: RawModel, goals: IntArray, source: str) -> SSP:
             goal_states=goals,
             states=raw.states,
             actions=actions,
-            state_labels={name: [states[i] for i in at] for name, at in raw.labels.items()},
+            state_labels={
+                name: [states[i] for i in at.tolist()] for name, at in raw.labels.items()
+            },
             exact_costs=raw.exact_costs,
             treat_actionless_as_dead_ends=True,
         )

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 
 from ssp_lp.errors import ModelError
-from ssp_lp.io.text_file import TextFile
+from ssp_lp.io.model_files.text_file import TextFile
 
 _KINDS = ("MDP", "DTMC")
 _NUMBERS = ("double", "rational")

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.io.decimals import decimal_sum
-from ssp_lp.io.drn_header import DrnHeader
-from ssp_lp.io.model_file import RawModel, distinct_actions, offsets_of
-from ssp_lp.io.text_file import Lines, TextFile
+from ssp_lp.io.model_files.decimals import decimal_sum
+from ssp_lp.io.model_files.drn_header import DrnHeader
+from ssp_lp.io.model_files.model_file import RawModel, distinct_actions, offsets_of
+from ssp_lp.io.model_files.text_file import Lines, TextFile
 
 _STATE = re.compile(rb"state\s+(\d+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _ACTION = re.compile(rb"action\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")

@@ -12,9 +12,9 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.io.decimals import decimal_sum
-from ssp_lp.io.model_file import DEADLOCK, INITIAL, PAYING, offsets_of
-from ssp_lp.io.text_file import FilePath
+from ssp_lp.io.model_files.decimals import decimal_sum
+from ssp_lp.io.model_files.model_file import DEADLOCK, INITIAL, PAYING, offsets_of
+from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
 
 GOAL = "goal"
@@ -142,9 +142,7 @@ def _words(names: Sequence[Hashable]) -> list[str]:
     return words
 
 
-def _labels(
-    model: SSP, start: Hashable, idle: IntArray, n_paying: int
-) -> Mapping[str, IntArray]:
+def _labels(model: SSP, start: Hashable, idle: IntArray, n_paying: int) -> Mapping[str, IntArray]:
     """The labels of the model, and those that the files give a meaning."""
     goals = np.flatnonzero(model.goal_mask)
     labels = {

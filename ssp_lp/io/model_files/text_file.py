@@ -72,8 +72,7 @@ class TextFile:
         self._comment = re.compile(comment, re.MULTILINE)
         with self.path.open("rb") as stream:
             packed = stream.read(2) == _GZIP
-        opened = gzip.open(self.path, "rb") if packed else self.path.open("rb")
-        self._stream = cast(IO[bytes], opened)
+        self._stream = cast(IO[bytes], (gzip.open if packed else open)(self.path, "rb"))
 
     def __enter__(self) -> TextFile:
         """The file itself."""
