@@ -23,8 +23,8 @@ def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile
     """Read a model from a DRN file of Storm, plain or gzip.
 
     The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
-    and of states that no action leaves, which are dead-ends. Other labels of states become
-    ``state_labels``.
+    and of states with the label "deadlock" that no action leaves: they are dead-ends. Other labels
+    of states become ``state_labels``.
 
     Args:
         path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.

@@ -25,8 +25,8 @@ def from_matrices(
 ) -> SSP:
     """Build a model from a transition matrix for each action.
 
-    An action is not available in a state whose row is zero, or whose cost is infinite. Actions of
-    goal states are dropped, and of states that no action leaves, which are dead-ends.
+    An action is not available in a state whose row is zero, or whose cost is infinite; a state
+    without any is a dead-end. Actions of goal states are dropped.
 
     Args:
         transitions: [actions] matrices [states, states], dense or sparse, of probabilities.
@@ -69,7 +69,7 @@ def from_matrices(
         actions=[names[k] for k in action[firsts].tolist()],
         labels={},
     )
-    return absorbed(raw, _goals(goal, n_states), "the matrices")
+    return absorbed(raw, _goals(goal, n_states), np.zeros(0, dtype=np.int64), "the matrices")
 
 
 def _matrix(matrix: Any) -> Any:

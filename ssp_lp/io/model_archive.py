@@ -13,7 +13,7 @@ from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -41,8 +41,16 @@ _ARRAYS = {
 _MOST_PACKED = 1100
 """Bytes that one packed byte can become, a little above the 1032 of the packing method."""
 
-_BROKEN = (zipfile.BadZipFile, zlib.error, struct.error, EOFError, ValueError, RuntimeError)
-"""What reading a damaged archive may raise; NotImplementedError is a RuntimeError."""
+_BROKEN = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    OSError,
+    ValueError,
+    RuntimeError,
+)
+"""What reading a damaged archive may raise: an offset before its beginning is an OSError."""
 
 _FRACTION = re.compile(r"\d{1,4000}(/\d{1,4000})?", re.ASCII)
 
@@ -116,16 +124,17 @@ def load_model(path: FilePath) -> SSP:
         OSError: the file cannot be opened.
     """
     place = Path(path)
-    try:
-        return _model(place)
-    except ModelError as error:
-        raise ModelError(f"{place}: {error}") from error
-    except _BROKEN as error:
-        raise ModelError(f"{place}: the archive is broken ({error})") from error
+    with place.open("rb") as stream:
+        try:
+            return _model(stream)
+        except ModelError as error:
+            raise ModelError(f"{place}: {error}") from error
+        except _BROKEN as error:
+            raise ModelError(f"{place}: the archive is broken ({error})") from error
 
 
-def _model(path: Path) -> SSP:
-    with path.open("rb") as stream, zipfile.ZipFile(stream) as archive:
+def _model(stream: IO[bytes]) -> SSP:
+    with zipfile.ZipFile(stream) as archive:
         texts = _texts(_array(archive, "texts"))
         arrays = {name: _array(archive, name) for name in _ARRAYS if name != "texts"}
     n_states = arrays["pair_offsets"].size - 1

@@ -34,9 +34,9 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
 
     The files are ``path.tra`` and ``path.lab``; where they are there, ``path.sta``, which names
     the states; and rewards, ``path.srew`` and ``path.trew``, or ``path1.srew`` and so on for
-    several structures. Each may be gzip, with a further .gz. The cost of an outcome is the reward of
-    its transition plus that of its state. Actions of goal states are dropped, and of states that
-    no action leaves, which are dead-ends.
+    several structures. Each may be gzip, with a further .gz. The cost of an outcome is the reward
+    of its transition plus that of its state. Actions of goal states are dropped, and of states
+    with the label "deadlock" that no action leaves: they are dead-ends.
 
     Args:
         path: the path of the files without an ending, or that of the .tra file.

@@ -63,7 +63,8 @@ class RawModel(NamedTuple):
 def finished(raw: RawModel, goal: str, path: Path) -> ModelFile:
     """Make the model whose goal states bear a label.
 
-    Actions of goal states are dropped, and of states that no action leaves: they are dead-ends.
+    Actions of goal states are dropped, and of states with the label "deadlock" that no action
+    leaves: they are dead-ends.
 
     Args:
         raw: what the file says; its arrays are consistent.
@@ -79,13 +80,15 @@ def finished(raw: RawModel, goal: str, path: Path) -> ModelFile:
         raise ModelError(f"{path}: no state has the label {goal!r}; labels: {known}")
     own = {INITIAL, DEADLOCK, goal, *ENDS}
     kept = {name: members for name, members in raw.labels.items() if name not in own}
-    model = absorbed(raw._replace(labels=kept), goals, str(path))
-    initial = raw.labels.get(INITIAL, np.zeros(0, dtype=np.int64))
+    none = np.zeros(0, dtype=np.int64)
+    idle = raw.labels.get(DEADLOCK, none)
+    model = absorbed(raw._replace(labels=kept), goals, idle, str(path))
+    initial = raw.labels.get(INITIAL, none)
     return ModelFile(model, tuple(model.states[int(state)] for state in initial))
 
 
-def absorbed(raw: RawModel, goals: IntArray, source: str) -> SSP:
-    """Make a model of which goal states, and states that no action leaves, have no actions.
+def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP:
+    """Make a model of which goal states, and idle ones that no action leaves, have no actions.
 
     Raises:
         ModelError: naming the source, the state and the action at fault.
@@ -93,14 +96,15 @@ def absorbed(raw: RawModel, goals: IntArray, source: str) -> SSP:
     n_states = raw.pair_offsets.size - 1
     state = np.repeat(np.arange(n_states), np.diff(raw.pair_offsets))
     sizes = np.diff(raw.outcome_offsets)
-    acts = _leaves(raw, state, n_states)
+    acts = np.ones(n_states, dtype=np.bool_)
+    acts[idle] = _leaves(raw, state, n_states)[idle]
     acts[goals] = False
     pair_kept = acts[state]
     kept = np.repeat(pair_kept, sizes)
     states = range(n_states) if raw.states is None else raw.states
     actions = raw.actions
     if actions is not None and not pair_kept.all():
-        actions = [actions[k] for k in np.flatnonzero(pair_kept)]
+        actions = [actions[k] for k in np.flatnonzero(pair_kept).tolist()]
     counts = np.bincount(state[pair_kept], minlength=n_states)
     try:
         return SSP.from_arrays(

@@ -16,6 +16,8 @@ _COMMENT = rb"^#[^\n]*"
 _NO_COMMENT = rb"(?!)"
 _LABEL = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
 _STRUCTURE = re.compile(r'#\s*Reward structure\s*"([^"]*)"')
+_WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)
+_MOST_DIGITS = 19  # a number with fewer fits in 64 bits
 _TRUTH = {"true": True, "false": False}
 
 
@@ -105,11 +107,12 @@ def read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
 
 def _entries(file: TextFile, n_states: int) -> Iterator[tuple[int, str]]:
     """Lines ``state: ...``, taken apart."""
-    while (line := file.line()) is not None:
+    for line in file.rest():
         if not line:
             continue
         state, colon, listed = line.partition(":")
-        if not colon or not re.fullmatch(r"\d{1,18}", state, re.ASCII) or int(state) >= n_states:
+        plain = state.isascii() and state.isdigit() and len(state) < _MOST_DIGITS
+        if not colon or not plain or int(state) >= n_states:
             raise file.fault(f"the line must begin with a state, 0 to {n_states - 1}, and a colon")
         yield int(state), listed
 
@@ -139,7 +142,7 @@ def read_states(path: Path, n_states: int) -> Sequence[Hashable] | None:
 def _value(word: str, file: TextFile) -> int | bool:
     if word in _TRUTH:
         return _TRUTH[word]
-    if not re.fullmatch(r"-?\d{1,18}", word, re.ASCII):
+    if not _WHOLE.fullmatch(word):
         raise file.fault(f"{word[:60]!r} is neither a whole number nor true nor false")
     return int(word)
 

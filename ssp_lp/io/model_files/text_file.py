@@ -131,6 +131,19 @@ class TextFile:
         if rest:
             yield self._lines(rest + b"\n")
 
+    def rest(self) -> Iterator[str]:
+        """The lines that are left, one by one, without comments and outer spaces.
+
+        Raises:
+            ModelError: a line without end, no UTF-8, or a broken gzip file.
+        """
+        for block in self.blocks():
+            last = self.number
+            lines = self.text_of(block.text.tobytes(), block.first).split("\n")[:-1]
+            for self.number, line in enumerate(lines, start=block.first):
+                yield line.strip()
+            self.number = last
+
     def _lines(self, text: bytes) -> Lines:
         found = Lines.of(self._comment.sub(b"", text), self.number + 1)
         self.number += found.words.size
