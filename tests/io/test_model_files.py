@@ -6,14 +6,15 @@ import gzip
 import io
 import json
 import zipfile
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from cases import load_case
 
+from cases import load_case
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.io import (
@@ -158,7 +159,7 @@ def test_an_archive_of_arrays_keeps_what_is_left_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", [frozenset({1}), None, (1, b"x"), 2j])
 def test_a_name_that_cannot_be_kept_is_named(name: object, tmp_path: Path) -> None:
     model = SSP.from_transitions({name: {"a": [(1.0, "g", 1)]}}, goal={"g"})
-    with pytest.raises(ModelError, match="the state .* cannot be written"):
+    with pytest.raises(ModelError, match=r"the state .* cannot be written"):
         save_model(model, tmp_path / "m.npz")
 
 
@@ -180,17 +181,9 @@ def with_texts(path: Path, **entries: object) -> Path:
 def test_archives_that_are_none_are_refused_by_name(tmp_path: Path) -> None:
     path = tmp_path / "m.npz"
     save_model(FIRST, path)
-    arrays = {
-        "costs is missing": changed(path, costs=None),
-        "version 2": with_texts(path, version=2),
-        "format is not": with_texts(path, format="something else"),
-    }
-    for message, other in arrays.items():
-        del other
-        assert message
     with pytest.raises(ModelError, match="costs is missing"):
         load_model(changed(path, costs=None))
-    with pytest.raises(ModelError, match="version 2, .* update it"):
+    with pytest.raises(ModelError, match=r"version 2, .* update it"):
         load_model(with_texts(path, version=2))
     with pytest.raises(ModelError, match="format is not"):
         load_model(with_texts(path, format="something else"))
@@ -245,7 +238,7 @@ state 0 [0.1, 5] init "a place"
 state 1 [3,3] done
 \taction __NOLABEL__ [0, 0]
 \t\t0 : 1
-state 2 [1, 0] dead_end
+state 2 [1, 0] deadlock dead_end
 \taction 0
 \t\t2 : 1
 // between
@@ -266,7 +259,7 @@ def test_a_drn_text_reads_as_it_should(tmp_path: Path) -> None:
     model = found.model
     assert found.start == 0
     assert [model.action_of(k) for k in range(model.n_pairs)] == ["go", "go#2", "0"]
-    assert model.pair_offsets.tolist() == [0, 2, 2, 2, 3]  # done, and a state that only loops
+    assert model.pair_offsets.tolist() == [0, 2, 2, 2, 3]  # done, and a deadlock
     assert model.successors.tolist() == [1, 2, 3, 0, 1]
     assert model.probabilities.tolist() == [0.5, 0.25, 0.25, 1.0, 1.0]
     assert model.costs.tolist() == [0.3, 0.3, 0.3, 1.1, 10.0]  # in decimals
@@ -298,13 +291,12 @@ def test_a_drn_text_reads_as_it_should(tmp_path: Path) -> None:
         ("[0.2, 1]", "[0.2]", "line 14: 1 rewards for 2"),
         ("[0.2, 1]", "[-1, 1]", "action 'go' of state 0 has a negative cost"),
         ("[0.2, 1]", "[nan, 1]", "action 'go' of state 0 has a cost that is NaN"),
-        ("state 2", "state 7", "line 24: state 2 should come here"),
-        ("state 1 [3,3] done", "state 1 done [3,3", "no state has the label 'done'|no partner"),
+        ("state 2", "state 7", "line 23: state 2 should come here"),
         ('"a place"', '"a place', "no partner"),
         ("state 1 [3,3] done", "state 1 !3 done", "exit rates"),
-        ("// between", "between", "line 27: neither a state"),
-        ("\taction 0\n", "", "line 25: it stands before"),
-        ("\t\t2 : 1\n", "", "no label|no outcomes|and 5 choices|sum"),
+        ("// between", "between", "line 26: neither a state"),
+        ("\taction 0\n", "", "line 24: it stands before"),
+        ("\t\t0 : 1\nstate 1", "state 1", "action 'go#2' of state 0 has no outcomes"),
         ("@model", "@modle", "is no section"),
     ],
 )
@@ -312,16 +304,13 @@ def test_an_error_in_a_drn_text_names_its_line(
     old: str, new: str, message: str, tmp_path: Path
 ) -> None:
     assert old in DRN
-    if old == "\t\t2 : 1\n":  # a state that no action leaves may as well have no outcome
-        read_drn(drn(tmp_path, DRN.replace(old, new, 1)), goal="done", cost="time")
-        return
     with pytest.raises(ModelError, match=message):
         read_drn(drn(tmp_path, DRN.replace(old, new, 1)), goal="done", cost="time")
 
 
 def test_a_drn_cost_must_be_chosen(tmp_path: Path) -> None:
     path = drn(tmp_path, DRN)
-    with pytest.raises(ModelError, match="choose one of the reward models.*'time', 'coins'"):
+    with pytest.raises(ModelError, match=r"choose one of the reward models.*'time', 'coins'"):
         read_drn(path, goal="done")
     with pytest.raises(ModelError, match="no reward model 'fuel'"):
         read_drn(path, goal="done", cost="fuel")
@@ -374,7 +363,7 @@ def test_a_prism_structure_is_chosen_by_name(tmp_path: Path) -> None:
     assert set(read_prism(base, goal="done").model.costs) == {1.0}
     (tmp_path / "hand1.srew").write_text('# Reward structure "time"\n5 1\n0 3\n')
     (tmp_path / "hand2.trew").write_text('# Reward structure "coins"\n5 6 1\n3 0 4 7\n')
-    with pytest.raises(ModelError, match="choose one .* 'time', 'coins'"):
+    with pytest.raises(ModelError, match=r"choose one .* 'time', 'coins'"):
         read_prism(base, goal="done")
     assert read_prism(base, goal="done", cost="time").model.costs.tolist() == [3, 3, 3, 0, 0, 0]
     assert read_prism(base, goal="done", cost="coins").model.costs.tolist() == [0, 0, 0, 0, 0, 7]
@@ -385,7 +374,7 @@ def test_a_markov_chain_of_prism(tmp_path: Path) -> None:
     rewards = {"srew": "3 1\n0 2\n", "trew": "3 1\n0 2 5\n"}
     labels = '0="init" 1="done"\n1: 1\n'
     found = read_prism(prism(tmp_path, **texts, **rewards, lab=labels), goal="done")
-    assert found.model.costs.tolist() == [2.0, 7.0]
+    assert found.model.costs.tolist() == [2.0, 7.0, 0.0]
 
 
 @pytest.mark.parametrize(
@@ -465,12 +454,13 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
     return content[:at] + content[max(0, at - 30) :]
 
 
-def load_or_refuse(load: object, *args: object, **options: object) -> bool:
+def loads_or_is_refused(load: Callable[..., object], path: Path, **options: str) -> bool:
+    """Whether nothing worse happens than an error that names the file."""
     try:
-        load(*args, **options)  # type: ignore[operator]
+        load(path, **options)
     except ModelError as error:
-        return "hand" not in str(error) and "m.npz" not in str(error)
-    return False
+        return str(path.parent / path.stem) in str(error)
+    return True
 
 
 @pytest.mark.parametrize("seed", range(100))
@@ -478,19 +468,19 @@ def test_damaged_files_load_or_are_refused(seed: int, tmp_path: Path) -> None:
     rng = np.random.default_rng(seed)
     path = drn(tmp_path, DRN)
     path.write_bytes(mutated(path.read_bytes(), rng))
-    assert not load_or_refuse(read_drn, path, goal="done", cost="time")
+    assert loads_or_is_refused(read_drn, path, goal="done", cost="time")
     packed = gzip.compress(DRN.encode(), mtime=0)
     path.write_bytes(mutated(packed, rng))
-    assert not load_or_refuse(read_drn, path, goal="done", cost="time")
+    assert loads_or_is_refused(read_drn, path, goal="done", cost="time")
     base = prism(tmp_path)
     ending = str(rng.choice(sorted(PRISM)))
     broken = base.with_suffix(f".{ending}")
     broken.write_bytes(mutated(broken.read_bytes(), rng))
-    assert not load_or_refuse(read_prism, base, goal="done")
+    assert loads_or_is_refused(read_prism, base, goal="done")
     save_model(FIRST, tmp_path / "m.npz")
     archive = (tmp_path / "m.npz").read_bytes()
     (tmp_path / "m.npz").write_bytes(mutated(archive, rng))
-    assert not load_or_refuse(load_model, tmp_path / "m.npz")
+    assert loads_or_is_refused(load_model, tmp_path / "m.npz")
 
 
 MATRICES = np.array(
@@ -509,12 +499,12 @@ def test_matrices_make_the_model(sparse: bool) -> None:
     costs = [sp.csr_array(m) for m in by_outcome] if sparse else by_outcome
     model = from_matrices(matrices, 1, costs=costs, actions=["alley", "road"])
     assert optima(model, 0, 0.05) == pytest.approx(optima(FIRST, "depot", 0.05), rel=1e-12)
-    assert model.pair_offsets.tolist() == [0, 2, 2, 2]
+    assert model.pair_offsets.tolist() == [0, 2, 2, 3]  # the wreck keeps its free loop
     by_pair = from_matrices(matrices, [1], rewards=[[-4, -9], [0, 0], [0, 0]])
-    assert by_pair.costs.tolist() == [4.0, 4.0, 9.0, 9.0]
-    assert from_matrices(matrices, [1], costs=[3, 0, 0]).costs.tolist() == [3.0] * 4
+    assert by_pair.costs.tolist() == [4.0, 4.0, 9.0, 9.0, 0.0]
+    assert from_matrices(matrices, [1], costs=[3, 0, 0]).costs.tolist() == [3.0] * 4 + [0.0]
     barred = from_matrices(matrices, [1], rewards=[[-4, -np.inf], [0, 0], [0, 0]])
-    assert barred.n_pairs == 1
+    assert barred.n_pairs == 2
 
 
 @pytest.mark.parametrize(
