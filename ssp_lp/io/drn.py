@@ -24,7 +24,7 @@ def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile
 
     The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
     and of states with the label "deadlock" that no action leaves: they are dead-ends. Other labels
-    of states become ``state_labels``.
+    of states become ``state_labels``, but for names that reports use for something else.
 
     Args:
         path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.

@@ -1,4 +1,4 @@
-"""Transition matrices per action, as QuantEcon and pymdptoolbox keep them."""
+"""A transition matrix for each action, as pymdptoolbox keeps them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ def from_matrices(
     without any is a dead-end. Actions of goal states are dropped.
 
     Args:
-        transitions: [actions] matrices [states, states], dense or sparse, of probabilities.
+        transitions: [actions] matrices [states, states], dense or sparse, of probabilities. Those
+            of QuantEcon's ``Q``, [states, actions, states], are ``numpy.moveaxis(Q, 1, 0)``.
         goal: indices of the goal states.
         costs: [states], [states, actions], or [actions] matrices [states, states]; either these
             or the rewards.
@@ -104,7 +105,7 @@ def _paid(
             paid = np.empty(state.size)
             for k, part in enumerate(given):
                 mine = action == k
-                paid[mine] = np.asarray(sp.csr_array(part)[state[mine], target[mine]])
+                paid[mine] = np.asarray(sp.csr_matrix(part)[state[mine], target[mine]]).reshape(-1)
             return paid
         raise ModelError("sparse costs or rewards must be one matrix for each action")
     table = np.asarray(given, dtype=np.float64)

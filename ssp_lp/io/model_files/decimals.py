@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, IntArray
 
 _MOST_DISTINCT = 100_000
 """Distinct pairs of summands beyond which sums are rounded as floats are."""
@@ -28,12 +28,31 @@ def decimal_sum(
     """
     if not (one.any() and other.any()):
         return one if one.any() else other
-    pairs, place = np.unique(np.stack([one, other]), axis=1, return_inverse=True)
-    if pairs.shape[1] > _MOST_DISTINCT or not np.isfinite(pairs).all():
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return np.asarray(one + other)
+    first, second, place = distinct_pairs(one, other)
+    if first.size > _MOST_DISTINCT:
         return np.asarray(one + other)
     meant = exact or {}
     sums = [
         float(sum(meant.get(value, Fraction(repr(value))) for value in pair))
-        for pair in pairs.T.tolist()
+        for pair in zip(first.tolist(), second.tolist(), strict=True)
     ]
-    return np.array(sums)[place.reshape(-1)]
+    return np.array(sums)[place]
+
+
+def distinct_pairs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+    """The distinct pairs of finite numbers, sorted.
+
+    Args:
+        one: [numbers].
+        other: [numbers].
+
+    Returns:
+        The first and the second number of each distinct pair, and the place of each given pair
+        among them, [numbers].
+    """
+    both = np.empty(one.size, dtype=np.complex128)  # as one number: sorting rows is slow
+    both.real, both.imag = one, other
+    distinct, place = np.unique(both, return_inverse=True)
+    return distinct.real.copy(), distinct.imag.copy(), place.reshape(-1)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.decimals import decimal_sum
+from ssp_lp.io.model_files.decimals import decimal_sum, distinct_pairs
 from ssp_lp.io.model_files.model_file import DEADLOCK, INITIAL, PAYING, offsets_of
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
@@ -110,11 +110,9 @@ def _paid(model: SSP) -> tuple[_Outcomes, _Payments]:
     late = np.flatnonzero(costs > least[pairs])
     meant = dict(model.exact_costs) | {-cost: -exact for cost, exact in model.exact_costs.items()}
     rest = decimal_sum(costs[late], -least[pairs[late]], meant)
-    rows = np.stack([successors[late].astype(np.float64), rest])
-    kinds, kind = np.unique(rows, axis=1, return_inverse=True)
-    following = kinds[0].astype(np.int64)
-    successors[late] = model.n_states + kind.reshape(-1)
-    payments = _Payments(least, following, kinds[1])
+    following, rests, kind = distinct_pairs(successors[late].astype(np.float64), rest)
+    successors[late] = model.n_states + kind
+    payments = _Payments(least, following.astype(np.int64), rests)
     return _Outcomes(pairs, successors, model.probabilities[occurs]), payments
 
 
