@@ -29,7 +29,8 @@ def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile
     Args:
         path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
         goal: the label of the goal states.
-        cost: the name of a reward model; None: the only one, or 1 for each action if there is none.
+        cost: the name of a reward model, "" for Storm's without a name; None: the only one, or 1
+            for each action if there is none.
 
     Returns:
         The model, whose states are the numbers of the file, and its initial states.

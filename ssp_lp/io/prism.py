@@ -128,15 +128,15 @@ def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
         ModelError: the start is no state, or a label cannot be written.
     """
     base, process = _base(path), exported(model, start)
-
-    def beside(ending: str) -> Path:
-        return base.with_name(base.name + ending)
-
-    write_text(beside(".tra"), _transitions(process))
-    write_text(beside(".lab"), _label_lines(process))
-    write_text(beside(".trew"), _rewards(process))
-    write_text(beside(".srew"), _no_state_rewards(process))
-    write_text(beside(".sta"), _state_lines(process, model))
+    texts = {
+        ".tra": _transitions(process),
+        ".lab": _label_lines(process),
+        ".trew": _rewards(process),
+        ".srew": _no_state_rewards(process),
+        ".sta": _state_lines(process, model),
+    }
+    for ending, text in texts.items():
+        write_text(base.with_name(base.name + ending), text)
 
 
 def _transitions(process: Exported) -> Iterator[str]:

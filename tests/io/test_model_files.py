@@ -318,6 +318,14 @@ def test_a_drn_cost_must_be_chosen(tmp_path: Path) -> None:
         read_drn(path, goal="home", cost="time")
     kept = read_drn(drn(tmp_path, DRN.replace("deadlock ", "")), goal="done", cost="time").model
     assert kept.pair_offsets.tolist() == [0, 2, 2, 3, 4]  # a loop that is no deadlock stays
+    unnamed = DRN.replace('time "coins"', "").replace(", 5]", "]").replace(", 1]", "]")
+    unnamed = unnamed.replace("[3,3]", "[]").replace(", 0]", "]").replace(", 7]", "]")
+    for cost in (None, ""):
+        costs = read_drn(drn(tmp_path, unnamed), goal="done", cost=cost).model.costs
+        assert costs.tolist() == [0.3, 0.3, 0.3, 1.1, 10.0]
+    unnamed = unnamed.replace("action go", "action __NOLABEL__")
+    actions = read_drn(drn(tmp_path, unnamed), goal="done").model.action_names
+    assert list(actions) == ["0", "1"]
     bare = (
         "@type: DTMC\n@nr_states\n2\n@model\nstate 0\naction 0\n1 : 1\nstate 1 g\naction 0\n1 : 1"
     )

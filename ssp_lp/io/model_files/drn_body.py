@@ -18,6 +18,7 @@ from ssp_lp.io.model_files.text_file import Lines, TextFile
 _STATE = re.compile(rb"state\s+(\d+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _ACTION = re.compile(rb"action\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
+_NO_NAME = "__NOLABEL__"
 _DIGITS = np.arange(ord("0"), ord("9") + 1, dtype=np.uint8)
 
 
@@ -27,7 +28,8 @@ def read_body(file: TextFile, header: DrnHeader, column: int | None) -> RawModel
     Args:
         file: the file, of which the header is read.
         header: what the header says.
-        column: the position of the cost among the rewards; None: each action costs 1.
+        column: the position of the cost among the rewards; None: the reward model without a name,
+            or 1 for each action if there are no rewards at all.
 
     Raises:
         ModelError: naming the line that is no line of a model.
@@ -45,6 +47,7 @@ class _Body:
         self._file, self._header, self._column = file, header, column
         self._n_states = self._n_pairs = 0
         self._last_pair_state = -1
+        self._rewarded = column is not None
         self._pair_states: list[IntArray] = []
         self._sources: list[IntArray] = []  # the pair of each transition
         self._successors: list[IntArray] = []
@@ -129,11 +132,14 @@ class _Body:
         if listed is None:
             return b"0"
         words = listed.split(b",") if listed.strip() else []
-        if len(words) != len(self._header.reward_models):
+        if not words:
+            return b"0"
+        if len(words) != (len(self._header.reward_models) or 1):
             raise self._file.fault(
                 f"{len(words)} rewards for {len(self._header.reward_models)} reward models", number
             )
-        return b"0" if self._column is None else words[self._column].strip()
+        self._rewarded = True
+        return words[self._column or 0].strip()
 
     def _add_transitions(self, lines: Lines, mask: BoolArray) -> None:
         """Take apart ``successor : probability``."""
@@ -169,7 +175,7 @@ class _Body:
         pair_state = _joined(self._pair_states, np.int64)
         sizes = np.bincount(_joined(self._sources, np.int64), minlength=self._n_pairs)
         paid = np.ones(self._n_pairs)
-        if self._column is not None:
+        if self._rewarded:
             by_state = _joined(self._state_rewards, np.float64)
             paid = decimal_sum(_joined(self._pair_rewards, np.float64), by_state[pair_state])
         return RawModel(
@@ -178,9 +184,19 @@ class _Body:
             successors=_joined(self._successors, np.int64),
             probabilities=_joined(self._probabilities, np.float64),
             costs=np.repeat(paid, sizes),
-            actions=distinct_actions(self._names, pair_state),
+            actions=self._actions(pair_state),
             labels={name: np.array(at, dtype=np.int64) for name, at in self._labels.items()},
         )
+
+    def _actions(self, pair_state: IntArray) -> Sequence[str]:
+        """The names of the actions; those without one bear their numbers in the state, [pairs]."""
+        names = self._names
+        if _NO_NAME in names:
+            first = np.searchsorted(pair_state, pair_state)
+            numbers = (np.arange(pair_state.size) - first).tolist()
+            pairs = zip(names, numbers, strict=True)
+            names = [str(number) if name == _NO_NAME else name for name, number in pairs]
+        return distinct_actions(names, pair_state)
 
 
 def _split(lines: Lines, mask: BoolArray) -> list[bytes]:

@@ -22,11 +22,13 @@ class DrnHeader:
     n_choices: int | None
 
     def reward_column(self, cost: str | None, file: TextFile) -> int | None:
-        """Position of the reward model that is the cost; None: the file has none.
+        """Position of the reward model that is the cost; None: the header names none.
 
         Raises:
             ModelError: there is none of this name, or several to choose from.
         """
+        if cost == "" and not self.reward_models:
+            return None  # Storm's model without a name, which the header does not show
         known = ", ".join(map(repr, self.reward_models)) or "none"
         if cost is None and len(self.reward_models) > 1:
             raise ModelError(f"{file.path}: choose one of the reward models, cost=...: {known}")
