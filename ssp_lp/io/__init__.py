@@ -7,29 +7,42 @@ if TYPE_CHECKING:
     from ssp_lp.io.controller import Controller
     from ssp_lp.io.controller_files import write_controller
     from ssp_lp.io.dot import write_dot
+    from ssp_lp.io.drn import read_drn, write_drn
     from ssp_lp.io.environments.gym_environments import GymnasiumWorld, from_gymnasium
     from ssp_lp.io.environments.gym_rollout import RolloutReport, StepLimitWarning, rollout
+    from ssp_lp.io.matrices import from_matrices
+    from ssp_lp.io.model_archive import load_model, save_model
+    from ssp_lp.io.model_files.model_file import ModelFile
     from ssp_lp.io.model_fingerprint import fingerprint
     from ssp_lp.io.policy_files import load_policy, save_policy
+    from ssp_lp.io.prism import read_prism, write_prism
     from ssp_lp.io.solution_files import load_solution, save_solution
     from ssp_lp.io.tables import policy_table, to_frame
 
 __all__ = [
     "Controller",
     "GymnasiumWorld",
+    "ModelFile",
     "RolloutReport",
     "StepLimitWarning",
     "fingerprint",
     "from_gymnasium",
+    "from_matrices",
+    "load_model",
     "load_policy",
     "load_solution",
     "policy_table",
+    "read_drn",
+    "read_prism",
     "rollout",
+    "save_model",
     "save_policy",
     "save_solution",
     "to_frame",
     "write_controller",
     "write_dot",
+    "write_drn",
+    "write_prism",
 ]
 
 _ON_DEMAND = {
@@ -48,6 +61,14 @@ _ON_DEMAND = {
     "to_frame": "ssp_lp.io.tables",
     "load_solution": "ssp_lp.io.solution_files",
     "save_solution": "ssp_lp.io.solution_files",
+    "ModelFile": "ssp_lp.io.model_files.model_file",
+    "from_matrices": "ssp_lp.io.matrices",
+    "load_model": "ssp_lp.io.model_archive",
+    "save_model": "ssp_lp.io.model_archive",
+    "read_drn": "ssp_lp.io.drn",
+    "write_drn": "ssp_lp.io.drn",
+    "read_prism": "ssp_lp.io.prism",
+    "write_prism": "ssp_lp.io.prism",
 }
 
 

@@ -1,0 +1,143 @@
+"""A transition matrix for each action, as pymdptoolbox keeps them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.io.model_files.model_file import RawModel, absorbed, offsets_of
+from ssp_lp.model import SSP
+
+
+def from_matrices(
+    transitions: Sequence[Any] | npt.NDArray[Any],
+    goal: npt.ArrayLike,
+    *,
+    costs: Any = None,
+    rewards: Any = None,
+    actions: Sequence[str] | None = None,
+) -> SSP:
+    """Build a model from a transition matrix for each action.
+
+    An action is not available in a state whose row is zero, or whose cost is infinite; a state
+    without any is a dead-end. Actions of goal states are dropped.
+
+    Args:
+        transitions: [actions] matrices [states, states], dense or sparse, of probabilities. Those
+            of QuantEcon's ``Q``, [states, actions, states], are ``numpy.moveaxis(Q, 1, 0)``.
+        goal: indices of the goal states.
+        costs: [states], [states, actions], or [actions] matrices [states, states]; either these
+            or the rewards.
+        rewards: likewise, none positive: the costs with the other sign.
+        actions: [actions] names; their positions if left out.
+
+    Returns:
+        The model; its states are the indices.
+
+    Raises:
+        ModelError: the shapes do not fit, or naming the state and the action at fault.
+    """
+    matrices = [_matrix(matrix) for matrix in transitions]
+    n_states = matrices[0].shape[0] if matrices else 0
+    if not matrices or any(matrix.shape != (n_states, n_states) for matrix in matrices):
+        raise ModelError("transitions must be square matrices of one size, one for each action")
+    if (costs is None) == (rewards is None):
+        raise ModelError("give either costs or rewards")
+    if actions is not None and len(actions) != len(matrices):
+        raise ModelError(f"{len(actions)} names for {len(matrices)} actions")
+    state, action, target, chance = _outcomes(matrices)
+    paid = _paid(rewards if costs is None else costs, state, action, target, matrices)
+    if costs is None:
+        paid = _negated(paid, state, action)
+    kept = ~np.isposinf(paid)
+    state, action, target = state[kept], action[kept], target[kept]
+    new = np.ones(state.size, dtype=np.bool_)
+    new[1:] = (np.diff(state) != 0) | (np.diff(action) != 0)
+    firsts = np.flatnonzero(new)
+    names = range(len(matrices)) if actions is None else actions
+    raw = RawModel(
+        pair_offsets=offsets_of(np.bincount(state[firsts], minlength=n_states)),
+        outcome_offsets=np.append(firsts, state.size),
+        successors=target,
+        probabilities=chance[kept],
+        costs=paid[kept],
+        actions=[names[k] for k in action[firsts].tolist()],
+        labels={},
+    )
+    return absorbed(raw, _goals(goal, n_states), np.zeros(0, dtype=np.int64), "the matrices")
+
+
+def _matrix(matrix: Any) -> Any:
+    """One matrix, sparse, without entries that are 0."""
+    try:
+        found = sp.csr_array(matrix, dtype=np.float64)
+    except (ValueError, TypeError) as error:
+        raise ModelError(f"a matrix of transitions is none: {error}") from error
+    found.sum_duplicates()
+    found.eliminate_zeros()
+    return found
+
+
+def _outcomes(matrices: Sequence[Any]) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+    """State, action, successor and probability of each outcome, by state and action."""
+    parts = [matrix.tocoo() for matrix in matrices]
+    state = np.concatenate([part.row.astype(np.int64) for part in parts])
+    action = np.repeat(np.arange(len(parts)), [part.nnz for part in parts])
+    target = np.concatenate([part.col.astype(np.int64) for part in parts])
+    order = np.lexsort((target, action, state))
+    chance = np.concatenate([part.data for part in parts])
+    return state[order], action[order], target[order], chance[order]
+
+
+def _paid(
+    given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
+) -> FloatArray:
+    """The cost or reward of each outcome, [outcomes]."""
+    n_states, n_actions = matrices[0].shape[0], len(matrices)
+    if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
+        if len(given) == n_actions and all(part.shape == matrices[0].shape for part in given):
+            paid = np.empty(state.size)
+            for k, part in enumerate(given):
+                mine = action == k
+                paid[mine] = np.asarray(sp.csr_matrix(part)[state[mine], target[mine]]).reshape(-1)
+            return paid
+        raise ModelError("sparse costs or rewards must be one matrix for each action")
+    table = np.asarray(given, dtype=np.float64)
+    if table.shape == (n_states,):
+        return np.asarray(table[state])
+    if table.shape == (n_states, n_actions):
+        return np.asarray(table[state, action])
+    if table.shape == (n_actions, n_states, n_states):
+        return np.asarray(table[action, state, target])
+    raise ModelError(
+        f"costs or rewards of shape {table.shape} do not fit {n_states} states and {n_actions} "
+        "actions: give [states], [states, actions] or [actions, states, states]"
+    )
+
+
+def _negated(rewards: FloatArray, state: IntArray, action: IntArray) -> FloatArray:
+    """Rewards as costs; raises :class:`ModelError` where one is positive."""
+    positive = rewards > 0.0
+    if positive.any():
+        at = int(np.argmax(positive))
+        raise ModelError(
+            f"action {action[at]} of state {state[at]} has the reward {rewards[at]:g}: rewards "
+            "must not be positive, so that costs are not negative"
+        )
+    return np.asarray(0.0 - rewards)
+
+
+def _goals(goal: npt.ArrayLike, n_states: int) -> IntArray:
+    """Indices of goal states, [goals]."""
+    goals = np.atleast_1d(np.asarray(goal))
+    if goals.ndim != 1 or not np.issubdtype(goals.dtype, np.integer) or not goals.size:
+        raise ModelError("goal must be indices of states, at least one")
+    if (goals < 0).any() or (goals >= n_states).any():
+        raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
+    return goals
