@@ -166,7 +166,7 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     bounds = np.where(limited, compiled.bounds, 0.0)
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
-    prices = np.where(limited, prices, 0.0)
+    prices *= limited
     claims = (found.objective, solution.lower_bound)
     lower = _rows_bound(compiled, prices, raised, values, claims)
     budget = float(raised[0]) if limited[0] else budget
@@ -187,10 +187,7 @@ def _rows_bound(
     values: FloatArray,
     claims: tuple[float, ...],
 ) -> float:
-    """The lower bound that prices and a value function prove, by one checked backup.
-
-    In case S it is proved of a ratio: those that are claimed are tried, and no claim is believed.
-    """
+    """The lower bound that prices and a value function prove; in case S of ratios that are claimed."""
     found = [0.0]
     ratios = [r for c in claims if c > 0.0 for r in ratios_below(c)] if compiled.ratio else [0.0]
     for ratio in ratios:

@@ -97,7 +97,7 @@ def from_gymnasium(
         >>> import gymnasium
         >>> world = from_gymnasium(gymnasium.make("FrozenLake-v1"))
         >>> world.model, world.start, world.horizon
-        (SSP(1,568 states, 4,288 pairs, 12,864 outcomes, 95 goals), {(0, 0): 1.0}, 100)
+        (HorizonSSP(1,568 states, 4,288 pairs, 12,864 outcomes, 95 goals), {(0, 0): 1.0}, 100)
     """
     limit = step_limit_of(env)
     table, begin = _table_of(env), _start_of(env, start)
