@@ -154,8 +154,7 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
         compiled = replace(compiled, rungs=rungs)
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
-    budget = least if stated.budget is None else max(stated.budget, least)
-    spent = [failure]
+    budget, spent = max(stated.budget or 0.0, least), [failure]
     for condition in conditions_of(solution.problem):
         value = found.secondary_costs[condition.name]
         spent += [row.activity(value) for row in condition.rows]
@@ -187,7 +186,7 @@ def _rows_bound(
     values: FloatArray,
     claims: tuple[float, ...],
 ) -> float:
-    """The lower bound that prices and a value function prove; in case S of ratios that are claimed."""
+    """The lower bound that prices and values prove; in case S of ratios that are claimed."""
     found = [0.0]
     ratios = [r for c in claims if c > 0.0 for r in ratios_below(c)] if compiled.ratio else [0.0]
     for ratio in ratios:
