@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 
 from formulations import MCMP, S3P
-from ssp_lp import ModelError, solve
-from ssp_lp.io.command_line import main, read_any
+from formulations.command_line import main
+from ssp_lp import SSP, ModelError, solve
+from ssp_lp.io import save_model, write_drn, write_prism
+from ssp_lp.io.reading import read_any
 
 ROADS = {
     "depot": {
@@ -113,7 +115,8 @@ def test_wrong_arguments_end_with_2(
 
 
 def test_what_the_parser_refuses_ends_with_2(roads: Path) -> None:
-    for wrong in (["solve", str(roads)], ["fly"], [], ["solve", str(roads), "--criterion", "x"]):
+    assert main(["solve", str(roads)]) == 2  # which states are goals is not said
+    for wrong in (["fly"], [], ["solve", str(roads), "--criterion", "x"]):
         with pytest.raises(SystemExit) as caught:
             main(wrong)
         assert caught.value.code == 2
@@ -159,3 +162,31 @@ def test_the_entry_point_is_there() -> None:
     entry = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["scripts"]["ssp-lp"]
     module, _, name = entry.partition(":")
     assert getattr(import_module(module), name) is main
+
+
+def test_other_formats_and_the_policy_in_a_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = SSP.from_transitions(
+        {0: {"a": [(0.9, 1, 1.0), (0.1, 2, 1.0)], "b": [(1.0, 1, 3.0)]}, 1: {}, 2: {}},
+        goal={1},
+        treat_actionless_as_dead_ends=True,
+    )
+    write_drn(model, tmp_path / "m.drn", start=0)
+    write_prism(model, tmp_path / "m", start=0)
+    save_model(model, tmp_path / "m.npz")
+    drn, prism, own = (str(tmp_path / f"m.{ending}") for ending in ("drn", "tra", "npz"))
+    for arguments in (
+        [drn, "--goal", "goal"],
+        [prism, "--goal", "goal"],
+        [own, "--start", "0"],
+    ):
+        assert main(["info", *arguments]) == 0
+        assert "attention states" in capsys.readouterr().out
+    policy = tmp_path / "policy.npz"
+    chosen = ["solve", drn, "--goal", "goal", "--failure-budget", "0.05", "--json"]
+    assert main([*chosen, "--policy-out", str(policy)]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["objective"] == pytest.approx(0.5 * 1.0 + 0.5 * 3.0)
+    assert policy.exists()
+    assert main(["info", own, "--goal", "1"]) == 2
