@@ -30,30 +30,28 @@ def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArr
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
     """The value of each constrained quantity, and of one that is minimised, as the cost is."""
-    survival = survival_of(problem.discount)
-    objective = objective_of(problem)
+    objective, free = objective_of(problem), free_in_everything(problem)
     asked = conditions_of(problem) + (() if objective is None else (objective,))
     return {
         condition.name: condition.constant
-        + sum(w * _value(chain, counted, problem, term, survival) for w, term in condition.terms)
+        + sum(w * _value(chain, counted, problem, term, free) for w, term in condition.terms)
         for condition in asked
     }
 
 
 def _value(
-    chain: Chain, counted: BoolArray, problem: Problem, term: Term, survival: float
+    chain: Chain, counted: BoolArray, problem: Problem, term: Term, free: BoolArray | None
 ) -> float:
     """One term: a cost on the same chain, visits as a cost of arriving, or a way to end."""
+    survival = survival_of(problem.discount)
     if isinstance(term, Steps):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
-        free = free_in_everything(problem)
         return until_failure(other, counted, problem.semantics, survival, free)
     there = term.states[chain.state].astype(np.float64)
     if not term.final:
         entering = replace(chain, cost=survival * there[chain.target])
         plain = FailureSemantics(problem.semantics.give_up)
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
-        free = free_in_everything(problem)
         return until_failure(entering, counted, plain, survival, free) + float(at_once)
     ended = ending(chain, there[:, None], survival)[0]
     return complement(ended) if term.others else ended

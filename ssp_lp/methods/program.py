@@ -38,7 +38,9 @@ def program_of(problem: Problem) -> OccupationProgram:
     At least failure (``failure_budget=None``) it is the program of the second stage: over the
     actions that attain the greatest goal probability, without a failure row (mathematics, section
     4). In case S the cost up to which accumulated costs are told apart is the one at which column
-    generation proves the optimum, or the problem's ``cost_cap``.
+    generation proves the optimum, or the problem's ``cost_cap``. With further constraints, costs
+    beyond it are counted as if it had just been reached: rows that are added later may make
+    ``objective`` less than what the policy's evaluation says.
 
     Args:
         problem: a formulation.

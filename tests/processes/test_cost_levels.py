@@ -169,10 +169,18 @@ def test_sums_and_where_steps_lead() -> None:
     sums = sums_of(steps, 3.0, 100)
     assert sums == pytest.approx([0.0, 1.0, ROOT, 2.0, 1.0 + ROOT, 2.0 * ROOT])
     assert sums_of(steps, 30.0, 50) is None
+    assert sums_of(steps[:1], 3.0, 100) == pytest.approx([0.0])
     below, share = Ladder(np.array([0.0, 1.0, 2.0, 3.0]), steps).leads
     assert below.tolist() == [[0, 1, 1], [1, 2, 2], [2, 3, 3], [3, 3, 3]]
     assert share[:, 2] == pytest.approx([ROOT - 1.0, ROOT - 1.0, 0.0, 0.0])
     assert not share[:, :2].any()
+
+
+def test_no_sum_of_many_steps_is_lost() -> None:
+    """A hundred steps, too many for all sums to be formed at once: quarters from 25 up to a cap."""
+    quarters = np.append(0.0, np.arange(25.0, 60.0, 0.25))
+    assert sums_of(quarters[:101], 60.0, 141) == pytest.approx(quarters)
+    assert sums_of(quarters[:101], 60.0, 140) is None
 
 
 def test_what_is_refused() -> None:

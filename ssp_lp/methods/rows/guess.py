@@ -8,7 +8,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.constrained_search import Pace
+from ssp_lp.column_generation.constrained_search import Pace, Rows
 from ssp_lp.methods.rows.opening import Opening, opening
 from ssp_lp.methods.rows.ratio import generated
 from ssp_lp.options import SolveOptions
@@ -17,6 +17,12 @@ from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 
 _COARSE_RUNGS = 64  # of the grid that a search on totals begins with
 _COARSE_GAP = 1e-4  # and how exactly it is solved
+
+
+def by_name(compiled: CompiledConstrained, rows: Rows, values: FloatArray) -> dict[str, float]:
+    """A value of each limited row, by its name."""
+    names = [compiled.names[index - 1] for index in rows.index.tolist()]
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +39,8 @@ class Guess:
 
     def of(self, compiled: CompiledConstrained, opened: Opening) -> tuple[Opening, FloatArray]:
         """The ratio to begin with, and the prices of the limited rows."""
-        names = [compiled.names[index - 1] for index in opened.rows.index.tolist()]
-        prices = np.array([self.prices.get(name, 0.0) for name in names])
+        named = by_name(compiled, opened.rows, np.zeros(len(opened.rows.index)))
+        prices = np.array([self.prices.get(name, 0.0) for name in named])
         return replace(opened, rows=replace(opened.rows, ratio=self.ratio)), prices
 
 
@@ -45,5 +51,4 @@ def coarse_guess(stated: CompiledConstrained, options: SolveOptions) -> Guess:
     opened = opening(coarse, stated, pace)
     centre = np.zeros(len(opened.asked)), opened.unlimited
     found, ratio = generated(coarse, opened, pace, centre)
-    names = [coarse.names[index - 1] for index in opened.rows.index.tolist()]
-    return Guess(ratio, dict(zip(names, found.prices.tolist(), strict=True)))
+    return Guess(ratio, by_name(coarse, opened.rows, found.prices))

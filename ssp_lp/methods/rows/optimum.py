@@ -21,14 +21,14 @@ from ssp_lp.column_generation.compiled_problems.constrained import CompiledConst
 from ssp_lp.column_generation.constrained_search import (
     Generated,
     Pace,
+    Pool,
     without_trifles,
 )
 from ssp_lp.column_generation.failure_constraint import least_of, relative_gap
-from ssp_lp.column_generation.pricing.constrained import Point
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import SolverError
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
-from ssp_lp.methods.rows.guess import Guess, coarse_guess
+from ssp_lp.methods.rows.guess import Guess, by_name, coarse_guess
 from ssp_lp.methods.rows.opening import Opening, opening
 from ssp_lp.methods.rows.proof import proved_bound
 from ssp_lp.methods.rows.ratio import generated
@@ -58,14 +58,13 @@ class RowsOptimum:
     values: FloatArray  # the checked sub-solution
     calls: int
     work: Work
-    finished: bool
     note: str
     program: str = ""
 
     @property
-    def kappa(self) -> float:
-        """What failing is worth, in case S: the value with the price of the failure row."""
-        return self.value + self.prices.get(FAILURE_ROW, 0.0)
+    def guess(self) -> Guess:
+        """Where a finer search may begin."""
+        return Guess(self.value, self.prices)
 
     @property
     def gap(self) -> float:
@@ -94,10 +93,12 @@ def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
         return None
 
     def value(policy: MixedPolicy) -> float:
+        """Of a lottery, in what is minimised."""
         attained = evaluate(policy, problem).objective
         return attained if stated.sense.constant is None else stated.sense.constant - attained
 
     def figures(policy: Policy) -> FloatArray:
+        """Cost, failure and rows of one policy."""
         found = evaluate(policy, problem)
         failure = found.discounted_failure
         failure = found.failure_probability if failure is None else failure
@@ -144,14 +145,14 @@ def rows_optimum(
         if time.perf_counter() > options.deadline:
             return _with_value(replace(best, note=best.note or CUT_SHORT))
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
-        finer = None if stuck else found.compiled.refined(found.kappa)
+        finer = None if stuck else found.compiled.refined(found.guess.kappa)
         if finer is None and not (stated.precise or found.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
             return _with_value(best)
         stated = finer
         if found.compiled.ladder is not None and np.isfinite(found.value):
-            guess = Guess(found.value, found.prices)
+            guess = found.guess
 
 
 def _with_value(found: RowsOptimum) -> RowsOptimum:
@@ -232,29 +233,20 @@ def _concluded(
     """The lottery, and a certified bound at the prices that the search ended with."""
     pool, rows, master = opened.pool, opened.rows, found.master
     cost, failure = (pool.figures[:2, : master.weights.size] @ master.weights).tolist()
-    relaxed_value = cost / (1.0 - failure) if compiled.ratio else cost
+    value = cost / (1.0 - failure) if compiled.ratio else cost
     if program is not None and found.finished:
-        check_agreement(program, relaxed_value)
+        check_agreement(program, value)
     prices = without_trifles(found.prices, pool.sizes(rows), cost + ratio * failure)
     bound, proof = proved_bound(compiled, rows, prices, ratio, pool)
-    used = np.flatnonzero(master.weights > 0.0)
-    members: list[Point] = [pool.points[k] for k in used.tolist()]
-    failure = float(master.weights[used] @ [point.figures[1] for point in members])
-    policy = MixedPolicy(
-        tuple(compiled.pricing.policy(point) for point in members), master.weights[used]
-    )
+    policy = _lottery(compiled, pool, master.weights)
     if truth is not None and truth.figures is not None and compiled.is_rounded:
         weights = rows.weights(prices, 1.0, pool.figures.shape[0])
         kept = true_lottery(compiled, rows, pool, weights, truth.figures)
         policy, failure = kept or (policy, failure)
         value = truth.value(policy) if kept else np.inf
-    else:
-        value = relaxed_value if truth is None else truth.value(policy)
-    named = dict.fromkeys(compiled.names, 0.0)
-    named |= {
-        compiled.names[index - 1]: float(price)
-        for index, price in zip(rows.index.tolist(), prices, strict=True)
-    }
+    elif truth is not None:
+        value = truth.value(policy)
+    named = dict.fromkeys(compiled.names, 0.0) | by_name(compiled, rows, prices)
     if compiled.budget is None:
         del named[FAILURE_ROW]
     return RowsOptimum(
@@ -267,10 +259,16 @@ def _concluded(
         values=read_only(proof.values),
         calls=pool.calls,
         work=pool.work,
-        finished=found.finished,
         note=_note(compiled, stated, opened, found.finished),
         program="" if program is None else program.report,
     )
+
+
+def _lottery(compiled: CompiledConstrained, pool: Pool, weights: FloatArray) -> MixedPolicy:
+    """The lottery over the first policies of a pool, without those of no weight."""
+    used = np.flatnonzero(weights > 0.0)
+    members = [compiled.pricing.policy(pool.points[k]) for k in used.tolist()]
+    return MixedPolicy(tuple(members), weights[used])
 
 
 def _note(

@@ -22,6 +22,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.chunks import chunks
 from ssp_lp.model.graph.kept import kept
 from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.processes.expectations import uniform_cost
 from ssp_lp.processes.layered.lattice import Lattice, common_unit, layers_of
 
 _SUMS_PER_RUNG = 5  # sums told apart rather than so many rungs of a grid
@@ -137,9 +138,7 @@ class Rungs:
         finest, grid = min(self.most or _MOST_RUNGS, most), max(self.grid, ladder.size)
         if grid >= finest:
             return None
-        higher = (
-            cap * _GROWTH if self.turn % 3 == 2 else cap
-        )  # whichever of the two it is that loses
+        higher = cap * _GROWTH if self.turn % 3 == 2 else cap  # either of the two may lose
         return replace(self, cap=higher, grid=min(2 * grid, finest), turn=self.turn + 1)
 
 
@@ -150,6 +149,8 @@ def wanted_rungs(model: SSP) -> Rungs | None:
     Args:
         model: the model.
     """
+    if uniform_cost(model) is not None:
+        return None
     steps = step_lattice(model)[1]
     if len(steps) <= 2:
         return None
@@ -167,6 +168,7 @@ def wanted_rungs(model: SSP) -> Rungs | None:
     return Rungs() if layers * model.n_pairs > _MOST_ENTRIES else None
 
 
+@kept
 def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
     """The model's distinct step costs in place of layers: each outcome's position among them.
 
@@ -192,16 +194,16 @@ def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
     """The sums of steps below a cap, increasing; None: there are more than so many."""
     moves, found = steps[1:], np.zeros(1)
-    fresh = found
+    fresh, chunk = found, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
     while fresh.size:
-        if fresh.size * moves.size > _PRODUCTS * (most + 1):
-            fresh = fresh[: max(_PRODUCTS * (most + 1) // moves.size, 1)]  # enough to be too many
-        reached = (fresh[:, None] + moves).ravel()
-        reached = np.unique(reached[reached < cap * (1.0 - _SAME)])
-        together = np.unique(np.concatenate([found, reached]))
-        together = together[np.diff(together, prepend=-np.inf) > _SAME * cap]
-        if together.size > most:
-            return None
+        together = found
+        for begin in range(0, fresh.size, chunk):
+            reached = (fresh[begin : begin + chunk, None] + moves).ravel()
+            reached = reached[reached < cap * (1.0 - _SAME)]
+            together = np.unique(np.concatenate([together, reached]))
+            together = together[np.diff(together, prepend=-np.inf) > _SAME * cap]
+            if together.size > most:
+                return None
         near = np.searchsorted(found, together - _SAME * cap)
         known = np.append(found, np.inf)[np.minimum(near, found.size)] - together <= _SAME * cap
         fresh, found = together[~known], together

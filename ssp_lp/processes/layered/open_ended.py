@@ -1,10 +1,11 @@
 """The accumulated-cost process written out up to a cap, and one place for all costs beyond it.
 
 Beyond the cap a policy goes on as it likes, but does not count the cost any more: arriving there is
-charged as if the cap had just been reached. That is too little, so that the least objective bounds
-every policy's from below; everything else (failing, visits, secondary costs, ends) is exact. As
-every policy of this process is one of the model, too, its true objective bounds the optimum from
-above, and the two meet as the cap grows (paper, section 3.5, with a tail that is free to choose).
+charged as if the cap had just been reached, and each step what it costs those that succeed at
+least. That is too little, so that the least objective bounds every policy's from below; everything
+else (failing, visits, secondary costs, ends) is exact. As every policy of this process is one of
+the model, too, its true objective bounds the optimum from above, and the two meet as the cap grows
+(paper, section 3.5, with a tail that is free to choose).
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ class Condition:
             for _, term in row.terms
         )
 
-    @property
+    @cached_property
     def rows(self) -> tuple[UpperRow, ...]:
         """One row for each bound.
 
