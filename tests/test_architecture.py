@@ -20,7 +20,7 @@ ORDER = [
     ("problem",),
     ("analysis",),
     ("solution",),
-    ("methods", "integer_programming", "game"),
+    ("methods", "game"),
     ("solve", "formulation", "verification", "io"),
 ]
 WITH_SOLVERS = {"linear_programming", "integer_programming"}

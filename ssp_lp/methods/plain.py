@@ -91,7 +91,7 @@ def best_within_budget(
     solution = assembled(problem, answer, run)
     if not deterministic:
         return solution
-    from ssp_lp.integer_programming.best_policy import best_deterministic
+    from ssp_lp.methods.integer_programming.best_policy import best_deterministic
 
     reason += "; then one policy by mixed-integer programs"
     single = best_deterministic(solution, outcome, options.tolerance, options.deadline)

@@ -13,7 +13,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import Compiled
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.errors import ModelError
-from ssp_lp.integer_programming.visit_bounds import steps_between, within_reach
+from ssp_lp.methods.integer_programming.visit_bounds import steps_between, within_reach
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.layered.process import LayeredProcess
 from ssp_lp.processes.quotient import Quotient

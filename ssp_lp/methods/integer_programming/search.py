@@ -12,9 +12,9 @@ from scipy.sparse import linalg
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.failure_constraint import Row, relative_gap
 from ssp_lp.column_generation.pricing.pricing_problem import Column
-from ssp_lp.integer_programming.integer_program import IntegerAnswer, IntegerProgram
-from ssp_lp.integer_programming.process_view import ProcessView, process_view
-from ssp_lp.integer_programming.visit_bounds import Limit, most_visits, within_reach
+from ssp_lp.methods.integer_programming.integer_program import IntegerAnswer, IntegerProgram
+from ssp_lp.methods.integer_programming.process_view import ProcessView, process_view
+from ssp_lp.methods.integer_programming.visit_bounds import Limit, most_visits, within_reach
 from ssp_lp.methods.refinement import Outcome
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit import ExplicitProcess

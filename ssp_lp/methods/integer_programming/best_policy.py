@@ -33,7 +33,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.column_generation.failure_constraint import relative_gap
-from ssp_lp.integer_programming.search import best_single_policy
+from ssp_lp.methods.integer_programming.search import best_single_policy
 from ssp_lp.methods.refinement import Outcome
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.solution import Solution
