@@ -48,20 +48,7 @@ def order_components(
                 opened[n_open] = calls[depth] = entered
                 n_open, depth = n_open + 1, depth + 1
             state = calls[depth - 1]
-            entered = np.int64(-1)
-            k, past = place[state], end[state]
-            while k < past:
-                successor = indices[k]
-                possible = data[k] > 0.0
-                k += 1
-                if not possible:
-                    continue
-                if number[successor] == 0:
-                    entered = np.int64(successor)
-                    break
-                if label[successor] < 0:
-                    low[state] = min(low[state], number[successor])
-            place[state] = k
+            entered = _not_entered(state, place, end, indices, data, label, number, low)
             if entered >= 0:
                 continue
             depth -= 1
@@ -71,14 +58,41 @@ def order_components(
                 caller = calls[depth - 1]
                 low[caller] = min(low[caller], low[state])
             if low[state] == number[state]:
-                while True:
-                    n_open -= 1
-                    label[opened[n_open]] = found
-                    if opened[n_open] == state:
-                        break
+                n_open = _close(state, opened, n_open, found, label)
                 found += 1
     _sort_by_label(label, finished, found, order)
     return found
+
+
+@njit(cache=True)
+def _not_entered(
+    state: int, place: Array, end: Array, indices: Array, data: Array,
+    label: Array, number: Array, low: Array,
+) -> int:  # fmt: skip
+    """The next successor that the search has not met, or -1; ``place`` and ``low`` follow."""
+    k, past = place[state], end[state]
+    while k < past:
+        successor, possible = indices[k], data[k] > 0.0
+        k += 1
+        if not possible:
+            continue
+        if number[successor] == 0:
+            place[state] = k
+            return np.int64(successor)
+        if label[successor] < 0:
+            low[state] = min(low[state], number[successor])
+    place[state] = k
+    return np.int64(-1)
+
+
+@njit(cache=True)
+def _close(state: int, opened: Array, n_open: int, found: int, label: Array) -> int:
+    """Give all that was opened since a state its label; how many states are left open."""
+    while True:
+        n_open -= 1
+        label[opened[n_open]] = found
+        if opened[n_open] == state:
+            return n_open
 
 
 @njit(cache=True)

@@ -60,8 +60,7 @@ def improve_blocks(
         if end - begin > 1:
             states = order[begin:end]
             if _any_stale(stale, states):
-                for i in range(states.size):
-                    before[i] = values[states[i]]
+                before[: states.size] = values[states]
                 moved, _ = improve_component(
                     offsets, indptr, indices, data, exits, states, place, cost, noise, _ROUNDS,
                     choice, values, inner, low, leaving, right,

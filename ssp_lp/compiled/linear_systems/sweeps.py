@@ -115,13 +115,16 @@ def sweep(
 
 
 @njit(cache=True)
-def _swept(indptr: Array, indices: Array, data: Array, x: Array) -> None:
-    """One sweep without rewards, in place: the iteration matrix of Gauss and Seidel times x."""
+def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
+    """``x - G x``, written, where G is one sweep without rewards (Gauss and Seidel), [states]."""
+    miss[:] = x
     for s in range(x.size):
         total = 0.0
         for k in range(indptr[s], indptr[np.uint32(s + 1)]):
-            total += data[k] * x[indices[k]]
-        x[s] = total
+            total += data[k] * miss[indices[k]]
+        miss[s] = total
+    for s in range(x.size):
+        miss[s] = x[s] - miss[s]
 
 
 @njit(cache=True)
@@ -141,22 +144,18 @@ def bicgstab(
     for s in range(n):
         rho += shadow[s] * residual[s]
     for step in range(most_steps):
-        v[:] = p
-        _swept(indptr, indices, data, v)
+        _miss_of_sweep(indptr, indices, data, p, v)
         along = 0.0
         for s in range(n):
-            v[s] = p[s] - v[s]
             along += shadow[s] * v[s]
         if along == 0.0 or not np.isfinite(along):
             return 2 * step + 1
         alpha = rho / along
         for s in range(n):
             residual[s] -= alpha * v[s]
-        t[:] = residual
-        _swept(indptr, indices, data, t)
+        _miss_of_sweep(indptr, indices, data, residual, t)
         cross, square = 0.0, 0.0
         for s in range(n):
-            t[s] = residual[s] - t[s]
             cross += t[s] * residual[s]
             square += t[s] * t[s]
         omega = cross / square if square > 0.0 else 0.0
