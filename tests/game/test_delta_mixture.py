@@ -20,7 +20,7 @@ few = settings(max_examples=30, deadline=None, derandomize=True)
 
 
 def _check_limit(player, found):
-    """The excess over eta falls with delta and is at most 2 delta times the steepest slope."""
+    """The excess over eta falls with delta and is at most delta times the steepest slope."""
     game, alpha = found.optimum.threshold.game.game, found.alpha
     room = 1e-9 * game.stake
     excesses = []
@@ -28,7 +28,7 @@ def _check_limit(player, found):
         lottery = delta_mixture(player, game, alpha, delta)
         slope = max(abs(game.excess(lottery.minus)), abs(game.excess(lottery.plus)))
         excesses.append(lottery.value - game.stake)
-        assert -room <= excesses[-1] <= 2 * delta * slope + room
+        assert -room <= excesses[-1] <= delta * slope + room
         assert lottery.objective <= lottery.value + room
         assert lottery.condition <= lottery.value / game.scale * (1 + 1e-9)
     assert all(later <= earlier + room for earlier, later in pairwise(excesses))
