@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from importlib import import_module
+from types import ModuleType
+
 
 class SSPError(Exception):
     """Root of every error that this library raises on purpose."""
@@ -55,3 +58,19 @@ class MissingDependencyError(SSPError, ImportError):
         super().__init__(f"{package} is not installed: pip install 'ssp-lp[{extra}]'")
         self.package = package
         self.extra = extra
+
+
+def optional_module(name: str, extra: str) -> ModuleType:
+    """Import a module of an optional package.
+
+    Args:
+        name: of the module, with that of the package in front ("matplotlib.pyplot").
+        extra: the extra of ``ssp-lp`` that brings the package.
+
+    Raises:
+        MissingDependencyError: the package is not installed.
+    """
+    try:
+        return import_module(name)
+    except ImportError as error:
+        raise MissingDependencyError(name.partition(".")[0], extra) from error

@@ -18,7 +18,7 @@ ORDER = [
     ("programs",),
     ("column_generation",),
     ("problem",),
-    ("analysis",),
+    ("analysis", "plotting"),
     ("solution",),
     ("methods", "game"),
     ("solve", "formulation", "verification", "io"),

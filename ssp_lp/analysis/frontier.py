@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -11,9 +12,12 @@ from ssp_lp.arrays import LEAST_BUDGET, FloatArray
 from ssp_lp.column_generation.failure_constraint import Row, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.work import Work
-from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
 from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _SHOWN = 5  # points that a repr lists
 
@@ -34,7 +38,9 @@ class Frontier:
     goal: FloatArray  # [points] 1 - failure
     cost: FloatArray  # [points] decreasing
     price: FloatArray  # [points - 1] price of failure on each segment, decreasing
-    gap: float  # no policy lies below a segment by more than this share of its safer end's cost
+    below: FloatArray  # [points - 1] no policy lies further below, as a share of the safer cost
+    tolerance: float  # share below a segment up to which it was not split
+    hidden: float  # share by which what a cap on the accumulated cost hides may lie below
     ratio: bool  # case S
     complete: bool  # whether it begins at the least failure, not at the steepest price asked for
     pricing_calls: int
@@ -43,15 +49,41 @@ class Frontier:
     _columns: tuple[Column, ...]
 
     @property
+    def gap(self) -> float:
+        """No policy lies below a segment by more than this share of its safer end's cost."""
+        return max(self.tolerance, self.hidden, float(self.below.max(initial=0.0)))
+
+    @property
     def objective(self) -> FloatArray:
         """Objective at each turning point, [points]."""
         return self.cost / self.goal if self.ratio else self.cost
 
     def objective_at(self, budget: float) -> float:
-        """Objective of :meth:`policy_at` within a failure budget; no pricing call is made.
+        """The least objective within a failure budget, to ``tolerance``; no pricing call is made.
 
-        That is the least objective to ``gap``, and at a turning point exactly. Where tracing was
-        cut short it may lie above the least one by more: :meth:`bounds_at` says between what.
+        Raises:
+            InfeasibleError: the budget is below the least failure.
+            ModelError: the frontier was not traced down to the budget.
+            SolverError: tracing was cut short there, and a cheaper policy is known to exist; the
+                message has :meth:`bounds_at`.
+        """
+        number, weight = self._locate(budget)
+        share = self.hidden if weight == 0.0 else max(self.hidden, float(self.below[number]))
+        if share > self.tolerance:
+            low, high = self.bounds_at(budget)
+            raise SolverError(
+                f"the frontier is not settled at the budget {budget:g}: the least objective lies "
+                f"between {low:.9g} and {high:.9g} (bounds_at); policy_at attains the latter. "
+                "trace_frontier with a higher point_limit or time_limit settles more"
+            )
+        return self._attained(number, weight, Row(budget, self.ratio))
+
+    def bounds_at(self, budget: float) -> tuple[float, float]:
+        """What the least objective within a failure budget surely lies between.
+
+        The upper bound is what :meth:`policy_at` attains. The lower one is proved afresh, at the
+        price of the segment, and where that is not settled also at those at which its ends are
+        best: one to three pricing calls, remembered for every budget.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
@@ -59,47 +91,56 @@ class Frontier:
         """
         number, weight = self._locate(budget)
         row = Row(budget, self.ratio)
+        high = self._attained(number, weight, row)
+        low = max(row.lower_bound(proof) for proof in self._proofs_near(number, weight))
+        return least_of(low, high), high
+
+    def _attained(self, number: int, weight: float, row: Row) -> float:
+        """Objective of a lottery over a turning point and the next one."""
         if weight == 0.0:
             return row.objective(float(self.cost[number]), float(self.goal[number]))
         ends = np.array([1.0 - weight, weight])
         pair = slice(number, number + 2)
         return row.objective(float(ends @ self.cost[pair]), float(ends @ self.goal[pair]))
 
-    def bounds_at(self, budget: float) -> tuple[float, float]:
-        """What the least objective within a failure budget surely lies between.
+    def _proofs_near(self, number: int, weight: float) -> list[Proof]:
+        """What is proved at the prices that matter between a turning point and the next."""
+        last = len(self._columns) - 1
+        segments = {number} if weight > 0.0 else {max(number - 1, 0), number}
+        proofs = [self._segment_proof(k) for k in segments]
+        if any(k < last and self.below[k] > self.tolerance for k in segments):
+            for point in (number,) if weight == 0.0 else (number, number + 1):
+                price = self._columns[point].found_at
+                if point == last:
+                    proofs.append(self._segment_proof(last))
+                elif price is not None:
+                    proofs.append(self._proof(price, self._columns[point]))
+        return proofs
 
-        The upper bound is :meth:`objective_at`. The lower one is proved afresh, at the price of
-        the segment: one or two pricing calls, remembered for every budget on the segment.
-
-        Raises:
-            InfeasibleError: the budget is below the least failure.
-            ModelError: the frontier was not traced down to the budget.
-        """
-        high, row = self.objective_at(budget), Row(budget, self.ratio)
-        number, _ = self._locate(budget)
-        segments = {number, number - 1} if budget <= float(self.failure[number]) else {number}
-        low = max(row.lower_bound(self._proof(k)) for k in segments if k >= 0)
-        return least_of(low, high), high
-
-    def _proof(self, segment: int) -> Proof:
+    def _segment_proof(self, segment: int) -> Proof:
         """What is proved at a segment's price; beyond the last, at the price of the best policy."""
-        if segment not in self._proofs:
-            column = self._columns[segment]
-            last = segment == len(self._columns) - 1
-            price = 0.0 if last else float(self.price[segment])
-            if last and self.ratio:
-                price = float(self.objective[-1]) * _BELOW
-            slack = last and self.ratio
-            self._proofs[segment] = self._pricing.prove(price, column, slack=slack)
-        return self._proofs[segment]
+        column = self._columns[segment]
+        if segment < len(self._columns) - 1:
+            return self._proof(float(self.price[segment]), column)
+        price = float(self.objective[-1]) * _BELOW if self.ratio else 0.0
+        return self._proof(price, column, slack=self.ratio)
+
+    def _proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:
+        """What is proved at a price; ``column`` is a policy that may be near to the best."""
+        if (price, slack) not in self._proofs:
+            proof = self._pricing.prove(price, column, slack=slack)
+            self._proofs[price, slack] = replace(proof, values=np.zeros(0))  # only bounds are asked
+        return self._proofs[price, slack]
 
     @cached_property
-    def _proofs(self) -> dict[int, Proof]:
-        """Proofs by segment, filled as they are asked for."""
+    def _proofs(self) -> dict[tuple[float, bool], Proof]:
+        """Proofs by price, filled as they are asked for."""
         return {}
 
     def policy_at(self, budget: float) -> MixedPolicy:
-        """A policy that attains :meth:`objective_at`; no pricing call is made.
+        """The lottery of the two turning points around a budget; no pricing call is made.
+
+        It attains the upper end of :meth:`bounds_at`, which is :meth:`objective_at` where settled.
 
         Raises:
             InfeasibleError: the budget is below the least failure.
@@ -110,6 +151,31 @@ class Frontier:
             return MixedPolicy((self._pricing.policy(self._columns[number]),), np.ones(1))
         members = tuple(self._pricing.policy(c) for c in self._columns[number : number + 2])
         return MixedPolicy(members, np.array([1.0 - weight, weight]))
+
+    def plot(self, budget: float | None = None, *, ax: Axes | None = None, **style: Any) -> Axes:
+        """Draw the frontier: :func:`ssp_lp.plotting.plot_frontier`."""
+        from ssp_lp.plotting.frontier_plot import plot_frontier
+
+        return plot_frontier(self, budget, ax=ax, **style)
+
+    def to_frame(self) -> Any:
+        """The turning points as a pandas ``DataFrame``, a row for each.
+
+        Columns: failure, goal, cost, objective; price and below of the segment that begins at the
+        point, nan at the last.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        columns = {
+            "failure": self.failure,
+            "goal": self.goal,
+            "cost": self.cost,
+            "objective": self.objective,
+            "price": np.append(self.price, np.nan),
+            "below": np.append(self.below, np.nan),
+        }
+        return optional_module("pandas", "frames").DataFrame(columns)
 
     def __repr__(self) -> str:
         """One line, and a few of the points."""

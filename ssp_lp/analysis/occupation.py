@@ -9,7 +9,9 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.joint_memory import common_memory
-from ssp_lp.problem import Problem
+from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem, check_policy
 from ssp_lp.processes.failure_semantics import start_distribution, survival_of
 
 
@@ -24,6 +26,28 @@ def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
         if not reaching(chain, ends).all():
             raise ModelError("the policy may wander for ever: its expected visits are infinite")
     return chain.push(chain.start, survival)
+
+
+def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatArray, FloatArray]:
+    """Undiscounted expected visits of each pair, and how likely it is given up in each state.
+
+    Returns:
+        [pairs] and [states] of the problem's model, whatever the policy remembers.
+
+    Raises:
+        ModelError: the policy is for another model, or may wander for ever.
+    """
+    check_policy(policy, problem, "pair_visits")
+    model, start = problem.model, start_distribution(problem.model, problem.start)
+    lottery = as_lottery(policy)
+    pairs, gave_up = np.zeros(model.n_pairs), np.zeros(model.n_states)
+    for member, weight in zip(lottery.policies, lottery.weights, strict=True):
+        chain = policy_chain(model, member, start)
+        visits = weight * expected_visits(chain)
+        flow, acts = visits[chain.branch_node] * chain.branch_probability, chain.branch_pair >= 0
+        np.add.at(pairs, chain.branch_pair[acts], flow[acts])
+        np.add.at(gave_up, chain.state, visits * chain.give_up)
+    return pairs, gave_up
 
 
 def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:

@@ -56,6 +56,18 @@ def trace_frontier(
         ModelError: an argument out of range, or a problem without a failure budget.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
+    _check_traceable(problem)
+    deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
+    limits = _Limits(gap, steepest_price, point_limit, deadline, progress)
+    return _traced_and_refined(_first_compiled(problem, steepest_price), limits)
+
+
+def _check_traceable(problem: Problem) -> None:
+    """Check that a problem has one failure budget and a mean of costs.
+
+    Raises:
+        ModelError: it has not.
+    """
     check_problem(problem, "trace_frontier")
     if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
@@ -63,27 +75,26 @@ def trace_frontier(
         raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
     if by_rows(problem):
         raise ModelError(f"{type(problem).__name__} has several rows: trace MCMP's frontier")
-    if not 0.0 < gap < 1.0:
-        raise ModelError(f"gap must lie strictly between 0 and 1, not {gap!r}")
-    if point_limit is not None and point_limit < 2:
-        raise ModelError(f"point_limit must be at least 2, not {point_limit!r}")
-    if steepest_price is not None and not 0.0 < steepest_price < np.inf:
-        raise ModelError(f"steepest_price must be a positive number, not {steepest_price!r}")
-    deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
-    limits = _Limits(gap, steepest_price, point_limit, deadline, progress)
+
+
+def _first_compiled(problem: Problem, steepest_price: float | None) -> CompiledProblem:
+    """The problem compiled finely enough for the steep end, as far as that is known before."""
     compiled = problem.compile()
     if steepest_price is None:
-        compiled = compiled.for_program()
-    elif compiled.is_trial:
-        compiled = compiled.refined(steepest_price) or compiled
+        return compiled.for_program()
+    return compiled.refined(steepest_price) or compiled if compiled.is_trial else compiled
+
+
+def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
+    """Trace, and again on a finer process while a cap on the cost hides more than the gap."""
     calls, work = 0, Work()
     for _ in range(_REFINEMENTS):
         traced = _trace(compiled, limits)
         calls, work = calls + traced.pricing_calls, work + traced.work
         lost = _share_lost(compiled, traced)
-        finer = compiled.refined(float(traced.price[0])) if lost > gap else None
-        traced = replace(traced, gap=max(traced.gap, lost))
-        if finer is None or time.perf_counter() > deadline:
+        finer = compiled.refined(float(traced.price[0])) if lost > limits.gap else None
+        traced = replace(traced, hidden=lost)
+        if finer is None or time.perf_counter() > limits.deadline:
             break
         compiled = finer
     return replace(traced, pricing_calls=calls, work=work)
@@ -98,6 +109,15 @@ class _Limits:
     point_limit: int | None
     deadline: float  # on the clock of time.perf_counter
     progress: Callable[[int, int], None] | None
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.gap < 1.0:
+            raise ModelError(f"gap must lie strictly between 0 and 1, not {self.gap!r}")
+        if self.point_limit is not None and self.point_limit < 2:
+            raise ModelError(f"point_limit must be at least 2, not {self.point_limit!r}")
+        steepest = self.steepest_price
+        if steepest is not None and not 0.0 < steepest < np.inf:
+            raise ModelError(f"steepest_price must be a positive number, not {steepest!r}")
 
     @property
     def may_stop(self) -> bool:
@@ -141,10 +161,23 @@ def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
         columns.append(replace(found, totals=None))  # only those waiting start others warmly
         waiting.add(inside, found, len(columns))
         waiting.add(found, outside, len(columns))
-    reached, work = max(waiting.reached(), limits.gap), work + waiting.work
-    traced = _frontier(pricing, columns, reached, compiled.ratio)
-    complete = limits.steepest_price is None
-    return replace(traced, complete=complete, pricing_calls=waiting.calls, work=work)
+    ordered = tuple(sorted(columns, key=lambda c: c.failure))
+    failure, cost = np.array([c.failure for c in ordered]), np.array([c.cost for c in ordered])
+    return Frontier(
+        failure=failure,
+        goal=np.array([c.goal for c in ordered]),
+        cost=cost,
+        price=-np.diff(cost) / np.diff(failure),
+        below=np.array([waiting.below[column.failure] for column in ordered[:-1]]),
+        tolerance=limits.gap,
+        hidden=0.0,
+        ratio=compiled.ratio,
+        complete=limits.steepest_price is None,
+        pricing_calls=waiting.calls,
+        work=work + waiting.work,
+        _pricing=pricing,
+        _columns=ordered,
+    )
 
 
 class _Waiting:
@@ -155,34 +188,27 @@ class _Waiting:
         self.found: list[tuple[float, int, tuple[Column, Column, Column]]] = []  # a heap
         self.calls, self.work = calls, Work()
         self._pricing, self._ratio, self._limits = pricing, ratio, limits
-        self._left = 0.0  # share by which policies may lie below segments that are done with
+        self.below: dict[float, float] = {}  # by a segment's safer failure; see Frontier.below
 
     def add(self, inside: Column, outside: Column, points: int) -> None:
         """Price a segment, and keep it if a policy lies below it by more than the gap."""
         bracket = Bracket(Row(1.0, self._ratio), inside, outside)
         if bracket.slope == 0.0:
+            self.below[inside.failure] = 0.0
             return
-        found, self.calls = self._pricing.minimise(bracket.slope, outside), self.calls + 1
+        found = replace(self._pricing.minimise(bracket.slope, outside), found_at=bracket.slope)
+        self.calls += 1
         below, self.work = _share_below(bracket, found), self.work + found.work
+        self.below[inside.failure] = below
         if below > self._limits.gap:
             urgency = -below if self._limits.may_stop else -float(self.calls)
             heappush(self.found, (urgency, self.calls, (inside, found, outside)))
-        else:
-            self._left = max(self._left, below)
         if self._limits.progress is not None:
             self._limits.progress(self.calls, points)
 
     def next(self) -> tuple[Column, Column, Column]:
         """Take out the segment to split: its ends and the policy between them."""
         return heappop(self.found)[2]
-
-    def reached(self) -> float:
-        """The share by which no policy lies below a segment as things stand."""
-        open_ones = (
-            _share_below(Bracket(Row(1.0, self._ratio), inside, outside), found)
-            for _, _, (inside, found, outside) in self.found
-        )
-        return max(open_ones, default=self._left)
 
 
 def _share_below(bracket: Bracket, found: Column) -> float:
@@ -196,22 +222,3 @@ def _share_below(bracket: Bracket, found: Column) -> float:
         bracket.inside.cost - found.cost - bracket.slope * (found.failure - bracket.inside.failure)
     )
     return max(below, 0.0) / max(bracket.inside.cost, 1e-300)
-
-
-def _frontier(pricing: PricingProblem, columns: list[Column], gap: float, ratio: bool) -> Frontier:
-    ordered = sorted(columns, key=lambda c: c.failure)
-    failure = np.array([c.failure for c in ordered])
-    cost = np.array([c.cost for c in ordered])
-    return Frontier(
-        failure=failure,
-        goal=np.array([c.goal for c in ordered]),
-        cost=cost,
-        price=-np.diff(cost) / np.diff(failure),
-        gap=gap,
-        ratio=ratio,
-        complete=True,
-        pricing_calls=0,
-        work=Work(),
-        _pricing=pricing,
-        _columns=tuple(ordered),
-    )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
-from importlib import import_module
 from itertools import product as every_choice
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ssp_lp.arrays import IntArray
-from ssp_lp.errors import MissingDependencyError, ModelError
+from ssp_lp.errors import ModelError, optional_module
 from ssp_lp.policies import (
     GIVE_UP,
     CostAwarePolicy,
@@ -69,10 +68,7 @@ def to_frame(policy: Policy | MixedPolicy) -> Any:
         MissingDependencyError: pandas is not installed.
         ModelError: the policy is of a class whose memory is not known.
     """
-    try:
-        pandas = import_module("pandas")
-    except ImportError as error:
-        raise MissingDependencyError("pandas", "frames") from error
+    pandas = optional_module("pandas", "frames")
     return pandas.DataFrame(policy_table(policy), columns=list(PolicyRow._fields))
 
 

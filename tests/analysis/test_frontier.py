@@ -11,7 +11,7 @@ import pytest
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from ssp_lp import SSP, InfeasibleError, ModelError, evaluate, solve, trace_frontier
+from ssp_lp import SSP, InfeasibleError, ModelError, SolverError, evaluate, solve, trace_frontier
 
 ROADS = SSP.from_transitions(
     {
@@ -140,11 +140,38 @@ def test_bounds_are_true_however_early_tracing_stopped(problem: Any, points: int
         exact = whole.objective_at(float(budget))
         assert low <= exact * (1 + 1e-9)
         assert exact <= high * (1 + 1e-12)
-        assert high == part.objective_at(float(budget))
+        assert evaluate(part.policy_at(float(budget)), problem).objective == pytest.approx(high)
+        if low < high * (1 - 1e-6) and budget not in part.failure:
+            with pytest.raises(SolverError, match="not settled"):
+                part.objective_at(float(budget))
+        else:
+            assert part.objective_at(float(budget)) == high == pytest.approx(exact, rel=1e-6)
         if points is None:
             assert low == pytest.approx(high, rel=1e-8)
     with pytest.raises(InfeasibleError):
         part.bounds_at(float(whole.failure[0]) - 1e-6)
+
+
+@pytest.mark.parametrize("problem", PROBLEMS, ids=lambda p: f"{type(p).__name__}-{p.discount}")
+def test_a_turning_point_is_settled_whatever_lies_beside_it(problem: Any) -> None:
+    part, whole = trace_frontier(problem, point_limit=3), trace_frontier(problem)
+    for failure, objective in zip(part.failure, part.objective, strict=True):
+        assert part.objective_at(float(failure)) == objective
+        low, high = part.bounds_at(float(failure))
+        assert high == objective == pytest.approx(whole.objective_at(float(failure)), rel=1e-9)
+        if failure > part.failure[0]:  # there no price says all
+            assert low == pytest.approx(high, rel=1e-8)
+    assert part.gap == max(part.below) > part.tolerance == whole.gap
+
+
+def test_a_frame_has_a_row_for_each_turning_point() -> None:
+    pytest.importorskip("pandas")
+    frontier = trace_frontier(PROBLEMS[3], point_limit=3)
+    frame = frontier.to_frame()
+    assert list(frame.columns) == ["failure", "goal", "cost", "objective", "price", "below"]
+    assert (frame["cost"] / frame["goal"] == frame["objective"]).all()
+    assert frame["price"].to_list()[:2] == frontier.price.tolist()
+    assert frame["price"].isna().tolist() == frame["below"].isna().tolist() == [False, False, True]
 
 
 def test_bounds_of_frontiers_without_an_edge() -> None:

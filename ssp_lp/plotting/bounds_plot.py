@@ -1,0 +1,119 @@
+"""How the bounds on the optimum close in while a problem is solved."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.plotting.style import LOOKS, axes_or_new, dress
+from ssp_lp.problem import Problem, by_rows
+from ssp_lp.processes.failure_semantics import Aim
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass
+class BoundsRecord:
+    """What ``solve`` reports while it runs: hand it over as ``progress=BoundsRecord()``. Grows."""
+
+    began: float = field(default_factory=time.perf_counter)
+    seconds: list[float] = field(default_factory=list)  # [reports] since then
+    prices: list[float] = field(default_factory=list)  # [reports] of failure
+    objectives: list[float] = field(default_factory=list)  # [reports] of the best policy so far
+
+    def __call__(self, calls: int, price: float, objective: float) -> None:
+        """Keep one report."""
+        self.seconds.append(time.perf_counter() - self.began)
+        self.prices.append(price)
+        self.objectives.append(objective)
+
+
+class Answer(Protocol):
+    """What is asked of a ``Solution``."""
+
+    @property
+    def problem(self) -> Problem:
+        """What was solved."""
+        ...
+
+    @property
+    def objective(self) -> float:
+        """Of its policy."""
+        ...
+
+    @property
+    def seconds(self) -> float:
+        """Of the call."""
+        ...
+
+    @property
+    def lower_bound(self) -> float:
+        """Of the optimum."""
+        ...
+
+
+def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = None) -> Axes:
+    """Draw the upper and the lower bound on the optimum against seconds.
+
+    The upper bound is the objective of the best policy known by then; the lower one is what the
+    pricing calls made by then prove, each worked out once more at its price; at the end, both as in
+    the solution. With limits beside the failure budget, and where no cost is minimised within a
+    budget, only the last lower bound is known.
+
+    Args:
+        record: that ``solve`` reported to.
+        solution: what that call handed back.
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions({"s": {"go": [(0.5, "g", 1.0), (0.5, "s", 1.0)]}}, {"g"})
+        >>> record = BoundsRecord()
+        >>> axes = plot_bounds(record, solve(MCMP(model, "s", 0.1), progress=record))
+    """
+    ax = axes_or_new(ax)
+    upper = np.minimum.accumulate([*record.objectives, solution.objective])
+    lower = np.maximum.accumulate([*_proved(record, solution.problem), solution.lower_bound])
+    seconds = np.maximum.accumulate([*record.seconds, solution.seconds])
+    for values, look, words in (
+        (upper, LOOKS[0], "best policy"),
+        (lower, LOOKS[1], "proved bound"),
+    ):
+        known = np.isfinite(values)
+        ax.step(seconds[known], values[known], where="post", color=look.colour,
+                linestyle=look.line, marker=look.marker, markersize=5,
+                label=f"{words}: {values[-1]:.8g}")  # fmt: skip
+    both = np.isfinite(lower) & np.isfinite(upper)
+    ax.fill_between(seconds, lower, upper, where=both.tolist(), step="post", facecolor="none",
+                    edgecolor="#bbbbbb", hatch="....", linewidth=0.0)  # fmt: skip
+    ax.set_xlim(left=0.0)
+    dress(ax, "seconds", "bounds on the objective")
+    ax.legend(frameon=False)
+    return ax
+
+
+def _proved(record: BoundsRecord, problem: Problem) -> FloatArray:
+    """The lower bound that each report's price proves; -inf where none is known, [reports]."""
+    budget, semantics = problem.failure_budget, problem.semantics
+    one_row = not by_rows(problem) and semantics.measure is None
+    if budget is None or not one_row or semantics.aim is not Aim.LEAST_COST or not record.prices:
+        return np.full(len(record.prices), -np.inf)
+    compiled, row = problem.compile(), Row(budget, problem.ratio)
+    if compiled.is_trial:
+        compiled = compiled.refined(max(record.prices)) or compiled
+    pricing = compiled.pricing()
+    best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken
+    for price, objective in zip(record.prices, record.objectives, strict=True):
+        slack = problem.ratio and price <= objective
+        proved.append(row.lower_bound(pricing.prove(price, best, slack=slack)))
+    return np.array(proved)
