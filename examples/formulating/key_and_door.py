@@ -18,6 +18,7 @@ import numpy as np
 
 from formulations import MCMP
 from ssp_lp import SSP, Memory, ProductSSP, Solution, on_original, product, solve
+from ssp_lp.plotting import plot_grid_policy
 
 PLAN = (
     "##############",
@@ -33,6 +34,15 @@ SLIP = 0.06  # probability of being blown to each side
 BUDGET = 0.1
 
 Cell = tuple[int, int]
+
+
+def place(cell: Cell) -> tuple[int, int]:
+    """Where a cell is drawn: (x, y), y upwards."""
+    return cell[1], -cell[0]
+
+
+DIRECTIONS = {name: place(move) for name, move in MOVES.items()}
+WALLS = [place((r, c)) for r, row in enumerate(PLAN) for c, mark in enumerate(row) if mark == "#"]
 
 
 def found(mark: str) -> Cell:
@@ -78,56 +88,25 @@ def with_key(model: SSP) -> ProductSSP:
     return product(model, memory, start=[found("S")])
 
 
-def visits(solution: Solution, made: ProductSSP) -> dict[tuple[Cell, bool], float]:
-    """Expected visits of each cell, before and after the key."""
-    measure = solution.problem.program().solve()
-    counted: dict[tuple[Cell, bool], float] = {}
-    for column, amount in enumerate(measure.visits.tolist()):
-        state = measure.program.label(column).state
-        counted[state] = counted.get(state, 0.0) + amount
-    return counted
-
-
-def draw(solution: Solution, made: ProductSSP, path: Path) -> None:
-    """Two plans side by side: where the robot is expected to be, and the likeliest moves."""
+def draw(solution: Solution, path: Path) -> None:
+    """Two plans side by side: where the robot is expected to be, and its moves."""
     from matplotlib.figure import Figure
 
-    counted = visits(solution, made)
-    figure = Figure(figsize=(11.0, 3.2), layout="constrained")
-    axes = figure.subplots(1, 2)
-    member = solution.policy.policies[int(np.argmax(solution.policy.weights))]
-    chosen = member.actions()
-    for axis, has_key in zip(axes, (False, True), strict=True):
-        image = np.full((len(PLAN), len(PLAN[0])), np.nan)
-        for r, row in enumerate(PLAN):
-            for c, mark in enumerate(row):
-                if mark not in "#~":
-                    image[r, c] = counted.get(((r, c), has_key), 0.0)
-        shown = axis.imshow(image, cmap="YlGnBu", vmin=0.0, vmax=1.2)
-        for r, row in enumerate(PLAN):
-            for c, mark in enumerate(row):
-                colour = {"#": "0.25", "~": "tab:brown"}.get(mark)
-                if colour:
-                    axis.add_patch(_square(r, c, colour))
-                elif mark in "KDS":
-                    axis.text(c, r, mark, ha="center", va="center", weight="bold", color="tab:red")
-                if counted.get(((r, c), has_key), 0.0) > 0.02 and mark not in "KDS":
-                    move = MOVES.get(chosen.get(((r, c), has_key), ""))
-                    if move:
-                        start = (c - 0.3 * move[1], r - 0.3 * move[0])
-                        end = (c + 0.3 * move[1], r + 0.3 * move[0])
-                        axis.annotate("", end, start, arrowprops={"arrowstyle": "->"})
-        axis.set_title("with the key" if has_key else "without the key")
-        axis.set_xticks([])
-        axis.set_yticks([])
-    figure.colorbar(shown, ax=axes, label="expected visits", shrink=0.8)
+    figure = Figure(figsize=(12.0, 3.4), layout="constrained")
+    for axes, has_key in zip(figure.subplots(1, 2), (False, True), strict=True):
+        plot_grid_policy(
+            solution.policy,
+            solution.problem,
+            lambda state, now=has_key: place(state[0]) if state[1] == now else None,
+            DIRECTIONS,
+            walls=WALLS,
+            most_visits=1.2,
+            ax=axes,
+        )
+        if not has_key:
+            axes.text(*place(found("K")), "K", ha="center", va="center", weight="bold", size=12)
+        axes.set_title("with the key" if has_key else "without the key K")
     figure.savefig(path, dpi=150)
-
-
-def _square(row: int, column: int, colour: str) -> object:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((column - 0.5, row - 0.5), 1.0, 1.0, color=colour)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -154,7 +133,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         policy.observe(cell, 1.0)
         path.append(cell)
     print(f"one episode: {len(path) - 1} steps, ends at {PLAN[cell[0]][cell[1]]}")
-    draw(solution, made, options.output)
+    draw(solution, options.output)
     print(f"drawn in {options.output}")
 
 

@@ -1,8 +1,4 @@
-"""Pictures of the robot example: the arena, trajectories, and cost against failure.
-
-Colours are Okabe and Ito's, which people with any colour vision can tell apart; what they say is
-also said by markers.
-"""
+"""Pictures of the robot example: the arena, trajectories, and cost against failure."""
 
 from pathlib import Path
 
@@ -13,29 +9,28 @@ mpl.use("Agg")
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 
 from examples.paper_robot.arena import FloatArray
 from examples.paper_robot.grid import START_BOX
 from examples.paper_robot.robot import Arena, Box, Place
-from examples.paper_robot.study import FrontierPoint
+from ssp_lp import Frontier
+from ssp_lp.plotting import plot_frontier, plot_paths
 
-INK, PALE = "#333333", "#777777"
+INK = "#333333"
 ENDS = {
-    Place.GOAL: ("#0072B2", "o", "reached the goal"),
-    Place.OBSTACLE: ("#D55E00", "X", "hit obstacle A or B"),
-    Place.WALL: ("#AA3377", "s", "hit the wall"),
-    Place.FREE: ("#000000", "D", "failed otherwise"),
+    Place.GOAL: "reached the goal",
+    Place.OBSTACLE: "hit obstacle A or B",
+    Place.WALL: "hit the wall",
+    Place.FREE: "failed otherwise",
 }
-"""How an episode ended -> colour, marker, words."""
+"""How an episode ended, in words."""
 
 CRITERIA = {
-    "S": ("#0072B2", "o", 8.0, "S: cost of the episodes that reach the goal"),
-    "M": ("#E69F00", "s", 4.5, "M: cost until the goal or failure"),
+    "S": "S: cost of the episodes that reach the goal",
+    "M": "M: cost until the goal or failure",
 }
-"""Criterion -> colour, marker, marker size (unequal: the curves all but meet), words."""
 
 _NUDGE = 1e-6  # look this far (in steps) beyond a path's last point to see what it touches
 
@@ -50,62 +45,25 @@ def save_arena(arena: Arena, path: Path) -> None:
 
 
 def save_trajectories(arena: Arena, paths: list[FloatArray], title: str, path: Path) -> None:
-    """Draw episodes of the continuous world, coloured by how they end: paths [steps + 1, 3]."""
+    """Draw episodes of the continuous world, told apart by how they end: paths [steps + 1, 3]."""
     figure, axes = _arena_axes(arena)
-    ends = [_end_of(arena, trajectory) for trajectory in paths]
-    for trajectory, end in sorted(zip(paths, ends, strict=True), key=lambda pair: pair[1] != 1):
-        colour, marker, _ = ENDS[end]
-        faint = end is Place.GOAL
-        x, y = trajectory[:, 0], trajectory[:, 1]
-        axes.plot(x, y, color=colour, linewidth=0.9, alpha=0.45 if faint else 0.95)
-        axes.plot(x[-1:], y[-1:], marker, color=colour, markersize=4 if faint else 7, zorder=4)
-    handles = [
-        Line2D([], [], color=colour, marker=marker, label=f"{ends.count(end)} {words}")
-        for end, (colour, marker, words) in ENDS.items()
-        if end in ends
-    ]
+    ends = [ENDS[_end_of(arena, trajectory)] for trajectory in paths]
+    plot_paths(paths, ends, order=list(ENDS.values()), ax=axes)
     axes.set_title(title, loc="left", fontsize=11)
-    axes.legend(
-        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2, frameon=False
-    )
     _save(figure, path)
 
 
-def save_frontier(
-    curves: dict[str, list[FrontierPoint]], budget: float, title: str, path: Path
-) -> None:
+def save_frontier(curves: dict[str, Frontier], budget: float, title: str, path: Path) -> None:
     """Draw the least cost against the failure budget: one curve per criterion, "S" and "M"."""
     figure = Figure(figsize=(6.4, 4.4), layout="constrained")
     axes = figure.subplots()
-    axes.axvline(budget, color=PALE, linewidth=0.8, linestyle="--", zorder=1)
-    for name, points in curves.items():
-        colour, marker, size, words = CRITERIA[name]
-        axes.plot(
-            [p.budget for p in points],
-            [p.objective for p in points],
-            color=colour,
-            marker=marker,
-            markersize=size,
-            linewidth=0.3 * size,
-            label=words,
-        )
+    for look, (name, frontier) in enumerate(curves.items()):
+        plot_frontier(frontier, budget, label=CRITERIA[name], look=look, ax=axes)
     axes.set_xscale("log")
-    axes.annotate(
-        f"the paper's budget, {budget:g}",
-        (budget, 0.97),
-        xycoords=("data", "axes fraction"),
-        xytext=(-5, 0),
-        textcoords="offset points",
-        ha="right",
-        va="top",
-        color=PALE,
-    )
-    axes.set_xlabel("failure budget (leftmost: the least failure possible)")
-    axes.set_ylabel("least expected cost (steps)")
+    axes.set_xlim(curves["S"].failure[0] / 1.2, 0.2)
+    axes.set(ylim=(12.0, 26.0), ylabel="least expected cost (steps)")
     axes.set_title(title, loc="left", fontsize=11)
     axes.legend(loc="lower left", frameon=False)
-    axes.grid(color="#e5e5e5", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
     _save(figure, path)
 
 

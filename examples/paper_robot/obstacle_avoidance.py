@@ -17,12 +17,13 @@ from pathlib import Path
 
 from examples.paper_robot.figures import save_arena, save_frontier, save_trajectories
 from examples.paper_robot.robot import RobotGrid, grid_arrays, grid_model, start_state
-from examples.paper_robot.study import BUDGET, Trial, designs, frontier, try_out
+from examples.paper_robot.study import BUDGET, Trial, designs, try_out
 from examples.paper_robot.tables import remarks, table_text
 from formulations import MCMP, S3P
-from ssp_lp import SSP
+from ssp_lp import SSP, trace_frontier
 
 WALL_COSTS = (1.0, 100.0)
+POINTS = 16  # of a frontier
 DRAWN = {
     "S max": "least failure, S",
     "M max": "least failure, M",
@@ -112,7 +113,10 @@ def _save_figures(
         save_trajectories(grid.arena, paths, f"{len(paths)} episodes: {title}", output / file_name)
     clock.say("trajectories drawn")
     start = start_state(grid)
-    curves = {"S": frontier(model, start, S3P), "M": frontier(model, start, MCMP)}
+    curves = {
+        name: trace_frontier(criterion(model, start), point_limit=POINTS)
+        for name, criterion in (("S", S3P), ("M", MCMP))
+    }
     save_frontier(curves, BUDGET, "What a higher risk of failure buys", output / "frontier.png")
     clock.say("cost against failure drawn")
 

@@ -13,10 +13,6 @@ from ssp_lp.analysis.simulation import SimulationReport
 BUDGET = 0.05
 DISCOUNT = 0.999
 RECORDED = 50  # episodes drawn in a trajectory figure
-FRONTIER_BUDGETS: tuple[float | None, ...] = (
-    None, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 0.01, 0.02, 0.05, 0.1, 0.2,
-)  # fmt: skip
-"""None is the least failure."""
 
 
 @dataclass(frozen=True)
@@ -77,21 +73,3 @@ def try_out(design: Design, grid: RobotGrid, episodes: int, seed: list[int]) -> 
             record=RECORDED,
         ),
     )
-
-
-@dataclass(frozen=True)
-class FrontierPoint:
-    """The least cost of one criterion at one failure budget."""
-
-    budget: float  # the least failure there is, where no budget was given
-    objective: float
-
-
-def frontier(model: SSP, start: int, criterion: type[MCMP] | type[S3P]) -> list[FrontierPoint]:
-    """Solve one criterion, exactly, at least failure and at rising budgets."""
-    points = []
-    for budget in FRONTIER_BUDGETS:
-        solution = solve(criterion(model, start=start, failure_budget=budget))
-        spent = solution.failure_probability if budget is None else budget
-        points.append(FrontierPoint(spent, solution.objective))
-    return points

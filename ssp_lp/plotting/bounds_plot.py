@@ -10,7 +10,8 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import Row
-from ssp_lp.plotting.style import LOOKS, axes_or_new, dress
+from ssp_lp.errors import ModelError
+from ssp_lp.plotting.style import LOOKS, Look, axes_or_new, dress
 from ssp_lp.problem import Problem, by_rows
 from ssp_lp.processes.failure_semantics import Aim
 
@@ -62,7 +63,8 @@ def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = Non
     """Draw the upper and the lower bound on the optimum against seconds.
 
     The upper bound is the objective of the best policy known by then; the lower one is what the
-    pricing calls made by then prove, each worked out once more at its price; at the end, both as in
+    pricing calls made by then prove, each worked out once more at its price (and where accumulated
+    costs are capped, with the cap that a linear program would have); at the end, both as in
     the solution. With limits beside the failure budget, and where no cost is minimised within a
     budget, only the last lower bound is known.
 
@@ -73,6 +75,8 @@ def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = Non
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
+        ModelError: a quantile or another measure of the law of costs, which is a search over
+            problems: what they report bounds none of it.
 
     Example:
         >>> from ssp_lp import SSP, solve
@@ -81,18 +85,15 @@ def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = Non
         >>> record = BoundsRecord()
         >>> axes = plot_bounds(record, solve(MCMP(model, "s", 0.1), progress=record))
     """
+    if solution.problem.semantics.measure is not None:
+        name = type(solution.problem).__name__
+        raise ModelError(f"{name} is solved as a search over problems: nothing to draw but its end")
     ax = axes_or_new(ax)
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
     lower = np.maximum.accumulate([*_proved(record, solution.problem), solution.lower_bound])
     seconds = np.maximum.accumulate([*record.seconds, solution.seconds])
-    for values, look, words in (
-        (upper, LOOKS[0], "best policy"),
-        (lower, LOOKS[1], "proved bound"),
-    ):
-        known = np.isfinite(values)
-        ax.step(seconds[known], values[known], where="post", color=look.colour,
-                linestyle=look.line, marker=look.marker, markersize=5,
-                label=f"{words}: {values[-1]:.8g}")  # fmt: skip
+    _draw_steps(ax, seconds, upper, LOOKS[0], "best policy")
+    _draw_steps(ax, seconds, lower, LOOKS[1], "proved bound")
     both = np.isfinite(lower) & np.isfinite(upper)
     ax.fill_between(seconds, lower, upper, where=both.tolist(), step="post", facecolor="none",
                     edgecolor="#bbbbbb", hatch="....", linewidth=0.0)  # fmt: skip
@@ -102,16 +103,18 @@ def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = Non
     return ax
 
 
+def _draw_steps(ax: Axes, seconds: FloatArray, values: FloatArray, look: Look, words: str) -> None:
+    known = np.isfinite(values)
+    ax.step(seconds[known], values[known], where="post", color=look.colour, linestyle=look.line,
+            marker=look.marker, markersize=5, label=f"{words}: {values[-1]:.8g}")  # fmt: skip
+
+
 def _proved(record: BoundsRecord, problem: Problem) -> FloatArray:
     """The lower bound that each report's price proves; -inf where none is known, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
-    one_row = not by_rows(problem) and semantics.measure is None
-    if budget is None or not one_row or semantics.aim is not Aim.LEAST_COST or not record.prices:
+    if budget is None or by_rows(problem) or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
-    compiled, row = problem.compile(), Row(budget, problem.ratio)
-    if compiled.is_trial:
-        compiled = compiled.refined(max(record.prices)) or compiled
-    pricing = compiled.pricing()
+    pricing, row = problem.compile().for_program().pricing(), Row(budget, problem.ratio)
     best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken
     for price, objective in zip(record.prices, record.objectives, strict=True):
         slack = problem.ratio and price <= objective

@@ -78,7 +78,7 @@ def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
     return max(width, _NARROWEST), height + _LEGEND
 
 
-_WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 0.7  # inches: a picture's sides, what a legend takes
+_WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 1.0  # inches: a picture's sides, what a legend takes
 _SIDES = 0.25, 0.55  # inches: of a cell, least and most
 
 
@@ -86,6 +86,8 @@ def draw_ground(
     ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]
 ) -> list[Any]:
     """Draw walls, dead-ends, goals and the start as unit squares, and a frame around other cells.
+
+    Where several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
 
     Args:
         ax: where to draw.
@@ -98,27 +100,34 @@ def draw_ground(
     """
     patches, model = optional_module("matplotlib.patches", "plot"), problem.model
     dead, goal = dead_ends(model) & ~model.goal_mask, model.goal_mask
+    goals, free = _distinct(points[goal]), _distinct(points[~dead & ~goal])
     kinds = (
-        (points[~dead & ~goal], "", _FREE),
-        (points[dead], "dead-end", _DEAD_END),
-        (np.array(list(walls), dtype=np.float64).reshape(-1, 2), "wall", _WALL),
-        (points[goal], "goal", _GOAL),
-        (points[start_distribution(model, problem.start) > 0.0], "start", _START),
+        (free - goals, "", _FREE),
+        (_distinct(points[dead]) - free - goals, "dead-end", _DEAD_END),
+        (set(walls), "wall", _WALL),
+        (goals, "goal", _GOAL),
+        (_distinct(points[start_distribution(model, problem.start) > 0.0]), "start", _START),
     )
-    legend, drawn = [], [squares[~np.isnan(squares).any(axis=1)] for squares, _, _ in kinds]
-    for squares, (_, words, style) in zip(drawn, kinds, strict=True):
+    legend = []
+    for squares, words, style in kinds:
         side = _INNER if style is _START else 1.0
-        for x, y in np.unique(squares, axis=0).tolist():
+        for x, y in sorted(squares):
             corner = x - 0.5 * side, y - 0.5 * side
             ax.add_patch(patches.Rectangle(corner, side, side, zorder=2, **style))
-        if words and len(squares):
+        if words and squares:
             legend.append(patches.Patch(label=words, **style))
-    ax.plot(*points[goal].T, "*", color=_GOAL["edgecolor"], markersize=9, zorder=2.5)
-    everything = np.vstack(drawn)
+    for x, y in goals:
+        ax.plot([x], [y], "*", color=_GOAL["edgecolor"], markersize=9, zorder=2.5)
+    everything = np.array([square for squares, _, _ in kinds for square in squares])
     low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
     return legend
+
+
+def _distinct(points: FloatArray) -> set[Point]:
+    """The points that are somewhere, each once."""
+    return {(x, y) for x, y in points[~np.isnan(points).any(axis=1)].tolist()}
 
 
 _INNER = 0.9  # side of the square that marks the start
@@ -130,13 +139,17 @@ _GOAL = {"facecolor": "#d5efe6", "edgecolor": "#009E73", "linewidth": 1.8}
 _START = {"facecolor": "none", "edgecolor": INK, "linewidth": 1.8}
 
 
-_ENTRIES = 5  # of a legend, side by side
+_ENTRY = 1.1  # inches: width of an entry of a legend
+_BELOW_TICKS = 0.12  # of the height: room for ticks and their label
 
 
 def add_legend(ax: Axes, legend: list[Any]) -> None:
-    """Put a legend below the picture, where it hides nothing."""
+    """Put a legend below the picture and its ticks, where it hides nothing."""
     if legend:
-        rows = -(-len(legend) // _ENTRIES)
-        ax.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, -0.01),
+        figure = ax.get_figure(root=True)
+        width = 0.0 if figure is None else ax.get_position().width * figure.get_figwidth()
+        rows = -(-len(legend) // max(int(width / _ENTRY), 2))
+        below = _BELOW_TICKS if len(ax.get_xticks()) else 0.01
+        ax.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, -below),
                   ncols=-(-len(legend) // rows), frameon=False, fontsize=8, labelcolor=INK,
                   handlelength=1.6, columnspacing=1.2)  # fmt: skip

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _BARS = 150
+_PALE = "#b5d6ea"  # behind lines
 _UNSEEN = 1e-3  # share of the successes that are costlier than what is drawn
 
 
@@ -41,7 +42,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
     costs, shares, width = _bars(law)
     body, rest = LOOKS[0], LOOKS[1]
     beyond = costs + 0.5 * width > quantile
-    ax.bar(costs[~beyond], shares[~beyond], width, color=body.colour)
+    ax.bar(costs[~beyond], shares[~beyond], width, facecolor=_PALE, edgecolor=body.colour)
     ax.bar(costs[beyond], shares[beyond], width, facecolor="white", edgecolor=rest.colour,
            hatch=rest.hatch, linewidth=0.6, label=f"costliest {1.0 - level:.3g}")  # fmt: skip
     marks = (

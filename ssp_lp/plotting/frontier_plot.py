@@ -14,6 +14,7 @@ from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+_BAND = "the optimum lies in here"
 _SAMPLES = 400  # budgets in all, shared out among the segments
 _VISIBLE = 2e-3  # of the height: a band that is narrower is a line
 _TANGENT = 0.4  # of the height: how far a tangent rises and falls
@@ -41,7 +42,7 @@ def plot_frontier(
             optimum in the budget: minus the failure price in case M; both tangents at a turning
             point. Where the frontier is not settled, with its bounds and without a tangent.
         ax: where to draw; None: a new figure.
-        label: of the line, if there are several; None: its gap.
+        label: of the line; None: its gap.
         look: of the line, 0 .. 4, so that several can be told apart.
 
     Raises:
@@ -59,22 +60,27 @@ def plot_frontier(
         >>> axes = trace_frontier(MCMP(model, "s")).plot(budget=0.05)
     """
     ax = axes_or_new(ax)
-    chosen, budgets = LOOKS[look % len(LOOKS)], _sampled(frontier)
-    low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
-    many = len(frontier.failure) > _MANY
-    ax.plot(budgets, high, color=chosen.colour, linestyle=chosen.line, linewidth=2,
-            label=label or f"least cost, gap {frontier.gap:.1e}")  # fmt: skip
-    ax.plot(frontier.failure, frontier.objective, chosen.marker, color=chosen.colour,
-            markersize=2.5 if many else 5)  # fmt: skip
-    if (high - low).max() > _VISIBLE * np.ptp(high):
-        ax.fill_between(budgets, low, high, facecolor="none", edgecolor=chosen.colour,
-                        hatch=chosen.hatch, linewidth=0.6,
-                        label="the optimum lies in here")  # fmt: skip
+    chosen = LOOKS[look % len(LOOKS)]
+    _draw_line(ax, frontier, chosen, label or f"least cost, gap {frontier.gap:.1e}")
     if budget is not None:
         _mark(ax, frontier, budget, chosen)
     dress(ax, "failure budget", f"least cost{' given success' if frontier.ratio else ''}")
     ax.legend(frameon=False)
     return ax
+
+
+def _draw_line(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
+    """What is attained, the turning points, and the band where the optimum may lie below."""
+    budgets = _sampled(frontier)
+    low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
+    many = len(frontier.failure) > _MANY
+    ax.plot(budgets, high, color=look.colour, linestyle=look.line, linewidth=2, label=label)
+    ax.plot(frontier.failure, frontier.objective, look.marker, color=look.colour,
+            markersize=2.5 if many else 5)  # fmt: skip
+    if (high - low).max() > _VISIBLE * np.ptp(high):
+        band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
+        ax.fill_between(budgets, low, high, facecolor="none", edgecolor=look.colour,
+                        hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
 
 
 def _sampled(frontier: Frontier) -> FloatArray:
@@ -96,13 +102,17 @@ def _between(begin: float, end: float, count: int) -> FloatArray:
 
 def _mark(ax: Axes, frontier: Frontier, budget: float, look: Look) -> None:
     """The budget with its value and its tangents, or with its bounds."""
-    low, high = frontier.bounds_at(budget)
     ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
     try:
         value = frontier.objective_at(budget)
     except SolverError:
-        ax.plot([budget, budget], [low, high], "_-", color=INK, markersize=12, linewidth=2,
-                zorder=5, label=f"budget {budget:g}: between {low:.5g} and {high:.5g}")  # fmt: skip
+        low, high = frontier.bounds_at(budget)
+        ends = f"{low:.5g}", f"{high:.5g}"
+        near = ends[0] == ends[1]
+        told = f"{ends[1]}, to {high - low:.0e}" if near else f"{ends[0]} to {ends[1]}"
+        ax.plot([budget, budget], [low, high], "_-", color=look.colour, markersize=14,
+                markeredgewidth=2, linewidth=2, zorder=5,
+                label=f"budget {budget:g}: {told}")  # fmt: skip
         return
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
             label=f"budget {budget:g}: {value:.5g}")  # fmt: skip

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 _SHADES = ("#ffffff", "#6baed6")  # light enough for dark arrows
 _RARE = 0.02  # of a cell's visits: an action that is taken less often has no arrow
 _UNSEEN = 1e-6  # expected visits: a cell with fewer has none at all
-_LONGEST = 0.45  # of a cell's side, from its middle
+_LONGEST = 0.46  # of a cell's side, from its middle
 _SHORTEST = 0.75  # of the longest: an arrow for a small share
 _RING = 0.08  # radius of what marks several actions
 _SCALE = 1.0  # inches, of the scale of shades
@@ -198,6 +198,6 @@ def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> list[Any]:
     for where, marker, face, words in marks:
         style: dict[str, Any] = {"marker": marker, "markerfacecolor": face, "markeredgecolor": INK}
         if where.any():
-            ax.plot(*seen.middles[where].T, linestyle="", markersize=5, zorder=5, **style)
+            ax.plot(*seen.middles[where].T, linestyle="", markersize=4, zorder=5, **style)
             legend.append(lines.Line2D([], [], linestyle="", label=words, **style))
     return legend

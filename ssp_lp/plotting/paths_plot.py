@@ -13,7 +13,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import optional_module
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.plotting.cells import Places, Point, add_legend, cells_of, draw_ground, size_of
-from ssp_lp.plotting.style import LOOKS, axes_or_new
+from ssp_lp.plotting.style import INK, LOOKS, axes_or_new
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.randomness import Randomness, generator_of
@@ -25,22 +25,31 @@ if TYPE_CHECKING:
 _SPREAD = 0.3  # of a cell's side: how far from its middle a path may be moved
 
 
-def plot_paths(paths: Sequence[Any], ends: Sequence[str], *, ax: Axes | None = None) -> Axes:
+def plot_paths(
+    paths: Sequence[Any],
+    ends: Sequence[str],
+    *,
+    order: Sequence[str] = (),
+    ax: Axes | None = None,
+) -> Axes:
     """Draw paths in the plane; each way to end has its colour, line and marker.
 
-    The way of most paths is drawn first and palely, so that the exceptions stand out.
+    The first way is drawn palely and beneath the others, so that the exceptions stand out.
 
     Args:
         paths: an array [points, 2 or more] each; the first two columns are x and y.
         ends: how each path ends, in words for the legend, [paths].
+        order: the ways to end, so that they look the same in several pictures; those that are not
+            listed follow by how many paths end so.
         ax: where to draw; None: a new figure.
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
     """
     ax = axes_or_new(ax, 5.6, 5.6)
-    lines, legend = optional_module("matplotlib.lines", "plot"), []
-    for rank, (end, count) in enumerate(Counter(ends).most_common()):
+    lines, legend, counts = optional_module("matplotlib.lines", "plot"), [], Counter(ends)
+    ways = dict.fromkeys([*order, *(end for end, _ in counts.most_common())])
+    for rank, end in enumerate(ways):
         look, usual = LOOKS[rank % len(LOOKS)], rank == 0
         style: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "linewidth": 0.9}
         for path, own in zip(paths, ends, strict=True):
@@ -48,8 +57,11 @@ def plot_paths(paths: Sequence[Any], ends: Sequence[str], *, ax: Axes | None = N
                 x, y = np.asarray(path, dtype=np.float64)[:, :2].T
                 ax.plot(x, y, alpha=0.45 if usual else 0.95, zorder=3 if usual else 4, **style)
                 ax.plot(x[-1:], y[-1:], look.marker, color=look.colour, zorder=5,
+                        markeredgecolor=look.colour if usual else INK,
                         markersize=4 if usual else 7)  # fmt: skip
-        legend.append(lines.Line2D([], [], marker=look.marker, label=f"{count} {end}", **style))
+        if counts[end]:
+            entry = lines.Line2D([], [], marker=look.marker, label=f"{counts[end]} {end}", **style)
+            legend.append(entry)
     add_legend(ax, legend)
     return ax
 
@@ -92,7 +104,7 @@ def plot_episodes(
     ends = [words[m] if (m := marks[int(p[-1])]) >= 0 else "give up or go on" for p in played]
     paths = [_placed(points[path], shift) for path, shift in zip(played, aside, strict=True)]
     ground = draw_ground(ax, problem, points, walls)
-    plot_paths(paths, ends, ax=ax)
+    plot_paths(paths, ends, order=words, ax=ax)
     drawn = ax.get_legend()
     add_legend(ax, ground + (list(drawn.legend_handles) if drawn else []))
     return ax

@@ -193,7 +193,7 @@ def test_the_frontier_is_drawn_between_its_bounds(criterion: type[MCMP] | type[S
         assert whole.objective_at(float(budget)) == pytest.approx(value, rel=1e-12)
     ax = part.plot(float(part.failure[:2].mean()))
     assert "the optimum lies in here" in words(ax)
-    assert any("between" in word for word in words(ax))
+    assert any(" to " in word for word in words(ax))
     (band,) = ax.collections
     inside = band.get_paths()[0]
     for budget in np.linspace(*part.failure[[0, -1]], 40)[1:-1]:
