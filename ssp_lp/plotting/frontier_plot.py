@@ -77,7 +77,7 @@ def _draw_line(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
     ax.plot(budgets, high, color=look.colour, linestyle=look.line, linewidth=2, label=label)
     ax.plot(frontier.failure, frontier.objective, look.marker, color=look.colour,
             markersize=2.5 if many else 5)  # fmt: skip
-    if (high - low).max() > _VISIBLE * np.ptp(high):
+    if (high - low).max() > max(_VISIBLE * np.ptp(high), frontier.tolerance * high.max()):
         band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
         ax.fill_between(budgets, low, high, facecolor="none", edgecolor=look.colour,
                         hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
@@ -110,9 +110,9 @@ def _mark(ax: Axes, frontier: Frontier, budget: float, look: Look) -> None:
         ends = f"{low:.5g}", f"{high:.5g}"
         near = ends[0] == ends[1]
         told = f"{ends[1]}, to {high - low:.0e}" if near else f"{ends[0]} to {ends[1]}"
-        ax.plot([budget, budget], [low, high], "_-", color=look.colour, markersize=14,
-                markeredgewidth=2, linewidth=2, zorder=5,
-                label=f"budget {budget:g}: {told}")  # fmt: skip
+        ax.plot([budget, budget], [low, high], color=look.colour, linewidth=2, zorder=5)
+        ax.plot([budget, budget], [low, high], "_", color=look.colour, markersize=14, zorder=5,
+                markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
         return
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
             label=f"budget {budget:g}: {value:.5g}")  # fmt: skip

@@ -24,6 +24,7 @@ from ssp_lp import (
     solve,
     success_costs,
     trace_frontier,
+    within_steps,
 )
 from ssp_lp.analysis.occupation import pair_visits
 
@@ -165,6 +166,17 @@ def test_a_memory_is_added_up_or_left_out() -> None:
         plot_grid_policy(policy, problem, lambda label: (1, 2, 3), MOVES)
 
 
+def test_a_cell_is_a_dead_end_where_all_its_states_are() -> None:
+    """Within three steps one may be late anywhere; only the pit is a dead-end at every time."""
+    made = within_steps(PROBLEM.model, 3, start=[0])
+    problem = MCMP(made, made.start(0), failure_budget=1.0, give_up="dead_ends")
+    ax = plot_grid_policy(
+        solve(problem).policy, problem, lambda label: CELLS(label[0]), MOVES, walls=[(7, 7)]
+    )
+    hatched = [patch.get_xy() for patch in ax.patches if patch.get_hatch()]
+    assert hatched == [(0.5, -0.5)]
+
+
 def test_cells_are_numbered_by_rows_from_above() -> None:
     place = row_major(8, 8)
     assert [place(k) for k in (0, 1, 8, 63)] == [(0, 7), (1, 7), (0, 6), (7, 0)]
@@ -188,7 +200,9 @@ def test_episodes_are_those_of_the_seed() -> None:
 def test_the_frontier_is_drawn_between_its_bounds(criterion: type[MCMP] | type[S3P]) -> None:
     whole = trace_frontier(criterion(steep(), "s"))
     part = trace_frontier(criterion(steep(), "s"), point_limit=3)
-    line = whole.plot(look=1).lines[0].get_xydata()
+    ax = whole.plot(look=1)
+    assert words(ax) == ["least cost, gap 1.0e-09"]
+    line = ax.lines[0].get_xydata()
     for budget, value in line[:: len(line) // 20]:
         assert whole.objective_at(float(budget)) == pytest.approx(value, rel=1e-12)
     ax = part.plot(float(part.failure[:2].mean()))
