@@ -23,8 +23,9 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
     """Draw the law of the total cost given success, its quantile and the mean of its tail.
 
     A bar is the probability of one cost, or, where there are too many, of an interval of costs.
-    The bars from the quantile on are hatched: their mean is the conditional value at risk. At most
-    a thousandth of the successes costs more than the last bar.
+    The costliest share of ``1 - level`` is hatched: its mean is the conditional value at risk, and
+    the bar at the quantile belongs to it in part. At most a thousandth of the successes costs more
+    than the last bar.
 
     Args:
         law: from ``success_costs``.
@@ -41,9 +42,11 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
     quantile, tail = law.quantile(level), law.tail_mean(level)
     costs, shares, width = _bars(law)
     body, rest = LOOKS[0], LOOKS[1]
-    beyond = costs + 0.5 * width > quantile
-    ax.bar(costs[~beyond], shares[~beyond], width, facecolor=_PALE, edgecolor=body.colour)
-    ax.bar(costs[beyond], shares[beyond], width, facecolor="white", edgecolor=rest.colour,
+    dearer = 1.0 - np.cumsum(shares)  # what is not drawn counts
+    hatched = np.clip(1.0 - level - dearer, 0.0, shares)
+    some, left = hatched > 0.0, shares - hatched
+    ax.bar(costs[left > 0.0], left[left > 0.0], width, facecolor=_PALE, edgecolor=body.colour)
+    ax.bar(costs[some], hatched[some], width, left[some], facecolor="white", edgecolor=rest.colour,
            hatch=rest.hatch, linewidth=0.6, label=f"costliest {1.0 - level:.3g}")  # fmt: skip
     marks = (
         (law.conditional_mean, "-", "mean"),
