@@ -68,7 +68,7 @@ def order_components(
 def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
     label: Array, number: Array, low: Array,
-) -> int:  # fmt: skip
+) -> np.int64:  # fmt: skip
     """The next successor that the search has not met, or -1; ``place`` and ``low`` follow."""
     k, past = place[state], end[state]
     while k < past:
