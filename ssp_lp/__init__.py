@@ -42,6 +42,12 @@ if TYPE_CHECKING:
     from ssp_lp.analysis.simulation import simulate
     from ssp_lp.analysis.tracing import trace_frontier
     from ssp_lp.formulation import Formulation
+    from ssp_lp.model.discretisation.continuous_model import ContinuousModel
+    from ssp_lp.model.discretisation.discretise import discretise
+    from ssp_lp.model.discretisation.distribution import Distribution
+    from ssp_lp.model.discretisation.grid import Axis, Grid
+    from ssp_lp.model.discretisation.points import Quadrature, Samples
+    from ssp_lp.model.discretisation.simulator import WorldSimulator
     from ssp_lp.model.product import Memory, ProductSSP, product
     from ssp_lp.model.within_steps import HorizonSSP, within_steps
     from ssp_lp.policies.remembering import on_original
@@ -54,19 +60,23 @@ __version__ = "0.1.0"
 __all__ = [
     "GIVE_UP",
     "SSP",
+    "Axis",
     "Certificate",
     "ColumnGeneration",
     "Constraint",
+    "ContinuousModel",
     "CostAwarePolicy",
     "CostLaw",
     "CrossCheck",
     "DeterministicPolicies",
     "DeterministicPolicy",
+    "Distribution",
     "Evaluation",
     "Formulation",
     "Frontier",
     "Game",
     "GiveUp",
+    "Grid",
     "HorizonSSP",
     "InfeasibleError",
     "LinearProgramming",
@@ -77,14 +87,18 @@ __all__ = [
     "OccupationMeasure",
     "OccupationProgram",
     "ProductSSP",
+    "Quadrature",
     "Quantity",
     "SSPError",
+    "Samples",
     "Solution",
     "SolverError",
     "StochasticPolicy",
     "TimedPolicy",
+    "WorldSimulator",
     "certify",
     "cross_check",
+    "discretise",
     "end_probability",
     "evaluate",
     "expected_cost",
@@ -102,6 +116,14 @@ __all__ = [
 ]
 
 _ON_DEMAND = {
+    "Axis": "ssp_lp.model.discretisation.grid",
+    "ContinuousModel": "ssp_lp.model.discretisation.continuous_model",
+    "Distribution": "ssp_lp.model.discretisation.distribution",
+    "Grid": "ssp_lp.model.discretisation.grid",
+    "Quadrature": "ssp_lp.model.discretisation.points",
+    "Samples": "ssp_lp.model.discretisation.points",
+    "WorldSimulator": "ssp_lp.model.discretisation.simulator",
+    "discretise": "ssp_lp.model.discretisation.discretise",
     "Formulation": "ssp_lp.formulation",
     "Memory": "ssp_lp.model.product",
     "ProductSSP": "ssp_lp.model.product",

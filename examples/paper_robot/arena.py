@@ -1,8 +1,7 @@
 """The arena of the paper's robot: a unit square with two obstacles and a goal region.
 
 Source: section 4.1 and figure 1 of the paper. One function, `Arena.classify`, says what lies at a
-point; `Arena.first_contact` says what a straight motion meets first. Both the grid model and the
-continuous world ask these two, so they cannot disagree about the geometry.
+point; `Arena.first_contact` says what a straight motion meets first.
 """
 
 from dataclasses import dataclass, field
@@ -90,7 +89,7 @@ class Arena:
         """Return what the straight motion from (x, y) by (across, up) meets first, and when.
 
         The time is the fraction of the motion in [0, 1]; it is 1 where nothing is met
-        (`Place.FREE`). At equal times an obstacle goes before the wall before the goal.
+        (`Place.FREE`). At times equal to rounding an obstacle goes before the wall before the goal.
         """
         obstacle = np.asarray(np.inf)
         for box in self.obstacles:
@@ -98,7 +97,7 @@ class Arena:
         wall = np.minimum(self._exit_time(x, across), self._exit_time(y, up))
         goal = self.goal.entry_time(x, y, across, up)
         times = np.stack(np.broadcast_arrays(obstacle, wall, goal, 1.0))
-        first = np.argmin(times, axis=0)
+        first = np.argmax(times <= times.min(axis=0) + TOLERANCE, axis=0)
         return _ORDER[first], np.take_along_axis(times, first[None], axis=0)[0]
 
     def _beyond(self, coordinate: FloatArray) -> BoolArray:

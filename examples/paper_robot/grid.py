@@ -1,17 +1,14 @@
-"""How the robot's positions and headings are cut into cells, and which angles are sampled.
+"""How the paper's robot moves, and how its positions and headings are cut into cells.
 
-Source: section 4.2 of the paper. Angles on the sampling lattice are integers (see `angle_unit`):
-a heading that falls exactly between two cells is then recognised exactly, on every machine.
+Source: sections 4.1 and 4.2 of the paper.
 """
 
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
-from examples.paper_robot.arena import TOLERANCE, Arena, FloatArray, Place
-
-IntArray = npt.NDArray[np.int64]
+from examples.paper_robot.arena import Arena, Place
+from ssp_lp import Axis, Grid
 
 STEP_LENGTH = 0.1  # speed 1.0 for 0.1 s
 TURN_STEP = np.pi / 6  # radians between neighbouring actions
@@ -39,36 +36,23 @@ class RobotGrid:
     along_segment: bool = False
     arena: Arena = field(default_factory=Arena)
 
-    def __post_init__(self) -> None:
-        """Raise ValueError if a count is not positive."""
-        if min(self.segments, self.headings, self.quadrature) < 1:
-            raise ValueError("segments, headings and quadrature must be at least 1")
+    @property
+    def cells(self) -> Grid:
+        """The cells: x slowest, theta fastest.
+
+        A heading exactly between two cells counts half in each. Such headings are common (a
+        quarter of all that are tried at the default), and giving them to one side would make the
+        robot drift; the rule moves the cost at least failure, 25.3 steps, by up to 0.2.
+        """
+        side, half = Axis(0.0, self.arena.side, self.segments), np.pi / self.headings
+        low, high = -half, 2 * np.pi - half
+        return Grid([side, side, Axis(low, high, self.headings, periodic=True, split_edges=True)])
 
     @property
     def n_cells(self) -> int:
-        """The number of cells; their states are 0 .. n_cells - 1, x slowest and theta fastest."""
-        return self.segments * self.segments * self.headings
+        """The number of cells; their states are 0 .. n_cells - 1."""
+        return self.cells.n_cells
 
     def end_state(self, place: Place) -> int:
         """Return the state of an end: goal, obstacle and wall follow the cells in this order."""
         return self.n_cells + int(place) - 1
-
-    @property
-    def angle_unit(self) -> float:
-        """The unit, in radians, in which every sampled angle is an integer."""
-        return float(np.pi / (12 * self.quadrature * self.headings))
-
-    @property
-    def midpoints(self) -> IntArray:
-        """The sampled midpoints of an interval, [quadrature].
-
-        Counted from the interval's centre in units of width / (2 * quadrature).
-        """
-        return 2 * np.arange(self.quadrature) + 1 - self.quadrature
-
-    def states_of(self, world: FloatArray) -> IntArray:
-        """Return the cell of each (x, y, theta) in free space: world [n, 3] -> states [n]."""
-        column, row = np.floor(world[:, :2] * (self.segments / self.arena.side) + TOLERANCE).T
-        heading = np.floor(world[:, 2] * (self.headings / (2 * np.pi)) + 0.5 + TOLERANCE)
-        flat = (column * self.segments + row) * self.headings + np.mod(heading, self.headings)
-        return np.asarray(flat, dtype=np.int64)

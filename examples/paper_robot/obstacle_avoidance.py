@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from examples.paper_robot.figures import save_arena, save_frontier, save_trajectories
-from examples.paper_robot.robot import RobotGrid, grid_arrays, grid_model, start_state
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from examples.paper_robot.study import BUDGET, Trial, designs, try_out
 from examples.paper_robot.tables import remarks, table_text
 from formulations import MCMP, S3P
@@ -55,11 +55,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         quadrature=options.quadrature,
         along_segment=options.along_segment,
     )
-    arrays = grid_arrays(grid)
     trials: dict[float, list[Trial]] = {}
     for wall_cost in WALL_COSTS:
         priced = replace(grid, wall_cost=wall_cost)
-        model = grid_model(priced, arrays)
+        model = grid_model(priced)
         clock.say(f"{model}, wall cost {wall_cost:g}")
         trials[wall_cost] = _try_all(model, priced, options.episodes, options.seed, clock)
         if wall_cost == WALL_COSTS[0]:

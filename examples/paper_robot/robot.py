@@ -1,64 +1,107 @@
-"""The paper's moving robot (section 4): its grid model, its start and its continuous world.
+"""The paper's moving robot (section 4): its step, its grid model, and its continuous world.
 
     grid = RobotGrid()                      # 20 x 20 positions, 12 headings, as in the paper
     model = grid_model(grid)                # 4,800 cells, then goal, obstacle, wall
     problem = MCMP(model, start=start_state(grid), failure_budget=0.05)
 
-The geometry is in `arena`, the cells in `grid`, the quadrature in `transitions`.
+The geometry is in `arena`, the cells in `grid`; the library does the rest.
 """
 
-import numpy as np
+import math
+from dataclasses import dataclass
+from typing import Any
 
-from examples.paper_robot.arena import Arena, Box, Place
-from examples.paper_robot.grid import START_POINT, RobotGrid
+import numpy as np
+import numpy.typing as npt
+
+from examples.paper_robot.arena import Arena, Box, FloatArray, Place, PlaceArray
+from examples.paper_robot.grid import (
+    N_ACTIONS,
+    NOISE,
+    START_BOX,
+    START_POINT,
+    STEP_LENGTH,
+    TURN_STEP,
+    RobotGrid,
+)
 from examples.paper_robot.progress_bar import Progress
-from examples.paper_robot.transitions import GridArrays, grid_arrays
-from examples.paper_robot.world import ContinuousRobot
-from ssp_lp import SSP
+from ssp_lp import SSP, ContinuousModel, Distribution, Quadrature, WorldSimulator, discretise
 
 __all__ = [
     "Arena",
     "Box",
-    "ContinuousRobot",
-    "GridArrays",
     "Place",
     "RobotGrid",
-    "grid_arrays",
+    "continuous_robot",
     "grid_model",
+    "robot_simulator",
     "start_state",
 ]
 
+_Point = tuple[FloatArray, ...]
+_IntArray = npt.NDArray[np.integer[Any]]
 
-def grid_model(
-    grid: RobotGrid, arrays: GridArrays | None = None, progress: Progress | None = None
-) -> SSP:
+
+@dataclass(frozen=True)
+class _Dynamics:
+    """What the robot does in one step, and what is known of it beforehand."""
+
+    grid: RobotGrid
+
+    def step(self, point: _Point, action: int, noise: _Point) -> tuple[_Point, float, PlaceArray]:
+        """Turn by the action and an error, then move straight on by one step length, at cost 1.
+
+        The numbers of `Place` are those that the library gives to ends: goal, then dead-ends.
+        With `along_segment` a robot that meets something stops there.
+        """
+        (x, y, theta), (error,) = point, noise
+        heading = theta + (action - N_ACTIONS // 2) * TURN_STEP + error
+        across, up = STEP_LENGTH * np.cos(heading), STEP_LENGTH * np.sin(heading)
+        if self.grid.along_segment:
+            place, time = self.grid.arena.first_contact(x, y, across, up)
+            return (x + time * across, y + time * up, heading), 1.0, place
+        moved_x, moved_y = x + across, y + up
+        return (moved_x, moved_y, heading), 1.0, self.grid.arena.classify(moved_x, moved_y)
+
+    def alike(self, cell: tuple[_IntArray, ...], action: _IntArray) -> _IntArray:
+        """Number the pairs so that those from one position with one total turn are the same."""
+        (column, row, heading), headings = cell, self.grid.headings
+        unit = math.gcd(12, headings)  # an action turns by a twelfth of a circle
+        turns = 12 * headings // unit
+        turn = (12 * heading + headings * (action - N_ACTIONS // 2)) // unit % turns
+        return np.asarray((column * self.grid.segments + row) * turns + turn)
+
+
+def continuous_robot(grid: RobotGrid) -> ContinuousModel:
+    """Return the robot in its continuous world, with the grid on which policies see it."""
+    dynamics = _Dynamics(grid)
+    return ContinuousModel(
+        grid.cells,
+        range(N_ACTIONS),
+        dynamics.step,
+        noise=[Distribution.uniform(-NOISE, NOISE)],
+        dead_ends={"obstacle": 1.0, "wall": grid.wall_cost},
+        alike=dynamics.alike,
+    )
+
+
+def grid_model(grid: RobotGrid, progress: Progress | None = None) -> SSP:
     """Return the robot's grid model as an SSP whose states are 0 .. n_cells + 2.
 
     The cells come first, then the goal, the obstacles and the wall (`RobotGrid.end_state`). Every
     step costs 1; the dead-end "wall" costs `wall_cost` per stage.
 
-    arrays: the transitions, if they are at hand (models that differ in wall_cost share them).
-    progress: told how far the transitions are, unless they are at hand (see `grid_arrays`).
+    progress: told how far the transitions are.
     """
-    arrays = grid_arrays(grid, progress) if arrays is None else arrays
-    costs: float | np.ndarray = 1.0
-    if grid.wall_cost != 1.0:
-        costs = np.ones(arrays.n_pairs)
-        costs[-1] = grid.wall_cost
-    return SSP.from_arrays(
-        pair_offsets=arrays.pair_offsets,
-        outcome_offsets=arrays.outcome_offsets,
-        successors=arrays.successors,
-        probabilities=arrays.probabilities,
-        costs=costs,
-        goal_states=np.array([grid.end_state(Place.GOAL)]),
-        state_labels={
-            "obstacle": [grid.end_state(Place.OBSTACLE)],
-            "wall": [grid.end_state(Place.WALL)],
-        },
-    )
+    return discretise(continuous_robot(grid), Quadrature(grid.quadrature), progress=progress)
+
+
+def robot_simulator(grid: RobotGrid) -> WorldSimulator:
+    """Return the continuous world with its starts: x, y in [0.1, 0.15], theta within +-pi / 12."""
+    place, heading = Distribution.uniform(*START_BOX), Distribution.uniform(-NOISE, NOISE)
+    return WorldSimulator(continuous_robot(grid), [place, place, heading])
 
 
 def start_state(grid: RobotGrid) -> int:
     """Return the cell for which policies are designed: that of x = y = 0.125, theta = 0."""
-    return int(grid.states_of(np.array([START_POINT]))[0])
+    return int(grid.cells.cell_of(START_POINT))

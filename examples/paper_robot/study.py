@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from examples.paper_robot.arena import FloatArray
-from examples.paper_robot.robot import ContinuousRobot, RobotGrid
+from examples.paper_robot.robot import RobotGrid, robot_simulator
 from formulations import MCMP, S3P
 from ssp_lp import SSP, Evaluation, Solution, simulate, solve
 from ssp_lp.analysis.simulation import SimulationReport
@@ -69,7 +69,7 @@ def try_out(design: Design, grid: RobotGrid, episodes: int, seed: list[int]) -> 
             problem,
             episodes=episodes,
             rng=world_rng,
-            simulator=ContinuousRobot(grid),
+            simulator=robot_simulator(grid),
             record=RECORDED,
         ),
     )

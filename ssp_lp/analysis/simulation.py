@@ -92,6 +92,13 @@ class SimulationReport:
     mean_steps: float
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
 
+    @property
+    def failure_probability(self) -> Estimate:
+        """The probability of not reaching the goal, unfinished episodes among the failures."""
+        reached = self.goal_probability
+        miss = 1.0 - reached.value, 1.0 - reached.high, 1.0 - reached.low
+        return Estimate(*miss, reached.confidence)
+
     def __repr__(self) -> str:
         """One line: how the episodes ended, and the costs with their intervals."""
         ends = ", ".join(f"{name} {count:,}" for name, count in self.ends.items() if count)

@@ -16,29 +16,28 @@ from examples.paper_robot.progress_bar import progress_bar
 from examples.paper_robot.robot import (
     Arena,
     Box,
-    ContinuousRobot,
-    GridArrays,
     Place,
     RobotGrid,
-    grid_arrays,
     grid_model,
+    robot_simulator,
     start_state,
 )
+from ssp_lp import SSP
 
 SMALL = RobotGrid(segments=10, headings=8, quadrature=3)
 GRIDS = [RobotGrid(), SMALL, RobotGrid(quadrature=2, along_segment=True)]
 
 
 @pytest.fixture(scope="module")
-def default_arrays() -> GridArrays:
-    """The transitions of the paper's grid."""
-    return grid_arrays(RobotGrid())
+def default_model() -> SSP:
+    """The model of the paper's grid."""
+    return grid_model(RobotGrid())
 
 
-def outcomes(arrays: GridArrays, pair: int) -> dict[int, float]:
+def outcomes(model: SSP, pair: int) -> dict[int, float]:
     """One pair's successors with their probabilities."""
-    some = slice(arrays.outcome_offsets[pair], arrays.outcome_offsets[pair + 1])
-    return dict(zip(arrays.successors[some], arrays.probabilities[some], strict=True))
+    some = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
+    return dict(zip(model.successors[some], model.probabilities[some], strict=True))
 
 
 def brute_force(grid: RobotGrid, pair: int) -> dict[int, Fraction]:
@@ -92,9 +91,8 @@ def slow_place(
     return Place.FREE
 
 
-def test_size_of_the_papers_model(default_arrays: GridArrays) -> None:
-    grid = RobotGrid()
-    model = grid_model(grid, default_arrays)
+def test_size_of_the_papers_model(default_model: SSP) -> None:
+    grid, model = RobotGrid(), default_model
     assert grid.n_cells == 4800
     assert model.n_states == 4803
     assert model.n_pairs == 24_000 + 2
@@ -104,35 +102,37 @@ def test_size_of_the_papers_model(default_arrays: GridArrays) -> None:
 
 @pytest.mark.parametrize("grid", GRIDS)
 def test_probabilities_are_counts_that_sum_to_one(grid: RobotGrid) -> None:
-    arrays = grid_arrays(grid)
-    doubled = arrays.probabilities * (2 * grid.quadrature**4)
+    model = grid_model(grid)
+    doubled = model.probabilities * (2 * grid.quadrature**4)
     assert np.abs(doubled - np.rint(doubled)).max() < 1e-9
-    sums = np.add.reduceat(arrays.probabilities, arrays.outcome_offsets[:-1])
+    sums = np.add.reduceat(model.probabilities, model.outcome_offsets[:-1])
     assert np.abs(sums - 1.0).max() < 1e-12
 
 
 @pytest.mark.parametrize("grid", GRIDS)
 def test_successors_are_distinct_and_ascend(grid: RobotGrid) -> None:
-    arrays = grid_arrays(grid)
-    pairs = np.repeat(np.arange(arrays.n_pairs), np.diff(arrays.outcome_offsets))
+    model = grid_model(grid)
+    pairs = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     same_pair = pairs[1:] == pairs[:-1]
-    assert np.all(np.diff(arrays.successors)[same_pair] > 0)
+    assert np.all(np.diff(model.successors)[same_pair] > 0)
 
 
 @pytest.mark.parametrize("grid", GRIDS)
 def test_random_pairs_against_plain_loops(grid: RobotGrid) -> None:
-    arrays, rng = grid_arrays(grid), np.random.default_rng(5)
+    model, rng = grid_model(grid), np.random.default_rng(5)
     for pair in rng.choice(N_ACTIONS * grid.n_cells, size=12, replace=False):
         expected = {s: float(p) for s, p in brute_force(grid, int(pair)).items()}
-        assert outcomes(arrays, int(pair)) == pytest.approx(expected, abs=1e-12)
+        assert outcomes(model, int(pair)) == pytest.approx(expected, abs=1e-12)
 
 
 def test_progress_rises_to_its_total_and_changes_nothing() -> None:
     told: list[tuple[int, int]] = []
-    arrays = grid_arrays(SMALL, lambda done, total: told.append((done, total)))
+    model = grid_model(SMALL, lambda done, total: told.append((done, total)))
     total = told[0][1]
-    assert told == [(k, total) for k in range(1, total + 1)]
-    assert arrays.probabilities.tobytes() == grid_arrays(SMALL).probabilities.tobytes()
+    done = [pairs for pairs, _ in told]
+    assert done == sorted(set(done))
+    assert done[-1] == total
+    assert model.probabilities.tobytes() == grid_model(SMALL).probabilities.tobytes()
 
 
 def test_the_progress_bar_is_for_terminals() -> None:
@@ -158,7 +158,7 @@ def test_a_mirrored_arena_gives_the_mirrored_model() -> None:
         goal=Box(0.8, 0.95, 0.75, 0.9),
     )
     grid = RobotGrid(segments=20, headings=12)
-    first, second = grid_arrays(grid), grid_arrays(replace(grid, arena=swapped))
+    first, second = grid_model(grid), grid_model(replace(grid, arena=swapped))
 
     def mirror(state: int) -> int:
         if state >= grid.n_cells:
@@ -177,17 +177,17 @@ def test_a_mirrored_arena_gives_the_mirrored_model() -> None:
 def test_steering_error_spreads_over_neighbouring_headings_as_a_triangle() -> None:
     """Heading in the cell plus error is triangular: 1/8 beyond either side, 3/4 in the middle."""
     grid = RobotGrid(arena=Arena(obstacles=(), goal=Box(2.0, 3.0, 2.0, 3.0)))
-    arrays = grid_arrays(grid)
+    model = grid_model(grid)
     middle = (10 * grid.segments + 10) * grid.headings  # far from the wall, heading 0
     chances = np.zeros(grid.headings)
-    for state, chance in outcomes(arrays, middle * N_ACTIONS + 2).items():
+    for state, chance in outcomes(model, middle * N_ACTIONS + 2).items():
         chances[state % grid.headings] += chance
     assert chances[[-1, 0, 1]] == pytest.approx([1 / 8, 3 / 4, 1 / 8], abs=1e-15)
 
 
-def test_wall_cost_is_the_only_cost_that_changes(default_arrays: GridArrays) -> None:
-    cheap = grid_model(RobotGrid(), default_arrays)
-    dear = grid_model(RobotGrid(wall_cost=100.0), default_arrays)
+def test_wall_cost_is_the_only_cost_that_changes(default_model: SSP) -> None:
+    cheap = default_model
+    dear = grid_model(RobotGrid(wall_cost=100.0))
     changed = np.flatnonzero(np.asarray(dear.costs) != np.asarray(cheap.costs))
     assert changed.tolist() == [dear.n_outcomes - 1]
     assert dear.costs[-1] == 100.0
@@ -218,7 +218,7 @@ def test_testing_along_the_segment_only_moves_mass_to_ends_on_a_thin_obstacle() 
     arena = Arena(obstacles=(Box(0.5, 0.51, 0.0, 1.0),), goal=Box(2.0, 3.0, 2.0, 3.0))
     jumping = RobotGrid(segments=10, headings=12, arena=arena)
     sliding = replace(jumping, along_segment=True)
-    ends_only, whole = grid_arrays(jumping), grid_arrays(sliding)
+    ends_only, whole = grid_model(jumping), grid_model(sliding)
     pair = ((4 * 10 + 5) * 12) * N_ACTIONS + 2  # x in [0.4, 0.5], heading 0, straight on
     obstacle = jumping.end_state(Place.OBSTACLE)
     before, after = outcomes(ends_only, pair), outcomes(whole, pair)
@@ -236,8 +236,8 @@ def test_continuous_steps_agree_with_the_grid(along_segment: bool) -> None:
     per dimension an error of at most some 0.004; 0.01 covers both.
     """
     grid = RobotGrid(quadrature=12, along_segment=along_segment)
-    arrays, rng = grid_arrays(grid), np.random.default_rng(7)
-    robot, draws = ContinuousRobot(grid), 200_000
+    model, rng = grid_model(grid), np.random.default_rng(7)
+    robot, draws = robot_simulator(grid), 200_000
     for column, row, heading, action in [
         (10, 10, 3, 2),
         (4, 4, 2, 2),
@@ -251,7 +251,7 @@ def test_continuous_steps_agree_with_the_grid(along_segment: bool) -> None:
         _, states, costs = robot.step(world, np.full(draws, pair), rng)
         frequency = np.bincount(states, minlength=grid.n_cells + 3) / draws
         expected = np.zeros(grid.n_cells + 3)
-        for state, chance in outcomes(arrays, pair).items():
+        for state, chance in outcomes(model, pair).items():
             expected[state] = chance
         assert np.abs(frequency - expected).max() < 0.01
         assert np.all(costs == 1.0)
@@ -259,7 +259,7 @@ def test_continuous_steps_agree_with_the_grid(along_segment: bool) -> None:
 
 def test_continuous_runs_start_in_the_designs_cell() -> None:
     grid = RobotGrid()
-    world, states = ContinuousRobot(grid).reset(10_000, np.random.default_rng(8))
+    world, states = robot_simulator(grid).reset(10_000, np.random.default_rng(8))
     assert world.min(axis=0) == pytest.approx([0.1, 0.1, -NOISE], abs=1e-3)
     assert world.max(axis=0) == pytest.approx([0.15, 0.15, NOISE], abs=1e-3)
     assert set(states.tolist()) == {start_state(grid)}
@@ -268,7 +268,7 @@ def test_continuous_runs_start_in_the_designs_cell() -> None:
 def test_actions_turn_by_thirty_degrees() -> None:
     grid, rng = RobotGrid(), np.random.default_rng(9)
     world = np.tile([0.5, 0.5, 0.0], (5, 1))
-    after, _, _ = ContinuousRobot(grid).step(world, np.arange(5), rng)
+    after, _, _ = robot_simulator(grid).step(world, np.arange(5), rng)
     turned = (after[:, 2] + np.pi) % (2 * np.pi) - np.pi
     assert np.all(np.abs(turned - TURN_STEP * np.arange(-2, 3)) <= NOISE)
     assert np.hypot(*(after[:, :2] - world[:, :2]).T) == pytest.approx(STEP_LENGTH)

@@ -1,0 +1,1 @@
+"""Models of continuous worlds: a box of coordinates, cut into cells, and a step function."""

@@ -1,0 +1,173 @@
+"""The grid model of a continuous world: cells as states, probabilities from trials of its step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.errors import ModelError
+from ssp_lp.model.discretisation.border import take_step
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel
+from ssp_lp.model.discretisation.outcome_store import Outcomes, OutcomeStore
+from ssp_lp.model.discretisation.points import Points, Quadrature, Trials
+from ssp_lp.model.discretisation.tally import Rows, tally
+from ssp_lp.model.ssp import SSP
+
+TRIALS: Final = 1 << 19
+"""Trials that are worked on at a time: scratch arrays of some tens of megabytes."""
+
+PAIRS: Final = 1 << 13
+"""Pairs whose outcomes are copied at a time, likewise."""
+
+MIDPOINTS: Final = Quadrature()
+
+
+def discretise(
+    world: ContinuousModel,
+    points: Points = MIDPOINTS,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> SSP:
+    """Make a finite model whose states are the cells of a continuous world's grid.
+
+    In the model each step begins at a point uniform in its cell, whatever came before. The world
+    remembers where in the cell it was: what is certified of the model says nothing certain about
+    the world. Play the policy there (:class:`.WorldSimulator`) and read the exact interval of the
+    failures counted.
+
+    Args:
+        world: the coordinates, the step function and the grid.
+        points: a :class:`Quadrature`, or :class:`Samples`.
+        progress: called with the number of pairs worked out and their total.
+
+    Returns:
+        The model. Its states are the cells 0, 1, ..., as ``world.grid.cell_of`` numbers them, then
+        the goal, then the dead-ends, which stay where they are and bear their labels. Outcomes of a
+        pair that share a successor are one, with the mean of their costs.
+
+    Raises:
+        ModelError: the step function's answer is of a wrong form, or it leaves the box.
+    """
+    trials = points.trials(world)
+    n_pairs = world.grid.n_cells * len(world.actions)
+    distinct, row_of_pair = _distinct_pairs(world, n_pairs)
+    store = OutcomeStore()
+    n_distinct = n_pairs if distinct is None else len(distinct)
+    size = max(len(world.actions), TRIALS // int(np.prod(trials.shape)))
+    for begin in range(0, n_distinct, size):
+        some = np.arange(begin, min(begin + size, n_distinct), dtype=least_integer_type(n_pairs))
+        store.append(_rows(world, trials, some if distinct is None else distinct[some]))
+        if progress is not None:
+            progress(int(some[-1]) + 1, n_distinct)
+    if row_of_pair is not None:
+        store = _repeated(world, store.outcomes(), row_of_pair)
+    return _model(world, store)
+
+
+class _Tried(NamedTuple):
+    """What came of one action."""
+
+    rows: IntArray  # [cells] which of the pairs
+    states: list[IntArray]  # [trials, cells] each; several where edges are split
+    cost: FloatArray  # [trials or 1, cells or 1]
+
+
+def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Rows:
+    """The outcomes of some pairs, in increasing order."""
+    cells, action = np.divmod(pairs, len(world.actions))
+    tried = [
+        _try(world, trials, cells, int(a), np.flatnonzero(action == a)) for a in np.unique(action)
+    ]
+    sides = max(len(part.states) for part in tried)  # 1, 2, 4, ...
+    count = int(np.prod(trials.shape))
+    states = np.empty((len(pairs), sides, count), dtype=np.int32)
+    for part in tried:
+        for side in range(sides):
+            states[part.rows, side] = part.states[side % len(part.states)].T
+    weights = None if trials.weights is None else np.tile(trials.weights, sides)
+    return tally(states.reshape(len(pairs), -1), weights, _costs(tried, len(pairs), sides))
+
+
+def _try(
+    world: ContinuousModel, trials: Trials, cells: IntArray, action: int, rows: IntArray
+) -> _Tried:
+    """Take the step of one action in those of the cells that are listed."""
+    point, noise = trials.draw(cells[rows])
+    shape = (*trials.shape, len(rows))
+    taken = take_step(world, point, action, noise, shape)
+    ended = taken.end != 0
+    ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
+    reached = []
+    for cell in world.grid.numbers_about(taken.heights):
+        state = np.where(ended, ends, cell) if ended.any() else cell
+        reached.append(np.broadcast_to(state, shape).reshape(-1, len(rows)))
+    cost = taken.cost
+    if any(n > 1 for n in cost.shape[:-1]):
+        cost = np.broadcast_to(cost, shape)
+    return _Tried(rows, reached, cost.reshape(-1, cost.shape[-1]))
+
+
+def _costs(tried: list[_Tried], n_pairs: int, sides: int) -> FloatArray:
+    """A number, [pairs, 1], or [pairs, trials] where trials of a pair differ."""
+    first = tried[0].cost.flat[0]
+    if all(part.cost.size == 1 and part.cost.flat[0] == first for part in tried):
+        return np.asarray(first)
+    width = max(len(part.cost) for part in tried)
+    costs = np.empty((n_pairs, width))
+    for part in tried:
+        costs[part.rows] = part.cost.T
+    return costs if width == 1 else np.tile(costs, sides)
+
+
+def _distinct_pairs(
+    world: ContinuousModel, n_pairs: int
+) -> tuple[IntArray | None, IntArray | None]:
+    """Pairs with different outcomes, in order, and the place among them of each pair's own.
+
+    None and None where nothing is known of pairs that are alike.
+    """
+    if world.alike is None:
+        return None, None
+    sizes = (*world.grid.shape, len(world.actions))
+    *index, actions = np.ogrid[tuple(slice(size) for size in sizes)]
+    told = np.asarray(world.alike(tuple(index), actions))
+    if told.ndim > len(sizes) or told.dtype.kind not in "iu" or told.min() < 0:
+        raise ModelError("alike must return whole numbers >= 0")
+    kinds = np.broadcast_to(told, sizes).ravel()
+    number = least_integer_type(n_pairs)
+    first = np.full(int(kinds.max()) + 1, -1, dtype=number)
+    first[kinds[::-1]] = np.arange(n_pairs, dtype=number)[::-1]  # each kind's first comes last
+    distinct = np.sort(first[first >= 0])
+    place = np.empty(n_pairs, dtype=number)
+    place[distinct] = np.arange(len(distinct), dtype=number)
+    return distinct, place[first[kinds]]
+
+
+def _repeated(world: ContinuousModel, found: Outcomes, row_of_pair: IntArray) -> OutcomeStore:
+    """The rows of all pairs, from those of the distinct ones."""
+    lengths = np.diff(found.outcome_offsets)
+    store = OutcomeStore(int(lengths[row_of_pair].sum()) + len(world.dead_ends))
+    for begin in range(0, len(row_of_pair), PAIRS):
+        store.append(found.rows(row_of_pair[begin : begin + PAIRS]))
+    return store
+
+
+def _model(world: ContinuousModel, store: OutcomeStore) -> SSP:
+    """The model of all pairs of the cells, with the ends added."""
+    n_cells, n_actions = world.grid.n_cells, len(world.actions)
+    goal = world.end_state("goal")
+    for state, cost in enumerate(world.dead_ends.values(), goal + 1):
+        one = np.ones(1)
+        store.append(Rows(np.ones(1, np.int64), np.array([state]), one, np.asarray(float(cost))))
+    ends = n_cells * n_actions + np.arange(len(world.dead_ends) + 1)
+    model = SSP.from_arrays(
+        pair_offsets=np.append(np.arange(0, n_cells * n_actions + 1, n_actions), ends),
+        **store.outcomes()._asdict(),
+        goal_states=np.array([goal]),
+        state_labels={name: [world.end_state(name)] for name in world.dead_ends},
+    )
+    return replace(model, action_names=tuple(world.actions))

@@ -1,0 +1,64 @@
+"""The distribution of one random number that a step, or a start, draws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.arrays import PROBABILITY_SUM, FloatArray, read_only
+from ssp_lp.errors import ModelError
+
+
+@dataclass(frozen=True, eq=False)
+class Distribution:
+    """A random number, given by its quantile function; drawn independently of all others.
+
+    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one: any vectorised function from
+    levels in (0, 1) to values that does not fall. :meth:`uniform` and :meth:`discrete` make others.
+    """
+
+    quantile: Callable[[FloatArray], npt.ArrayLike]
+    values: FloatArray | None = None  # [atoms], of a discrete one
+    probabilities: FloatArray | None = None  # [atoms]
+
+    @classmethod
+    def uniform(cls, low: float, high: float) -> Distribution:
+        """Uniform between two numbers; raises :class:`ModelError` unless low <= high, finite."""
+        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
+        return cls(lambda levels: low + (high - low) * levels)
+
+    @classmethod
+    def discrete(cls, values: npt.ArrayLike, probabilities: npt.ArrayLike) -> Distribution:
+        """Finitely many values, [atoms], with their probabilities, [atoms].
+
+        Raises:
+            ModelError: other shapes, a value that is not finite, or no probabilities.
+        """
+        atoms = np.asarray(values, dtype=np.float64)
+        chance = np.asarray(probabilities, dtype=np.float64)
+        if atoms.ndim != 1 or atoms.size == 0 or atoms.shape != chance.shape:
+            raise ModelError("a discrete distribution needs as many values as probabilities")
+        if not np.isfinite(atoms).all():
+            raise ModelError("a value of a discrete distribution is not finite")
+        total = float(chance.sum())
+        if not (chance >= 0.0).all() or not abs(total - 1.0) <= PROBABILITY_SUM:
+            raise ModelError(f"probabilities of a distribution must be >= 0 and sum to 1: {total}")
+        atoms, chance = atoms[chance > 0.0], chance[chance > 0.0] / total
+        cumulative = np.cumsum(chance[:-1])
+
+        def quantile(levels: FloatArray) -> FloatArray:
+            return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
+
+        return cls(quantile, read_only(atoms), read_only(chance))
+
+    def at(self, levels: FloatArray) -> FloatArray:
+        """Values at levels in (0, 1); raises :class:`ModelError` if they are no finite numbers."""
+        found = np.asarray(self.quantile(levels), dtype=np.float64)
+        if found.shape != levels.shape or not np.isfinite(found).all():
+            raise ModelError("a quantile function must return a finite number for each level")
+        return found

@@ -1,0 +1,78 @@
+"""Episodes in the continuous world, of a policy that is told the cell only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.model.discretisation.border import take_step
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel
+from ssp_lp.model.discretisation.distribution import Distribution
+
+
+@dataclass(frozen=True, eq=False)
+class WorldSimulator:
+    """The world itself, many episodes at a time: ``simulate(..., simulator=WorldSimulator(...))``.
+
+    The episodes are independent of how the grid model was made, so the interval that ``simulate``
+    gives for the probability of the goal (Clopper and Pearson's, exact for every probability and
+    number of episodes) holds for the policy in the world. A policy that gives up ends its episode,
+    as a failure.
+
+    Attributes:
+        world: what a step does.
+        start: for each axis a number, or the distribution it is drawn from.
+    """
+
+    world: ContinuousModel
+    start: Sequence[float | Distribution]
+
+    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+        """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
+
+        Raises:
+            ModelError: a start outside the box, or for another number of axes.
+        """
+        axes = self.world.grid.axes
+        if len(self.start) != len(axes):
+            raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
+        levels = rng.random((episodes, len(axes)))
+        columns = [
+            first.at(levels[:, k])
+            if isinstance(first, Distribution)
+            else np.full(episodes, float(first))
+            for k, first in enumerate(self.start)
+        ]
+        world = np.stack(columns, axis=1)
+        return world, self.world.grid.cell_of(world)
+
+    def step(
+        self, world: FloatArray, pair: IntArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Take one step from coordinates, [k, axes], by pairs of the grid model, [k].
+
+        Returns:
+            The coordinates, those of periodic axes within the box, the states of the grid model,
+            and the costs, [k] each.
+        """
+        model, grid = self.world, self.world.grid
+        levels = rng.random((len(pair), len(model.noise)))
+        noise = [draw.at(levels[:, k]) for k, draw in enumerate(model.noise)]
+        action = np.asarray(pair) % len(model.actions)
+        after, paid = np.empty_like(world), np.empty(len(pair))
+        state = np.empty(len(pair), dtype=np.int64)
+        for number in np.unique(action):
+            some = np.flatnonzero(action == number)
+            point = tuple(world[some].T)
+            drawn = tuple(values[some] for values in noise)
+            taken = take_step(model, point, int(number), drawn, (len(some),))
+            for k, (axis, values) in enumerate(zip(grid.axes, taken.point, strict=True)):
+                after[some, k] = axis.wrapped(values)
+            ended = grid.n_cells - 1 + taken.end.astype(np.int64)
+            state[some] = np.where(taken.end != 0, ended, grid.number(taken.heights))
+            paid[some] = taken.cost
+        return after, state, paid
