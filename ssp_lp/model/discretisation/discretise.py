@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, NamedTuple
@@ -13,7 +14,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model.discretisation.border import take_step
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel
 from ssp_lp.model.discretisation.outcome_store import Outcomes, OutcomeStore
-from ssp_lp.model.discretisation.points import Points, Quadrature, Trials
+from ssp_lp.model.discretisation.points import Quadrature, Samples, Trials
 from ssp_lp.model.discretisation.tally import Rows, tally
 from ssp_lp.model.ssp import SSP
 
@@ -23,12 +24,15 @@ TRIALS: Final = 1 << 19
 PAIRS: Final = 1 << 13
 """Pairs whose outcomes are copied at a time, likewise."""
 
+SPOT_CHECKS: Final = 30
+"""Pairs that are worked out once more where a user says that some are alike."""
+
 MIDPOINTS: Final = Quadrature()
 
 
 def discretise(
     world: ContinuousModel,
-    points: Points = MIDPOINTS,
+    points: Quadrature | Samples = MIDPOINTS,
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> SSP:
@@ -52,19 +56,24 @@ def discretise(
     Raises:
         ModelError: the step function's answer is of a wrong form, or it leaves the box.
     """
+    if not isinstance(points, (Quadrature, Samples)):
+        raise ModelError(f"points must be Quadrature(4) or Samples(1000, rng=0), not {points!r}")
     trials = points.trials(world)
     n_pairs = world.grid.n_cells * len(world.actions)
     distinct, row_of_pair = _distinct_pairs(world, n_pairs)
     store = OutcomeStore()
     n_distinct = n_pairs if distinct is None else len(distinct)
-    size = max(len(world.actions), TRIALS // int(np.prod(trials.shape)))
+    size = max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, n_distinct, size):
         some = np.arange(begin, min(begin + size, n_distinct), dtype=least_integer_type(n_pairs))
         store.append(_rows(world, trials, some if distinct is None else distinct[some]))
         if progress is not None:
             progress(int(some[-1]) + 1, n_distinct)
     if row_of_pair is not None:
-        store = _repeated(world, store.outcomes(), row_of_pair)
+        found = store.outcomes()
+        if trials.repeatable:
+            _check_alike(world, trials, found, row_of_pair)
+        store = _repeated(world, found, row_of_pair)
     return _model(world, store)
 
 
@@ -83,7 +92,7 @@ def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Rows:
         _try(world, trials, cells, int(a), np.flatnonzero(action == a)) for a in np.unique(action)
     ]
     sides = max(len(part.states) for part in tried)  # 1, 2, 4, ...
-    count = int(np.prod(trials.shape))
+    count = math.prod(trials.shape)
     states = np.empty((len(pairs), sides, count), dtype=np.int32)
     for part in tried:
         for side in range(sides):
@@ -99,12 +108,11 @@ def _try(
     point, noise = trials.draw(cells[rows])
     shape = (*trials.shape, len(rows))
     taken = take_step(world, point, action, noise, shape)
-    ended = taken.end != 0
-    ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
-    reached = []
-    for cell in world.grid.numbers_about(taken.heights):
-        state = np.where(ended, ends, cell) if ended.any() else cell
-        reached.append(np.broadcast_to(state, shape).reshape(-1, len(rows)))
+    states = world.grid.numbers_about(taken.heights)
+    if taken.end.any():
+        ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
+        states = [np.where(taken.end == 0, cell, ends) for cell in states]
+    reached = [np.broadcast_to(state, shape).reshape(-1, len(rows)) for state in states]
     cost = taken.cost
     if any(n > 1 for n in cost.shape[:-1]):
         cost = np.broadcast_to(cost, shape)
@@ -145,6 +153,21 @@ def _distinct_pairs(
     place = np.empty(n_pairs, dtype=number)
     place[distinct] = np.arange(len(distinct), dtype=number)
     return distinct, place[first[kinds]]
+
+
+def _check_alike(
+    world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
+) -> None:
+    """Work out some pairs by themselves; raise :class:`ModelError` for one that is not alike."""
+    for pair in np.unique(np.linspace(0, len(row_of_pair) - 1, SPOT_CHECKS).astype(np.int64)):
+        own, shared = _rows(world, trials, pair[None]), found.rows(row_of_pair[pair, None])
+        same = np.array_equal(own.successors, shared.successors)
+        if not same or not np.allclose(own.probabilities, shared.probabilities, rtol=0, atol=1e-9):
+            cell, action = divmod(int(pair), len(world.actions))
+            raise ModelError(
+                f"alike says that action {world.actions[action]!r} in cell {cell} has the outcomes "
+                "of another pair; it has others"
+            )
 
 
 def _repeated(world: ContinuousModel, found: Outcomes, row_of_pair: IntArray) -> OutcomeStore:

@@ -48,7 +48,7 @@ class Axis:
         """Raise :class:`ModelError` for an empty or infinite interval, or without cells."""
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ModelError(f"an axis must run from low to a greater high: {self!r}")
-        if isinstance(self.cells, bool) or int(self.cells) != self.cells or self.cells < 1:
+        if not isinstance(self.cells, (int, np.integer)) or self.cells < 1:
             raise ModelError(f"an axis needs a whole number of cells >= 1: {self!r}")
 
     @property

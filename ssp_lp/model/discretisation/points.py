@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,14 +24,7 @@ class Trials(NamedTuple):
     weights: FloatArray | None  # [trials], ordered as in shape; None: all the same
     draw: Callable[[IntArray], tuple[Coordinates, Coordinates]]
     """Cells -> points and noise, arrays that broadcast to [*shape, cells]."""
-
-
-class Points(Protocol):
-    """A way to choose trials."""
-
-    def trials(self, model: ContinuousModel) -> Trials:
-        """The trials of a model's cells."""
-        ...
+    repeatable: bool  # whether a cell gets the same trials every time
 
 
 @dataclass(frozen=True)
@@ -71,14 +64,15 @@ class Quadrature:
         shares = [weights for _, weights in parts]
         equal = all(np.ptp(weights) == 0.0 for weights in shares)
         combined = reduce(np.multiply.outer, shares).ravel()
-        return Trials(tuple(map(len, shares)), None if equal else combined, draw)
+        return Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
         """Nodes and weights of each axis, in widths of a cell, and of each random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
         counts = [given] * (n_axes + n_noise) if isinstance(given, int) else list(given)
-        if len(counts) != n_axes + n_noise or any(int(n) != n or n < 1 for n in counts):
+        whole = all(isinstance(n, (int, np.integer)) and n >= 1 for n in counts)
+        if len(counts) != n_axes + n_noise or not whole:
             raise ModelError(
                 f"points must be a number >= 1, or {n_axes} of them for the axes and {n_noise} for "
                 f"the noise, not {given!r}"
@@ -111,7 +105,7 @@ class Samples:
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for less than one sample, or for a seed that is none."""
-        if isinstance(self.number, bool) or int(self.number) != self.number or self.number < 1:
+        if not isinstance(self.number, (int, np.integer)) or self.number < 1:
             raise ModelError(f"a number of samples must be a whole number >= 1: {self.number!r}")
         seed = isinstance(self.rng, (int, np.integer)) and self.rng >= 0
         if not (seed or isinstance(self.rng, np.random.Generator)):
@@ -127,7 +121,7 @@ class Samples:
             point = tuple(axis.low + (k + rng.random(shape)) * axis.width for axis, k in index)
             return point, tuple(random.at(rng.random(shape)) for random in model.noise)
 
-        return Trials((int(self.number),), None, draw)
+        return Trials((int(self.number),), None, draw, repeatable=False)
 
     def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
         """By how much, in the sum of absolute differences, any pair's sampled outcomes are off.
