@@ -11,5 +11,6 @@
 | `river` | the current carries the swimmer over the waterfall | no detour over the bridge |
 | `navigation` | the robot disappears | fewer columns to cross |
 
-Each module has one function of its own name, which returns a `Domain`: the model and its start.
+These modules have one function of its own name, which returns a `Domain`: the model and its start.
+`inventory` is another kind: a season's stock, a continuous world that is made finite and played.
 """

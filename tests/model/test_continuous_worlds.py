@@ -153,6 +153,14 @@ def test_a_step_of_the_world_is_a_step_of_the_model() -> None:
         assert (cost == 2.0).all()
 
 
+def test_reprs_are_short() -> None:
+    assert repr(walk()) == (
+        "ContinuousModel(the box [0, 6], 6 cells, 2 actions, 1 random numbers; ends: goal, pit)"
+    )
+    assert repr(HOPS) == "Distribution(3 values)"
+    assert repr(Distribution(np.sqrt)) == "Distribution(<sqrt>)"
+
+
 # ------------------------------------------------------------------ what cannot be
 
 

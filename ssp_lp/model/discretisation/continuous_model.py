@@ -21,7 +21,7 @@ Step = Callable[
 Alike = Callable[[tuple[IntArray, ...], IntArray], IntArray]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class ContinuousModel:
     """Continuous coordinates, a step function, and the grid on which policies see the world.
 
@@ -68,6 +68,14 @@ class ContinuousModel:
             raise ModelError(f"outside={self.outside!r} is none of the dead-ends")
         if self.n_states > MOST_STATES:
             raise ModelError(f"{self.n_states:,} states are too many; 2**31 is the limit")
+
+    def __repr__(self) -> str:
+        """One line: the box, and how much there is of what."""
+        ends = ", ".join(("goal", *self.dead_ends))
+        return (
+            f"ContinuousModel({self.grid}, {self.grid.n_cells:,} cells, {len(self.actions)} "
+            f"actions, {len(self.noise)} random numbers; ends: {ends})"
+        )
 
     @property
     def n_states(self) -> int:

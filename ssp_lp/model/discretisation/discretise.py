@@ -70,10 +70,7 @@ def discretise(
         if progress is not None:
             progress(int(some[-1]) + 1, n_distinct)
     if row_of_pair is not None:
-        found = store.outcomes()
-        if trials.repeatable:
-            _check_alike(world, trials, found, row_of_pair)
-        store = _repeated(world, found, row_of_pair)
+        store = _repeated(world, trials, store.outcomes(), row_of_pair)
     return _model(world, store)
 
 
@@ -170,8 +167,12 @@ def _check_alike(
             )
 
 
-def _repeated(world: ContinuousModel, found: Outcomes, row_of_pair: IntArray) -> OutcomeStore:
+def _repeated(
+    world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
+) -> OutcomeStore:
     """The rows of all pairs, from those of the distinct ones."""
+    if trials.repeatable:
+        _check_alike(world, trials, found, row_of_pair)
     lengths = np.diff(found.outcome_offsets)
     store = OutcomeStore(int(lengths[row_of_pair].sum()) + len(world.dead_ends))
     for begin in range(0, len(row_of_pair), PAIRS):

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from ssp_lp.arrays import PROBABILITY_SUM, FloatArray, read_only
 from ssp_lp.errors import ModelError
+from ssp_lp.model.in_short import in_short
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Distribution:
     """A random number, given by its quantile function; drawn independently of all others.
 
@@ -55,6 +56,11 @@ class Distribution:
             return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
 
         return cls(quantile, read_only(atoms), read_only(chance))
+
+    def __repr__(self) -> str:
+        """The quantile function, or how many values there are."""
+        told = in_short(self.quantile) if self.values is None else f"{self.values.size} values"
+        return f"Distribution({told})"
 
     def at(self, levels: FloatArray) -> FloatArray:
         """Values at levels in (0, 1); raises :class:`ModelError` if they are no finite numbers."""
