@@ -1,11 +1,7 @@
 """A season's stock: order every week, and do not run out. A continuous world, made finite.
 
-The stock is a real number, the week's demand a gamma variable. A week that asks for more than there
-is loses the customer: that is failing. Ordering costs a delivery and each piece, storing costs
-what is left. The grid model gives policies within a failure budget; what they do where stock is
-real is played, and the interval is exact.
-
-    python examples/domains/inventory.py
+Stock is a real number, a week's demand a gamma variable. A week that asks for more than there is
+loses the customer: that is failing. What the grid model's policies do in the world is played.
 """
 
 import numpy as np
@@ -24,11 +20,9 @@ from ssp_lp import (
     solve,
 )
 
-WEEKS, ROOM = 8, 60.0
-ORDERS = (0, 10, 20, 30)
+WEEKS, ROOM, ORDERS = 8, 60.0, (0, 10, 20, 30)
 START = (25.0, 0.5)  # pieces; the middle of the first week
-POINTS = (4, 1, 200)  # stock within its cell, week, levels of the demand
-DELIVERY, PIECE, STORAGE = 20.0, 1.0, 0.5
+DELIVERY, PIECE, STORAGE = 20.0, 1.0, 0.5  # costs
 
 
 def week(point, order, noise):
@@ -49,22 +43,20 @@ def season(cells: int = 120) -> ContinuousModel:
 
 
 def table(budgets=(0.01, 0.05, 0.1), episodes: int = 20_000) -> list[tuple[float, ...]]:
-    """Return a row for each budget: it, the model's cost and failure, and the world's interval."""
-    world = season()
-    model = discretise(world, Quadrature(POINTS))
-    rows = []
+    """Return for each budget the model's cost and failure, the world's interval and its cost."""
+    world, rows = season(), []
+    model, real = discretise(world, Quadrature((4, 1, 200))), WorldSimulator(world, START)
     for budget in budgets:
         problem = MCMP(model, world.grid.cell_of(START), budget)
-        solution = solve(problem)
-        real = WorldSimulator(world, START)
-        played = simulate(solution.policy, problem, episodes=episodes, rng=0, simulator=real)
-        failed = played.failure_probability
-        row = (budget, solution.objective, solution.failure_probability, failed.low, failed.high)
-        rows.append((*row, played.expected_cost.value))
+        found = solve(problem)
+        played = simulate(found.policy, problem, episodes=episodes, rng=0, simulator=real)
+        there = *played.failure_probability[1:3], played.expected_cost.value
+        rows.append((budget, found.objective, found.failure_probability, *there))
     return rows
 
 
 if __name__ == "__main__":
     print("budget    cost  failure   in the world         cost there")
-    for row in table():
-        print("{:6.2f} {:7.2f} {:8.4f}   {:.4f} .. {:.4f} {:12.2f}".format(*row))
+    print(
+        "\n".join("{:6.2f} {:7.2f} {:8.4f}   {:.4f} .. {:.4f} {:12.2f}".format(*r) for r in table())
+    )

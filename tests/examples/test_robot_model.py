@@ -213,6 +213,15 @@ def test_first_contact_by_hand() -> None:
     assert time == pytest.approx([0.25, 0.5, 1.0, 0.25, 0.5, 1.0], abs=1e-8)
 
 
+def test_meeting_an_obstacle_and_the_wall_at_once_is_hitting_the_obstacle() -> None:
+    """Askew into the corner (1, 0.75) of B and the wall: times equal to rounding are equal."""
+    share, side = np.linspace(0.01, 0.99, 99), STEP_LENGTH * np.sqrt(0.5)
+    begin_x, begin_y = 1.0 - share * side, 0.75 + share * side
+    place, time = Arena().first_contact(begin_x, begin_y, np.asarray(side), np.asarray(-side))
+    assert (place == Place.OBSTACLE).all()
+    assert time == pytest.approx(share, abs=1e-7)
+
+
 def test_testing_along_the_segment_only_moves_mass_to_ends_on_a_thin_obstacle() -> None:
     """A wall thinner than a step can be jumped over; tested along the step it cannot."""
     arena = Arena(obstacles=(Box(0.5, 0.51, 0.0, 1.0),), goal=Box(2.0, 3.0, 2.0, 3.0))

@@ -42,22 +42,7 @@ def take_step(
         ModelError: the step function's answer is of a wrong form, or it leaves the box.
     """
     name = model.actions[action]
-    answer = model.step(point, name, noise)
-    if not isinstance(answer, tuple) or len(answer) != 3:
-        raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
-    moved, paid, ended = answer
-    if len(moved) != len(model.grid.axes):
-        raise ModelError(
-            f"step returned {len(moved)} coordinates; there are {len(model.grid.axes)} axes"
-        )
-    coordinates = tuple(
-        _shaped(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
-        for number, c in enumerate(moved)
-    )
-    cost = _shaped(paid, shape, "the cost").astype(np.float64, copy=False)
-    end = _shaped(ended, shape, "the end")
-    if end.dtype.kind not in "biu":
-        raise ModelError("step must return ends as whole numbers: 0 goes on, 1 goal, 2 .. dead-end")
+    coordinates, cost, end = _read(model.step(point, name, noise), len(model.grid.axes), shape)
     who = _Culprit(f"action {name!r}", point, shape)
     last = 1 + len(model.dead_ends)
     if end.min(initial=0) < 0 or end.max(initial=0) > last:
@@ -70,6 +55,26 @@ def take_step(
         axes = zip(model.grid.axes, heights, strict=True)
         heights = tuple(np.where(axis.misses(h), 0.0, h) for axis, h in axes)
     return Taken(coordinates, heights, cost, end)
+
+
+def _read(
+    answer: Any, n_axes: int, shape: tuple[int, ...]
+) -> tuple[Coordinates, FloatArray, IntArray]:
+    """Coordinates, cost and end of an answer, each of the points' number of dimensions."""
+    if not isinstance(answer, tuple) or len(answer) != 3:
+        raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
+    moved, paid, ended = answer
+    if len(moved) != n_axes:
+        raise ModelError(f"step returned {len(moved)} coordinates; there are {n_axes} axes")
+    coordinates = tuple(
+        _shaped(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
+        for number, c in enumerate(moved)
+    )
+    cost = _shaped(paid, shape, "the cost").astype(np.float64, copy=False)
+    end = _shaped(ended, shape, "the end")
+    if end.dtype.kind not in "biu":
+        raise ModelError("step must return ends as whole numbers: 0 goes on, 1 goal, 2 .. dead-end")
+    return coordinates, cost, end
 
 
 def _shaped(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:

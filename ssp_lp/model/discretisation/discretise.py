@@ -39,12 +39,11 @@ def discretise(
     """Make a finite model whose states are the cells of a continuous world's grid.
 
     In the model each step begins at a point uniform in its cell, whatever came before. The world
-    remembers where in the cell it was: what is certified of the model says nothing certain about
-    the world. Play the policy there (:class:`.WorldSimulator`) and read the exact interval of the
-    failures counted.
+    remembers where in the cell it was: nothing certified of the model is certain there. Play the
+    policy in the world (:class:`.WorldSimulator`), and read the exact interval of its failures.
 
     Args:
-        world: the coordinates, the step function and the grid.
+        world: the step function and the grid.
         points: a :class:`Quadrature`, or :class:`Samples`.
         progress: called with the number of pairs worked out and their total.
 
