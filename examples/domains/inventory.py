@@ -20,8 +20,7 @@ from ssp_lp import (
     solve,
 )
 
-WEEKS, ROOM, ORDERS = 8, 60.0, (0, 10, 20, 30)
-START = (25.0, 0.5)  # pieces; the middle of the first week
+WEEKS, ROOM, ORDERS, START = 8, 60.0, (0, 10, 20, 30), (25.0, 0.5)  # pieces, middle of a week
 DELIVERY, PIECE, STORAGE = 20.0, 1.0, 0.5  # costs
 
 
@@ -57,6 +56,5 @@ def table(budgets=(0.01, 0.05, 0.1), episodes: int = 20_000) -> list[tuple[float
 
 if __name__ == "__main__":
     print("budget    cost  failure   in the world         cost there")
-    print(
-        "\n".join("{:6.2f} {:7.2f} {:8.4f}   {:.4f} .. {:.4f} {:12.2f}".format(*r) for r in table())
-    )
+    for row in table():
+        print("{:6.2f} {:7.2f} {:8.4f}   {:.4f} .. {:.4f} {:12.2f}".format(*row))
