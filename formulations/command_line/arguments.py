@@ -75,7 +75,8 @@ EXAMPLES = {
   ssp-lp solve gym:FrozenLake-v1 --criterion cost-bounded-reach --cost-bound 40""",
     "frontier": """\
   ssp-lp frontier roads.json --goal home --start depot
-  ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv > frontier.csv""",
+  ssp-lp frontier roads.json --goal home --start depot --criterion s3p --csv > frontier.csv
+  ssp-lp frontier roads.json --goal home --start depot --failure-budget 0.05 --plot frontier.png""",
     "info": """\
   ssp-lp info roads.json --goal home --start depot
   ssp-lp info gym:FrozenLake-v1 --horizon none --json""",
@@ -206,7 +207,7 @@ def _add_frontier(one: ArgumentParser) -> None:
     form = one.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="for other programs")
     form.add_argument("--csv", action="store_true", help="for tables")
-    one.add_argument("--plot", metavar="FILE", help="draw it")
+    one.add_argument("--plot", metavar="FILE", help="draw it, with the budget and its tangent")
 
 
 def _add_info(one: ArgumentParser) -> None:

@@ -70,4 +70,4 @@ def _plain(value: Any) -> Any:
 def _in_words(value: Any) -> str:
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {count:,}" for name, count in value.items() if count)
-    return f"{value:,.6g}" if isinstance(value, float) else f"{value}"
+    return f"{value}" if isinstance(value, Estimate) else f"{value:,.6g}"

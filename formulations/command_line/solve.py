@@ -10,21 +10,34 @@ from typing import Any
 
 from formulations.command_line.criteria import problem_of
 from formulations.command_line.models import Setting, setting_of
+from formulations.command_line.pictures import figure_for
 from formulations.command_line.tables import as_json
-from ssp_lp import GIVE_UP, DeterministicPolicy, ModelError, Solution, solve
+from ssp_lp import (
+    GIVE_UP,
+    DeterministicPolicy,
+    ModelError,
+    Solution,
+    solve,
+    success_costs,
+)
 from ssp_lp.io import policy_table, save_policy, write_controller, write_dot
+from ssp_lp.plotting import plot_cost_law
 from ssp_lp.policies.policy import Policy
 
 
 def run(asked: Namespace) -> Iterable[str]:
     """What is printed."""
-    write = _writer(asked.policy_out)
+    write, figure = _writer(asked.policy_out), figure_for(asked.plot)
     setting = setting_of(asked)
     tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
     problem = problem_of(asked, setting)
     solution = solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
     if write is not None:
         write(solution, setting, asked.policy_out)
+    if figure is not None:
+        level = {} if asked.level is None else {"level": asked.level}
+        plot_cost_law(success_costs(solution.policy, problem), ax=figure.subplots(), **level)
+        figure.savefig(asked.plot)
     return as_json(_told(solution)) if asked.json else [solution.summary()]
 
 

@@ -328,6 +328,17 @@ def test_the_frontier_in_three_forms(roads: Path, capsys: pytest.CaptureFixture[
     assert "0.01" in run(capsys, *asked)[1]
 
 
+def test_pictures(roads: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    asked = (roads, "--goal", "home", "--start", "depot", "--failure-budget", 0.05, "--plot")
+    for command, ending in (("solve", "png"), ("frontier", "svg")):
+        assert run(capsys, command, *asked, tmp_path / f"{command}.{ending}")[0] == 0
+        assert (tmp_path / f"{command}.{ending}").stat().st_size > 5000
+    code, out, err = run(capsys, "solve", *asked, tmp_path / "law.txt")
+    assert (code, out) == (2, "")
+    assert "a picture is written as" in err
+
+
 def test_a_saved_policy_is_simulated(
     roads: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
