@@ -9,7 +9,7 @@ from formulations.command_line.models import Setting, setting_of
 from ssp_lp import ModelError
 from ssp_lp.io import save_model, write_drn, write_prism
 from ssp_lp.io.model_files.exported import write_text
-from ssp_lp.io.model_files.json_model import json_text
+from ssp_lp.io.model_files.named_json import json_text
 
 
 def run(asked: Namespace) -> Iterable[str]:

@@ -8,8 +8,9 @@ from pathlib import Path
 from ssp_lp.errors import ModelError
 from ssp_lp.io.drn import read_drn
 from ssp_lp.io.model_archive import load_model
-from ssp_lp.io.model_files.json_model import StatedModel, read_json
+from ssp_lp.io.model_files.json_model import read_json
 from ssp_lp.io.model_files.model_file import ModelFile
+from ssp_lp.io.model_files.named_json import StatedModel
 from ssp_lp.io.prism import read_prism
 
 Reader = Callable[[Path, Sequence[str], str | None], StatedModel]
