@@ -2,28 +2,46 @@
 
 from __future__ import annotations
 
+import importlib
 import io
 import re
 import runpy
+import shlex
 from contextlib import redirect_stdout
 from itertools import zip_longest
 from pathlib import Path
 
 import pytest
 
+import formulations
+import ssp_lp
+import ssp_lp.io
+import ssp_lp.plotting
+from formulations.command_line import main
+
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-DOCS = [f"docs/{path.name}" for path in sorted((ROOT / "docs").glob("*.md"))]
+DOCS = [str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))]
 PAGES = ["README.md", "CONTRIBUTING.md", "examples/README.md", *DOCS]
 
 SHOWN = {
     "README.md": 3,
     "docs/checks.md": 0,
     "docs/criteria.md": 3,
+    "docs/guides/big_models.md": 1,
+    "docs/guides/certificate.md": 3,
+    "docs/guides/command_line.md": 2,
+    "docs/guides/own_criterion.md": 2,
+    "docs/guides/own_memory.md": 1,
+    "docs/guides/own_simulator.md": 1,
     "docs/models.md": 2,
     "docs/solving.md": 1,
+    "docs/tutorial.md": 6,
 }
 """Pages with code, and how often each shows what it prints."""
+
+BY_THEMSELVES = {"docs/tutorial.md", "docs/guides/own_simulator.md"}
+"""Pages whose code needs nothing of the README's."""
 
 
 def text_of(page: str) -> str:
@@ -36,18 +54,33 @@ def blocks_of(text: str) -> list[tuple[str, str]]:
 
 
 def run_blocks(text: str, namespace: dict[str, object]) -> int:
-    """Run the code in order; what is shown after it is what it printed. How much is shown."""
+    """Run the code in order; what is shown after it is what it printed. How much is shown.
+
+    Lines of a shell that begin with the command are run, and the first JSON is their model.
+    """
     printed: list[str] = []
-    namespace["print"] = lambda told: printed.append(str(told))
+    namespace["print"] = lambda *told: printed.append(" ".join(map(str, told)))
     shown = 0
     for language, body in blocks_of(text):
         if language == "python":
             printed.clear()
             exec(body, namespace)
+        elif language == "bash":
+            printed = [run_shell(line) for line in body.splitlines() if line.startswith("ssp-lp ")]
+        elif language == "json" and not Path("roads.json").exists():
+            Path("roads.json").write_text(body, encoding="utf-8")
         elif language == "text":
             check_the_same(body, "\n".join(printed))
             shown += 1
     return shown
+
+
+def run_shell(line: str) -> str:
+    """What a line of a shell prints; it ends well."""
+    told = io.StringIO()
+    with redirect_stdout(told):
+        assert main(shlex.split(line)[1:]) == 0, line
+    return told.getvalue()
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +95,21 @@ def test_every_page_with_code_is_run() -> None:
     with_code = {
         page
         for page in PAGES
-        if any(language in ("python", "text") for language, _ in blocks_of(text_of(page)))
+        if any(language in ("python", "text", "json") for language, _ in blocks_of(text_of(page)))
     }
     assert with_code == set(SHOWN)
 
 
 @pytest.mark.parametrize("page", [page for page in SHOWN if page != "README.md"])
-def test_the_python_blocks_run_in_order(page: str, after_the_readme: dict[str, object]) -> None:
-    assert run_blocks(text_of(page), dict(after_the_readme)) == SHOWN[page]
+def test_the_blocks_run_in_order(
+    page: str,
+    after_the_readme: dict[str, object],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = {} if page in BY_THEMSELVES else dict(after_the_readme)
+    assert run_blocks(text_of(page), before) == SHOWN[page]
 
 
 def test_the_first_problem_is_the_shortest_example(after_the_readme: dict[str, object]) -> None:
@@ -124,3 +164,27 @@ def test_files_that_are_named_are_there(page: str) -> None:
     folders = r"(?:ssp_lp|formulations|examples|tests|docs)"
     for name in re.findall(rf"`(?:python )?({folders}/[\w./-]+)", text_of(page)):
         assert "NAME" in name or (ROOT / name).exists(), name
+
+
+def test_the_reference_names_everything_public() -> None:
+    """Each name on its pages is there, and each public name is on one of them."""
+    pages = [text_of(page) for page in DOCS if page.startswith("docs/reference/")]
+    named = re.findall(r"^::: ([\w.]+)$", "\n".join(pages), flags=re.MULTILINE)
+    assert len(named) == len(set(named))
+    for name in named:
+        module, _, last = name.rpartition(".")
+        assert hasattr(importlib.import_module(module), last), name
+    public = {
+        f"{place.__name__}.{name}"
+        for place in (ssp_lp, ssp_lp.io, ssp_lp.plotting, formulations)
+        for name in place.__all__
+    }
+    by_module = {"ssp_lp.solve"}  # the function of a module of its name
+    assert public - set(named) == {"ssp_lp.GIVE_UP", "formulations.CostLimit", *by_module}
+
+
+def test_every_page_stands_in_the_site() -> None:
+    menu = text_of("docs/site/mkdocs.yml").partition("\nnav:")[2]
+    listed = set(re.findall(r"([\w/]+\.md)$", menu, flags=re.MULTILINE))
+    elsewhere = {"index.md", "contributing.md", "changelog.md", "examples.md"}
+    assert listed == {page.removeprefix("docs/") for page in DOCS} | elsewhere

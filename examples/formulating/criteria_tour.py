@@ -9,6 +9,7 @@ and the finite penalty D is its tangent of slope D.
 Takes a few seconds.
 """
 
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 
 from examples.domains.domain import Domain
@@ -94,4 +95,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     main()

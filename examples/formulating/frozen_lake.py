@@ -6,6 +6,7 @@ The environment cuts every episode off after 100 steps. A model that counts them
 in the environment than certified; one that forgets them does.
 """
 
+import sys
 import warnings
 
 import gymnasium as gym
@@ -13,6 +14,10 @@ import gymnasium as gym
 from formulations import MCMP
 from ssp_lp import solve
 from ssp_lp.io import StepLimitWarning, from_gymnasium, rollout
+
+if {"-h", "--help"} & set(sys.argv):
+    print(__doc__)
+    sys.exit()
 
 warnings.simplefilter("ignore", StepLimitWarning)  # the second round is about it
 env = gym.make("FrozenLake-v1", map_name="8x8")

@@ -3,8 +3,14 @@
 python examples/quickstart/first_problem.py
 """
 
+import sys
+
 from formulations import MCMP
 from ssp_lp import SSP, solve
+
+if {"-h", "--help"} & set(sys.argv):
+    print(__doc__)
+    sys.exit()
 
 alley = [(0.90, "home", 4.0), (0.10, "wreck", 2.0)]  # (probability, successor, cost)
 road = [(0.99, "home", 9.0), (0.01, "wreck", 5.0)]

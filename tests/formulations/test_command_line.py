@@ -10,8 +10,10 @@ from typing import Any
 
 import pytest
 
+import formulations
 from formulations import MCMP, S3P
 from formulations.command_line import main
+from formulations.command_line.arguments import CRITERIA
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.io import save_model, write_drn, write_prism
 from ssp_lp.io.reading import read_any
@@ -122,26 +124,10 @@ def test_what_the_parser_refuses_ends_with_2(roads: Path) -> None:
         assert caught.value.code == 2
 
 
-@pytest.mark.parametrize(
-    ("table", "complaint"),
-    [
-        ("{", "is no JSON"),
-        ([1], "must hold"),
-        ({"a": [1]}, "state 'a' needs"),
-        ({"a": {"go": [[1, "home"]]}}, "action 'go' of state 'a'"),
-        ({"a": {"go": [[1, ["home"], 1]]}}, "action 'go' of state 'a'"),
-        ({"a": {"go": [[1, "hoem", 1]]}}, "did you mean 'hoem'"),
-        ({"a": {"go": [[1, "home", "x"]]}}, "no number"),
-        ({"a": {"go": [[1, "home", -1]]}}, "negative cost"),
-        ('{"a": {"go": [[1, "home", 1]]}, "a": {}}', "'a' stands twice"),
-    ],
-)
-def test_wrong_models_end_with_2(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], table: Any, complaint: str
-) -> None:
-    code, _, err = run(capsys, "info", written(tmp_path, table), "--goal", "home")
+def test_wrong_models_end_with_2(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = run(capsys, "info", written(tmp_path, "{"), "--goal", "home")
     assert code == 2
-    assert complaint in err
+    assert "is no JSON" in err
 
 
 def test_files_that_are_not_there_or_not_known(
@@ -190,3 +176,216 @@ def test_other_formats_and_the_policy_in_a_file(
     assert told["objective"] == pytest.approx(0.5 * 1.0 + 0.5 * 3.0)
     assert policy.exists()
     assert main(["info", own, "--goal", "1"]) == 2
+
+
+ASKED = {
+    "alpha-mcmp": {"reach_fraction": 0.95},
+    "cost-bounded-reach": {"cost_bound": 5.0},
+    "cost-budgeted-maxprob": {"cost_budget": 6.0},
+    "cost-quantile": {"level": 0.5, "failure_budget": 0.09},
+    "cvar": {"level": 0.9, "failure_budget": 0.05},
+    "egubs": {"risk_factor": -0.1, "goal_bonus": 1.0},
+    "finite-penalty": {"penalty": 10.0},
+    "isspude": {},
+    "maxprob": {},
+    "mcmp": {"failure_budget": 0.05, "give_up": "dead_ends", "charge_failing_step": False},
+    "minprob": {},
+    "s3p": {"failure_budget": 0.05, "cost_cap": 30.0},
+}
+
+
+@pytest.mark.parametrize("criterion", sorted(set(CRITERIA) - {"min-cost", "least-quantity"}))
+def test_every_criterion_with_what_it_takes(
+    roads: Path, capsys: pytest.CaptureFixture[str], criterion: str
+) -> None:
+    taken = ASKED[criterion]
+    own = solve(
+        getattr(formulations, CRITERIA[criterion])(
+            read_any(roads, ["home"]).model, "depot", **taken
+        )
+    )
+    words = [f"--{name.replace('_', '-')}={value}" for name, value in taken.items()]
+    words = [word.replace("--charge-failing-step=False", "--no-charge-failing-step")
+             for word in words]  # fmt: skip
+    asked = ("solve", roads, "--goal", "home", "--start", "depot", "--json")
+    code, out, err = run(capsys, *asked, "--criterion", criterion, *words)
+    assert (code, err) == (0, "")
+    assert json.loads(out)["objective"] == pytest.approx(own.objective, rel=1e-12)
+
+
+def test_where_failing_is_forbidden_and_cannot_be_avoided(
+    roads: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ("solve", roads, "--goal", "home", "--criterion", "min-cost", "--start")
+    assert run(capsys, *asked, "depot")[0] == 3
+    assert run(capsys, *asked, "ferry")[0] == 0
+
+
+FUEL = {
+    "goal": ["home"],
+    "start": "depot",
+    "labels": {"crash": ["wreck"]},
+    "transitions": {
+        "depot": {
+            "alley": [
+                [0.90, "home", {"cost": 4.0, "fuel": 2.0}],
+                [0.10, "wreck", {"cost": 2.0, "fuel": 2.0}],
+            ],
+            "road": [
+                [0.99, "home", {"cost": 9.0, "fuel": 1.0}],
+                [0.01, "wreck", {"cost": 5.0, "fuel": 1.0}],
+            ],
+        },
+        "wreck": {},
+    },
+}
+
+
+def test_limits_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The README's limits, and sums of quantities, which are weighed by hand."""
+    asked = ("solve", written(tmp_path, FUEL), "--cost", "cost", "--json")
+    code, out, _ = run(capsys, *asked, "--criterion", "s3p", "--failure-budget", 0.05, "--limit",
+                       "fuel <= 1.3")  # fmt: skip
+    told = json.loads(out)
+    assert (code, told["objective"]) == (0, pytest.approx(7.598130841))
+    assert told["limits"]["fuel"]["price"] == pytest.approx(4.626168224)
+    for words, weight in (
+        ("visits(crash) <= 0.028", 0.2),  # of the alley: 0.01 + 0.09 w
+        ("end(crash) <= 0.028", 0.2),
+        ("goal >= 0.972", 0.2),
+        ("failure<=0.028", 0.2),
+        ("2 * fuel + 10 * visits(wreck) <= 2.68", 0.2),  # 2 (1 + w) + 0.1 + 0.9 w
+    ):
+        code, out, _ = run(capsys, *asked, "--failure-budget", 0.05, "--limit", words)
+        assert code == 0
+        assert json.loads(out)["objective"] == pytest.approx(3.8 * weight + 8.96 * (1 - weight))
+    least = ("--criterion", "least-quantity", "--quantity", "fuel", "--limit")
+    code, out, _ = run(capsys, *asked, *least, "cost <= 6")
+    share = (8.96 - 6) / (8.96 - 3.8)
+    assert (code, json.loads(out)["objective"]) == (0, pytest.approx(1 + share))
+    assert run(capsys, *asked, *least, "cost <= 6", "--limit", "cost >= 9")[0] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--limit", "fuel"], "a limit is a quantity"),
+        (["--limit", "oil <= 3"], "choose one of the costs"),
+        (["--limit", "fuel <= x"], '"x" in "fuel <= x" is no number'),
+        (["--limit", "x * fuel <= 3"], "is no number"),
+        (["--limit", "visits(home <= 3"], "is no sum of quantities"),
+        (["--limit", "visits(depto) <= 3"], "depto"),
+        (["--penalty", "3"], "mcmp takes no --penalty; its options: --failure-budget"),
+        (["--criterion", "cvar"], "cvar needs --level"),
+        (["--policy-out", "policy.txt"], "a policy is written as .npz"),
+        (["--horizon", "0"], "steps must be a whole number"),
+    ],
+)
+def test_what_is_asked_wrongly_ends_with_2(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: list[str], complaint: str
+) -> None:
+    code, out, err = run(capsys, "solve", written(tmp_path, FUEL), "--cost", "cost", *words)
+    assert (code, out) == (2, "")
+    assert complaint in err
+
+
+def test_models_go_round_through_every_format(
+    roads: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(roads.parent)
+    way = ["roads.json", "a.npz", "b.json.gz", "c.drn", "d.tra", "e.drn.gz", "f.json"]
+    goals = {"roads.json": ["home"], "c.drn": ["goal"], "d.tra": ["goal"], "e.drn.gz": ["goal"]}
+    starts = {"roads.json": ["depot"], "a.npz": ["depot"]}
+    values = []
+    for source, target in zip(way, [*way[1:], "-"], strict=True):
+        told = [f"--goal={goal}" for goal in goals.get(source, [])]
+        told += [f"--start={state}" for state in starts.get(source, [])]
+        code, out, err = run(capsys, "solve", source, *told, "--failure-budget=.05", "--json")
+        assert (code, err) == (0, "")
+        values.append(json.loads(out)["objective"])
+        assert run(capsys, "convert", source, target, *told)[0] == 0
+    assert values == [pytest.approx(values[0], rel=1e-12)] * len(way)
+    assert run(capsys, "convert", "f.json", "g.txt")[0] == 2
+
+
+def test_within_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lock = {"lock": {"try": [[0.5, "open", 1], [0.5, "lock", 1]]}}
+    asked = ("info", written(tmp_path, lock), "--goal", "open", "--horizon", 3, "--json")
+    code, out, _ = run(capsys, *asked, "--start", "lock")
+    assert (code, json.loads(out)["least failure"]) == (0, pytest.approx(0.125))
+    assert run(capsys, *asked)[0] == 2
+
+
+def test_the_frontier_in_three_forms(roads: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ("frontier", roads, "--goal", "home", "--start", "depot")
+    told = json.loads(run(capsys, *asked, "--json")[1])
+    assert [p["failure"] for p in told["points"]] == pytest.approx([0.01, 0.1])
+    assert [p["objective"] for p in told["points"]] == pytest.approx([8.96, 3.8])
+    assert told["points"][0]["price"] == pytest.approx((8.96 - 3.8) / 0.09)
+    head, first, *_ = run(capsys, *asked, "--csv")[1].splitlines()
+    assert head.split(",") == ["failure", "goal", "cost", "objective", "price"]
+    assert [float(x) for x in first.split(",")] == list(told["points"][0].values())
+    assert "0.01" in run(capsys, *asked)[1]
+
+
+def test_pictures(roads: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    asked = (roads, "--goal", "home", "--start", "depot", "--failure-budget", 0.05, "--plot")
+    for command, ending in (("solve", "png"), ("frontier", "svg")):
+        assert run(capsys, command, *asked, tmp_path / f"{command}.{ending}")[0] == 0
+        assert (tmp_path / f"{command}.{ending}").stat().st_size > 5000
+    code, out, err = run(capsys, "solve", *asked, tmp_path / "law.txt")
+    assert (code, out) == (2, "")
+    assert "a picture is written as" in err
+
+
+def test_a_saved_policy_is_simulated(
+    roads: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = (str(roads), "--goal", "home", "--start", "depot")
+    for ending in ("npz", "json", "dot", "csv"):
+        out = tmp_path / f"policy.{ending}"
+        assert run(capsys, "solve", *model, "--failure-budget", 0.05, "--policy-out", out)[0] == 0
+        assert out.stat().st_size > 0
+    asked = ("simulate", *model, "--policy", tmp_path / "policy.npz", "--confidence", 0.9999)
+    told = json.loads(run(capsys, *asked, "--episodes", 2000, "--json")[1])
+    assert told["failure_probability"]["low"] < 0.05 < told["failure_probability"]["high"]
+    assert told["ends"]["goal"] + told["ends"]["dead_end"] == told["episodes"] == 2000
+    assert run(capsys, *asked, "--episodes", 0)[0] == 2
+    other = written(tmp_path, {"depot": {"go": [[1, "home", 1]]}})
+    code, _, err = run(capsys, "simulate", other, *model[1:], "--policy", tmp_path / "policy.npz")
+    assert code == 2
+    assert "has other pairs" in err
+
+
+def test_the_program_is_written(
+    roads: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ("program", roads, "--goal", "home", "--start", "depot", "--failure-budget", 0.05)
+    code, out, _ = run(capsys, *asked, "--out", tmp_path / "roads.lp")
+    assert code == 0
+    assert "failure: <failure, x> <= 0.05" in out
+    assert "failure" in (tmp_path / "roads.lp").read_text(encoding="utf-8")
+    assert run(capsys, *asked, "--out", tmp_path / "roads.txt")[0] == 2
+
+
+def test_criteria_side_by_side(roads: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ("compare", roads, "--goal", "home", "--start", "depot", "--failure-budget", 0.05)
+    rows = json.loads(run(capsys, *asked, "--json", "--cost-bound", 4, "--level", 0.9)[1])
+    found = {row["criterion"]: row["objective"] for row in rows}
+    assert found["MCMP, failure budget 0.05"] == pytest.approx(20 / 3)
+    assert found["CostBoundedReach, cost 4"] == pytest.approx(0.9)
+    assert found["MinCost"] is None
+
+
+def test_environments(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("gymnasium")
+    lake = "gym:FrozenLake-v1,is_slippery=false"
+    facts = json.loads(run(capsys, "info", lake, "--horizon", "none", "--json")[1])
+    assert (facts["states"], facts["least failure"]) == (16, 0.0)
+    corner = ("info", lake, "--goal", "12", "--start", "4", "--json", "--horizon")
+    assert json.loads(run(capsys, *corner, "2")[1])["least failure"] == 0.0
+    assert run(capsys, *corner, "1")[0] == 2
+    for wrong in ("gym:NoSuchLake-v1", "gym:FrozenLake-v1,depth=3", "gym:CartPole-v1"):
+        code, _, err = run(capsys, "info", wrong)
+        assert (code, err.count("ssp-lp: ")) == (2, 1)

@@ -14,7 +14,7 @@ from ssp_lp.problem import Problem
 PARTS = ("Problem", "Program", "Guarantee", "Semantics", "Reference", "Args", "Returns", "Raises",
          "Example")  # fmt: skip
 
-OTHER_PAGES = {"__init__", "comparison", "command_line"}
+OTHER_PAGES = {"__init__", "comparison"}
 CLASSES = list(filter(inspect.isclass, (getattr(formulations, n) for n in formulations.__all__)))
 CRITERIA = [named for named in CLASSES if issubclass(named, Formulation)]
 

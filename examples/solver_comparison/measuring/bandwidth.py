@@ -6,8 +6,8 @@ measures both in a process of its own; see `process` for REPORT.
 """
 
 import importlib.util
-import sys
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
@@ -99,4 +99,8 @@ def main(arguments: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("instance", metavar="INSTANCE")
+    parser.add_argument("report", metavar="REPORT")
+    asked = parser.parse_args()
+    main([asked.instance, asked.report])

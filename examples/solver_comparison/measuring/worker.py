@@ -10,8 +10,8 @@ import importlib
 import importlib.util
 import json
 import math
-import sys
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -116,4 +116,8 @@ def _finite(value: float) -> float | None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("order", metavar="ORDER")
+    parser.add_argument("report", metavar="REPORT")
+    asked = parser.parse_args()
+    main([asked.order, asked.report])

@@ -1,0 +1,68 @@
+"""The command ``ssp-lp``: models in files, the best policies in them, and what those do.
+
+``ssp-lp --help`` lists the commands, ``ssp-lp solve --help`` says with examples what one takes. It
+ends with 0, with 2 for wrong arguments or models, with 3 where no policy keeps to the budget, with
+1 where a method failed, and with 130 or 141 where it was interrupted or nobody reads on.
+
+Each command is a module with a function ``run`` from its arguments to lines of text, imported when
+it is asked for: the library takes longer to load than most commands take.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from argparse import Namespace
+from collections.abc import Sequence
+from importlib import import_module
+
+from formulations.command_line.arguments import parser
+
+FAILED, WRONG_INPUT, INFEASIBLE, INTERRUPTED, UNREAD = 1, 2, 3, 130, 141
+"""Exit codes besides 0; the last two are a shell's for SIGINT and SIGPIPE."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; the exit code.
+
+    Args:
+        arguments: those of the command line, if left out.
+    """
+    try:
+        return _run(parser().parse_args(arguments))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:  # what is left would be flushed at exit, and complained of
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return UNREAD
+
+
+def _run(asked: Namespace) -> int:
+    from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
+
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            for line in import_module(f"{__name__}.{asked.command}").run(asked):
+                print(line)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        raise
+    except InfeasibleError as error:
+        return _tell(str(error), INFEASIBLE)
+    except (SolverError, MissingDependencyError) as error:
+        return _tell(str(error), FAILED)
+    except (SSPError, OSError) as error:
+        return _tell(str(error), WRONG_INPUT)
+    return 0
+
+
+def _warn(message: Warning | str, *_: object, **__: object) -> None:
+    _tell(f"warning: {message}")
+
+
+def _tell(words: str, code: int = 0) -> int:
+    """Say something that is no answer; the exit code that goes with it."""
+    print(f"ssp-lp: {words}", file=sys.stderr)
+    return code
