@@ -33,7 +33,7 @@ SHOWN = {
     "docs/guides/command_line.md": 2,
     "docs/guides/own_criterion.md": 2,
     "docs/guides/own_memory.md": 1,
-    "docs/guides/own_simulator.md": 1,
+    "docs/guides/own_simulator.md": 0,
     "docs/models.md": 2,
     "docs/solving.md": 1,
     "docs/tutorial.md": 6,
