@@ -67,8 +67,8 @@ def proved_conflict(pool: Pool, rows: Rows, found: Generated) -> Conflict | None
         return None
     shares = prices / total
     weights = rows.weights(shares, 0.0, pool.pricing.rewards.shape[1])
-    warm = pool.points[int(np.argmin(weights @ pool.figures))]
-    least = pool.pricing.prove(weights, warm).bound
+    warm = pool.columns[int(np.argmin(weights @ pool.figures))]
+    least = pool.pricing.proved(weights, warm).bound
     allowed = float(shares @ rows.bounds)
     room = ATTAINABLE * allowed + 4.0 * len(shares) * MACHINE_EPSILON * allowed
     if least <= allowed + room:

@@ -18,7 +18,8 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.column_generation.master_optimum import MasterOptimum
-from ssp_lp.column_generation.pricing.constrained import ConstrainedPricing, Point
+from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
+from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.dynamic_programming.deadline import NEVER, Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.work import Work
 
@@ -73,33 +74,33 @@ class Pace:
 class Pool:
     """The policies found so far, in every phase, and the work that it took."""
 
-    pricing: ConstrainedPricing
-    points: list[Point]
+    pricing: ExplicitPricing
+    columns: list[Column]
     calls: int = 0
     work: Work = field(default_factory=Work)
 
     @property
     def figures(self) -> FloatArray:
         """Totals of all policies, [rewards, columns]."""
-        return np.stack([point.figures for point in self.points], axis=1)
+        return np.stack([column.figures for column in self.columns], axis=1)
 
     def sizes(self, rows: Rows) -> FloatArray:
         """What is allowed of each row, or the most that a policy takes of it, [rows]."""
         taken = self.figures[rows.index].max(axis=1, initial=0.0)
         return np.asarray(np.maximum(rows.bounds, taken))
 
-    def priced(self, weights: FloatArray, deadline: Deadline = NEVER) -> Point:
+    def priced(self, weights: FloatArray, deadline: Deadline = NEVER) -> Column:
         """A policy of least weighted totals, from the known one that is best."""
-        warm = self.points[int(np.argmin(weights @ self.figures))]
-        found = self.pricing.minimise(weights, warm, deadline)
+        warm = self.columns[int(np.argmin(weights @ self.figures))]
+        found = self.pricing.minimise(weights, warm, deadline=deadline)
         self.calls, self.work = self.calls + 1, self.work + found.work
         return found
 
-    def add(self, found: Point) -> bool:
+    def add(self, found: Column) -> bool:
         """Keep a policy; false where one with the same totals is known."""
-        if any(np.array_equal(found.figures, known.figures) for known in self.points):
+        if any(np.array_equal(found.figures, known.figures) for known in self.columns):
             return False
-        self.points.append(found)
+        self.columns.append(found)
         return True
 
 
@@ -190,20 +191,20 @@ class _Search:
         weights[kept] = best.weights
         return replace(best, weights=weights)
 
-    def value(self, found: Point, prices: FloatArray) -> float:
+    def value(self, found: Column, prices: FloatArray) -> float:
         """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
         beyond = found.figures[self.rows.index] - self.rows.bounds
         return self._objective(found) + float(prices @ beyond)
 
-    def rounding(self, found: Point, prices: FloatArray) -> float:
+    def rounding(self, found: Column, prices: FloatArray) -> float:
         """Rounding of a policy's Lagrangian value."""
         beyond = np.abs(found.figures[self.rows.index] - self.rows.bounds)
         return _ROUNDING * (self._objective(found) + float(prices @ beyond))
 
-    def _objective(self, found: Point) -> float:
+    def _objective(self, found: Column) -> float:
         return self.cost * float(self.rows.objective(found.figures))
 
-    def price(self, prices: FloatArray) -> tuple[Point, float]:
+    def price(self, prices: FloatArray) -> tuple[Column, float]:
         """A best policy at these prices, and its Lagrangian value: a bound."""
         n_rewards = self.pool.pricing.rewards.shape[1]
         weights = self.rows.weights(prices, self.cost, n_rewards)

@@ -217,7 +217,7 @@ def _programmed(
     weights = rows.weights(prices, 1.0, pricing.rewards.shape[1])
     found = opened.pool.priced(weights)
     opened.pool.add(found)
-    centre = prices, found.worth(weights) - float(prices @ rows.bounds)
+    centre = prices, float(found.figures @ weights) - float(prices @ rows.bounds)
     return program, replace(opened, rows=rows), centre
 
 
@@ -267,7 +267,7 @@ def _concluded(
 def _lottery(compiled: CompiledConstrained, pool: Pool, weights: FloatArray) -> MixedPolicy:
     """The lottery over the first policies of a pool, without those of no weight."""
     used = np.flatnonzero(weights > 0.0)
-    members = [compiled.pricing.policy(pool.points[k]) for k in used.tolist()]
+    members = [compiled.pricing.policy(pool.columns[k]) for k in used.tolist()]
     return MixedPolicy(tuple(members), weights[used])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.constrained_search import Pool, Rows, first_rows
-from ssp_lp.column_generation.pricing.constrained import Checked
+from ssp_lp.column_generation.pricing.pricing_problem import Proof
 
 _BELOW = 2.5e-10  # relative step below a ratio, where it is strictly best to fail
 
@@ -29,7 +29,7 @@ def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> floa
 
 def proved_bound(
     compiled: CompiledConstrained, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
-) -> tuple[float, Checked]:
+) -> tuple[float, Proof]:
     """A certified lower bound of every lottery within the rows, at prices.
 
     Args:
@@ -42,8 +42,8 @@ def proved_bound(
     n_rewards, found = compiled.pricing.rewards.shape[1], []
     for priced in ratios_below(ratio) if compiled.ratio else (0.0,):
         weights = replace(rows, ratio=priced).weights(prices, 1.0, n_rewards)
-        start = pool.points[int(np.argmin(weights @ pool.figures))]
-        proof = compiled.pricing.prove(weights, start)
+        start = pool.columns[int(np.argmin(weights @ pool.figures))]
+        proof = compiled.pricing.proved(weights, start)
         every = np.zeros(n_rewards - 1)
         every[rows.index - 1] = prices
         bounds = np.zeros(n_rewards - 1)
@@ -62,7 +62,7 @@ def rows_bound(
     prices: FloatArray,
     bounds: FloatArray,
     ratio: float,
-    proof: Checked,
+    proof: Proof,
 ) -> float:
     """What a checked bound of the priced cost says of the objective.
 

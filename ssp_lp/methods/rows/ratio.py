@@ -75,4 +75,4 @@ def _ratio_of(pool: Pool, weights: FloatArray) -> float:
 
 
 def _padded(weights: FloatArray, pool: Pool) -> FloatArray:
-    return np.append(weights, np.zeros(len(pool.points) - weights.size))
+    return np.append(weights, np.zeros(len(pool.columns) - weights.size))
