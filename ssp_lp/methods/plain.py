@@ -84,7 +84,7 @@ def best_within_budget(
         bound=found.lower_bound,
         failure=found.failure,
         price=price,
-        values=found.proof.values,
+        values=found.values,
         note=remarks(problem, outcome.row.budget, found.finished),
     )
     run = Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program)

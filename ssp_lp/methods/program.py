@@ -16,7 +16,7 @@ from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFai
 from ssp_lp.column_generation.compiled_problems.layered import CompiledLayered
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
-from ssp_lp.methods.rows.optimum import optimum_of
+from ssp_lp.methods.rows.solving import optimum_of
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, by_rows, compiled_constrained
 from ssp_lp.processes.failure_semantics import Aim

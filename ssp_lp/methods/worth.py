@@ -50,7 +50,7 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
         bound=found.lower_bound,
         failure=found.failure,
         price=found.price,
-        values=found.proof.values,
+        values=found.values,
         note=_note(problem, outcome, options),
     )
     return assembled(problem, answer, _run(outcome, options), Sense(failing))

@@ -164,11 +164,6 @@ class ExplicitPricing:
         values = weighted(required(column.totals), _weights(price))
         return self._checked(price, values, column.choice)
 
-    def proved(self, weights: FloatArray, warm: Column) -> Proof:
-        """The bound of a policy of least weighted totals, lowered as little as can be."""
-        best = self.minimise(weights, warm)
-        return self.check(weights, weighted(required(best.totals), weights))
-
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [states], to a checked sub-solution.
 

@@ -13,7 +13,8 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.constrained_search import Pool, Rows
+from ssp_lp.column_generation.pool import Pool, Rows
+from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 
@@ -42,8 +43,6 @@ def true_lottery(
     Returns:
         None where none of them keeps to the rows: the grid is too coarse.
     """
-    from ssp_lp.column_generation.restricted_master import solve_master
-
     pricing, order = compiled.pricing, np.argsort(weights @ pool.figures, kind="stable")
     best = pool.columns[int(order[0])]
     least = np.where(
