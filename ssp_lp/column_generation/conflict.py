@@ -125,6 +125,4 @@ def _thinned(pool: Pool, rows: Rows, first: Conflict, options: SolveOptions) -> 
 
 def kept_to(ended: Generated, rows: Rows) -> bool:
     """Whether phase 1 ended with every row kept, but for an excess that counts as none."""
-    if ended.excess is None:
-        return True
     return bool((ended.excess * rows.scales <= ATTAINABLE * rows.bounds).all())

@@ -9,7 +9,8 @@ below the rule's own valuation. There are two: ``secant`` for the failure row al
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import partial
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -32,7 +33,8 @@ class Generated:
     lower_bound: float  # of the optimum
     finished: bool  # false: stopped by the time limit
     values: FloatArray | None = None  # the checked sub-solution, where the bound is certified
-    excess: FloatArray | None = None  # [rows] phase 1: violation in units of the rows' scales
+    excess: FloatArray = field(default_factory=partial(np.zeros, 0))
+    """Phase 1: the violation in units of the rows' scales, [rows]."""
 
     @property
     def price(self) -> float:

@@ -32,7 +32,7 @@ _HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # the same from a guess, in units of the g
 
 @dataclass(frozen=True)
 class DualGuess:
-    """A price to begin with, such as the dual of a linear program or of a coarser compiled."""
+    """A price to begin with, such as the dual of a linear program or of a coarser process."""
 
     price: float
     spread: float  # relative uncertainty

@@ -31,10 +31,9 @@ class Rows:
         limited = self.index[kept], self.bounds[kept], self.scales[kept]
         return Rows(*limited, self.n_rewards, self.ratio)
 
-    def relaxed(self, excess: FloatArray | None) -> Rows:
+    def relaxed(self, excess: FloatArray) -> Rows:
         """The rows with their bounds raised by an excess in units of the scales, [rows]."""
-        more = 0.0 if excess is None else np.maximum(excess, 0.0) * self.scales
-        return replace(self, bounds=self.bounds + more)
+        return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
 
     def objective(self, figures: FloatArray) -> FloatArray:
         """What is minimised of totals, the first of which are cost and failure, [...]."""

@@ -16,9 +16,11 @@ from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
+from ssp_lp.solution import Run
 
 _PATIENCE = 3
 
@@ -45,6 +47,21 @@ class Outcome:
     def lottery(self) -> MixedPolicy:
         """The lottery on the model that the search ended with."""
         return self.found.lottery(self.compiled.pricing())
+
+    def answer(self, price: float, note: str) -> Found:
+        """What was found, as an answer.
+
+        Args:
+            price: multiplier of the failure row.
+            note: what a reader should know.
+        """
+        found = self.found
+        lottery, bound = self.lottery, found.lower_bound
+        return Found(lottery, found.objective, bound, found.failure, price, found.values, note=note)
+
+    def run(self, options: SolveOptions, reason: str) -> Run:
+        """What was done, and why."""
+        return Run(options.method, reason, self.calls, 0.0, self.work, self.program)
 
     def followed_by(self, other: Outcome) -> Outcome:
         """The other, with the work of both."""

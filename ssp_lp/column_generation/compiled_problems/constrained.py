@@ -108,7 +108,7 @@ class CompiledConstrained:
         return CompiledFailureLabel(self.model, self.start, self.semantics, self.discount)
 
     def settled(self) -> CompiledConstrained:
-        """The compiled at least failure, where the budget does not exceed that.
+        """The same at least failure, where the budget does not exceed that.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding; case S,

@@ -116,11 +116,11 @@ class CompiledFailureLabel:
         return finer
 
     def matching(self, values: FloatArray) -> CompiledFailureLabel:
-        """The compiled itself."""
+        """Itself."""
         return self
 
     def for_program(self) -> CompiledFailureLabel:
-        """The compiled itself."""
+        """Itself."""
         return self
 
     def tail_loss(self, price: float, *, slack: bool = False) -> float:
