@@ -27,7 +27,7 @@ WITH_SOLVERS = {"linear_programming", "integer_programming"}
 
 RANK = {name: rank for rank, names in enumerate(ORDER) for name in names}
 
-LP_PATH = ("ssp_lp.linear_programming", "ssp_lp.column_generation.secant_search", "ssp_lp.programs")
+LP_PATH = ("ssp_lp.linear_programming", "ssp_lp.column_generation.generation", "ssp_lp.programs")
 
 
 def imports_of(path: Path) -> set[str]:

@@ -16,10 +16,12 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     checked_least_failure,
 )
 from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
-from ssp_lp.column_generation.secant_search import Bracket, search
+from ssp_lp.column_generation.secant import Secant
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
+from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.processes.failure_semantics import Aim
 
@@ -149,8 +151,9 @@ def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
                 f"at the price {limits.steepest_price:g} of failure it is best to fail: "
                 "steepest_price must lie above the least cost given success"
             )
-    free = search(pricing, Bracket(row, first), tolerance=limits.gap, deadline=limits.deadline)
-    last, calls, work = free.columns[-1], calls + free.rounds, first.work + free.work
+    rule = Secant(pricing, row, first, calls=calls, work=first.work)
+    free = generate(rule, SolveOptions(limits.gap, limits.deadline))
+    last, calls, work = free.columns[-1], rule.calls, rule.work
     columns = [first] if last.failure <= first.failure else [first, last]
     waiting = _Waiting(pricing, compiled.ratio, limits, calls)
     if len(columns) == 2:
@@ -192,13 +195,13 @@ class _Waiting:
 
     def add(self, inside: Column, outside: Column, points: int) -> None:
         """Price a segment, and keep it if a policy lies below it by more than the gap."""
-        bracket = Bracket(Row(1.0, self._ratio), inside, outside)
-        if bracket.slope == 0.0:
+        line = Secant(self._pricing, Row(1.0, self._ratio), inside, outside)
+        if line.slope == 0.0:
             self.below[inside.failure] = 0.0
             return
-        found = replace(self._pricing.minimise(bracket.slope, outside), found_at=bracket.slope)
+        found = replace(self._pricing.minimise(line.slope, outside), found_at=line.slope)
         self.calls += 1
-        below, self.work = _share_below(bracket, found), self.work + found.work
+        below, self.work = _share_below(line, found), self.work + found.work
         self.below[inside.failure] = below
         if below > self._limits.gap:
             urgency = -below if self._limits.may_stop else -float(self.calls)
@@ -211,14 +214,10 @@ class _Waiting:
         return heappop(self.found)[2]
 
 
-def _share_below(bracket: Bracket, found: Column) -> float:
-    """How far a column lies below the bracket's line, relative to the cost; 0 outside of it."""
-    if (
-        bracket.outside is None
-        or not bracket.inside.failure < found.failure < bracket.outside.failure
-    ):
+def _share_below(line: Secant, found: Column) -> float:
+    """How far a column lies below the line between two, relative to the cost; 0 outside of it."""
+    inside, outside = line.inside, line.outside
+    if outside is None or not inside.failure < found.failure < outside.failure:
         return 0.0
-    below = (
-        bracket.inside.cost - found.cost - bracket.slope * (found.failure - bracket.inside.failure)
-    )
-    return max(below, 0.0) / max(bracket.inside.cost, 1e-300)
+    below = inside.cost - found.cost - line.slope * (found.failure - inside.failure)
+    return max(below, 0.0) / max(inside.cost, 1e-300)

@@ -14,7 +14,10 @@ import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE
-from ssp_lp.column_generation.constrained_search import Generated, Pace, Pool, Rows, generate
+from ssp_lp.column_generation.generation import Generated, generate
+from ssp_lp.column_generation.pool import Pool, Rows
+from ssp_lp.column_generation.stabilised_master import violation
+from ssp_lp.options import SolveOptions
 
 _MOST_SETS = 200
 
@@ -66,9 +69,7 @@ def proved_conflict(pool: Pool, rows: Rows, found: Generated) -> Conflict | None
     if total <= 0.0:
         return None
     shares = prices / total
-    weights = rows.weights(shares, 0.0, pool.pricing.rewards.shape[1])
-    warm = pool.points[int(np.argmin(weights @ pool.figures))]
-    least = pool.pricing.prove(weights, warm).bound
+    least = pool.proved(rows.weights(shares, 0.0)).bound
     allowed = float(shares @ rows.bounds)
     room = ATTAINABLE * allowed + 4.0 * len(shares) * MACHINE_EPSILON * allowed
     if least <= allowed + room:
@@ -77,48 +78,51 @@ def proved_conflict(pool: Pool, rows: Rows, found: Generated) -> Conflict | None
     return Conflict(kept, shares[list(kept)], least, allowed)
 
 
-def smallest_conflict(pool: Pool, rows: Rows, first: Conflict, pace: Pace) -> Conflict:
+def smallest_conflict(pool: Pool, rows: Rows, first: Conflict, options: SolveOptions) -> Conflict:
     """The smallest conflict that can be found.
 
     Args:
         pool: policies to begin with; what is found is added.
         rows: all rows.
         first: a conflict among them.
-        pace: tolerance and limits.
+        options: tolerance and limits.
     """
     tried = 0
     for size in range(1, len(first.rows)):
         for some in combinations(range(len(rows.index)), size):
             tried += 1
             if tried > _MOST_SETS:
-                return _thinned(pool, rows, first, pace)
-            found = _conflict_among(pool, rows, some, pace)
+                return _thinned(pool, rows, first, options)
+            found = _conflict_among(pool, rows, some, options)
             if found is not None:
                 return found
     return first
 
 
-def _conflict_among(pool: Pool, rows: Rows, some: tuple[int, ...], pace: Pace) -> Conflict | None:
+def _conflict_among(
+    pool: Pool, rows: Rows, some: tuple[int, ...], options: SolveOptions
+) -> Conflict | None:
     """A conflict among some rows, by position among all; None where they can be kept together."""
     part = rows.among(some)
-    ended = generate(pool, part, pace, elastic=True)
+    ended = generate(violation(pool, part), options)
     found = None if kept_to(ended, part) else proved_conflict(pool, part, ended)
     if found is None:
         return None
     return Conflict(tuple(some[k] for k in found.rows), found.shares, found.least, found.allowed)
 
 
-def _thinned(pool: Pool, rows: Rows, first: Conflict, pace: Pace) -> Conflict:
+def _thinned(pool: Pool, rows: Rows, first: Conflict, options: SolveOptions) -> Conflict:
     """A conflict none of whose rows can be left out."""
     conflict = first
     for row in first.rows:
         rest = tuple(k for k in conflict.rows if k != row)
-        found = _conflict_among(pool, rows, rest, pace) if rest and row in conflict.rows else None
+        found = (
+            _conflict_among(pool, rows, rest, options) if rest and row in conflict.rows else None
+        )
         conflict = conflict if found is None else found
     return conflict
 
 
 def kept_to(ended: Generated, rows: Rows) -> bool:
     """Whether phase 1 ended with every row kept, but for an excess that counts as none."""
-    excess = ended.master.excess * rows.scales
-    return bool((excess <= ATTAINABLE * rows.bounds).all())
+    return bool((ended.excess * rows.scales <= ATTAINABLE * rows.bounds).all())

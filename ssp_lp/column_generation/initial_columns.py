@@ -9,8 +9,7 @@ is near the least failure or below it, is the least failure itself worked out.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,9 +19,10 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 )
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
-from ssp_lp.column_generation.secant_search import Bracket
+from ssp_lp.column_generation.secant import Secant
 from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.options import SolveOptions
 
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
 _STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until both sides are known
@@ -32,45 +32,32 @@ _HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # the same from a guess, in units of the g
 
 @dataclass(frozen=True)
 class DualGuess:
-    """A price to begin with, such as the dual of a linear program or of a coarser compiled."""
+    """A price to begin with, such as the dual of a linear program or of a coarser process."""
 
     price: float
     spread: float  # relative uncertainty
     slack: bool = False  # whether the budget was slack there, so that one side is all there is
 
 
-@dataclass(frozen=True, eq=False)
-class InitialColumns:
-    """An bracket to begin with; its inside column keeps to the budget."""
-
-    bracket: Bracket
-    last: Column  # the last one found: a warm start
-    calls: int = 0
-    work: Work = field(default_factory=Work)
-    least: LeastFailure | None = None  # where it had to be worked out
-
-
-def columns_at(least: LeastFailure, row: Row) -> InitialColumns:
-    """An initial from the policy of least failure; the budget is raised to it by rounding."""
+def columns_at(pricing: PricingProblem, least: LeastFailure, row: Row) -> Secant:
+    """Begin at the policy of least failure; the budget is raised to it by rounding."""
     row = replace(row, budget=max(row.budget, least.column.failure))
-    return InitialColumns(Bracket(row, least.column), least.column, least=least)
+    return Secant(pricing, row, least.column)
 
 
 def columns_by_pricing(
     compiled: CompiledProblem,
     row: Row,
     guess: DualGuess | None,
-    deadline: float,
-    report: Callable[[int, float, float], None] | None,
-) -> InitialColumns | None:
+    options: SolveOptions,
+) -> Secant | None:
     """Price failure up and down until the columns found lie on both sides of the budget.
 
     Args:
         compiled: says the process and the pricing.
         row: budget and form of the objective.
         guess: a price to begin with; None: a multiple of what a run costs.
-        deadline: on the clock of ``time.perf_counter``.
-        report: called after each pricing call with (calls, price, objective).
+        options: deadline, and who is told after each pricing call.
 
     Raises:
         OutOfTimeError: the deadline passed before a column that keeps to the budget was found.
@@ -89,7 +76,9 @@ def columns_by_pricing(
     work = Work()
     for calls, step in enumerate((*steps, None), start=1):
         try:
-            last = pricing.minimise(price, last, inside, outside, deadline=Deadline(deadline))
+            last = pricing.minimise(
+                price, last, inside, outside, deadline=Deadline(options.deadline)
+            )
         except OutOfTimeError:
             if last is None or (inside is None and row.breaks(last)):
                 raise
@@ -100,15 +89,15 @@ def columns_by_pricing(
             outside = last
         elif value < np.inf:
             inside = last
-        if report is not None:
-            report(calls, price, value if last is inside else np.inf)
-        enough = one_sided or outside is not None or time.perf_counter() > deadline
+        if options.progress is not None:
+            options.progress(calls, price, value if last is inside else np.inf)
+        enough = one_sided or outside is not None or time.perf_counter() > options.deadline
         if step is None or (inside is not None and enough):
             break
         price = _moved(price, step, last.failure, row.budget, is_hinted=guess is not None)
     if inside is None or last is None:
         return None
-    return InitialColumns(Bracket(row, inside, outside), last, calls, work)
+    return Secant(pricing, row, inside, outside, last, calls, work)
 
 
 def _moved(price: float, step: float, failure: float, budget: float, *, is_hinted: bool) -> float:

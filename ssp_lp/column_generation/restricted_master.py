@@ -15,11 +15,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import highspy
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
-from ssp_lp.column_generation.master_optimum import MasterOptimum
 from ssp_lp.errors import SolverError
 
 _OPTIONS: dict[str, bool | int | float | str] = {
@@ -39,6 +37,16 @@ _BROKEN = 4.0 * MACHINE_EPSILON
 _TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
 _PIVOT = 1e-13  # of the numbers that an entry is made of: then it is 0
 _PIVOTS = 50
+
+
+@dataclass(frozen=True, eq=False)
+class MasterOptimum:
+    """Weights of the policies and prices of the rows; at most (tight rows + 1) weights are > 0."""
+
+    value: float
+    weights: FloatArray  # [columns]
+    prices: FloatArray  # [rows] >= 0
+    excess: FloatArray  # [rows] violation in units of the scales; 0 unless elastic
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +153,8 @@ def _basis(program: _Standard) -> IntArray | None:
     None where HiGHS finds none. No master is unbounded: where numbers far apart make HiGHS say so,
     its last basis is feasible.
     """
+    import highspy  # only where there are rows
+
     n_rows, n_variables = program.matrix.shape
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = n_variables, n_rows

@@ -78,17 +78,8 @@ def best_within_budget(
     reason = (
         f"{_REASONS['unlimited' if unlimited else options.method]}, {outcome.calls} pricing calls"
     )
-    answer = Found(
-        policy=outcome.lottery,
-        value=found.objective,
-        bound=found.lower_bound,
-        failure=found.failure,
-        price=price,
-        values=found.proof.values,
-        note=remarks(problem, outcome.row.budget, found.finished),
-    )
-    run = Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program)
-    solution = assembled(problem, answer, run)
+    answer = outcome.answer(price, remarks(problem, outcome.row.budget, found.finished))
+    solution = assembled(problem, answer, outcome.run(options, reason))
     if not deterministic:
         return solution
     from ssp_lp.methods.integer_programming.best_policy import best_deterministic

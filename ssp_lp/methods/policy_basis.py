@@ -20,10 +20,11 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import columns_at, columns_by_pricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column
-from ssp_lp.column_generation.secant_search import SearchResult, search
 from ssp_lp.linear_programming.basis import PolicyBasis
+from ssp_lp.options import SolveOptions
 from ssp_lp.processes.explicit import ExplicitProcess
 
 _TOLERANCE = 1e-12
@@ -84,18 +85,13 @@ def _are_together(columns: list[Column], budget: float) -> bool:
     return not all(_parted(columns, budget))
 
 
-def _searched(compiled: CompiledProblem, row: Row, deadline: float) -> SearchResult:
+def _searched(compiled: CompiledProblem, row: Row, deadline: float) -> Generated:
     """Column generation on the compiled problem as it stands."""
-    initial = columns_by_pricing(compiled, row, None, deadline, None)
-    if initial is None:
-        initial = columns_at(compiled.least_failure(), row)
-    return search(
-        compiled.pricing(),
-        initial.bracket,
-        tolerance=_TOLERANCE,
-        last=initial.last,
-        deadline=deadline,
-    )
+    options = SolveOptions(_TOLERANCE, deadline)
+    rule = columns_by_pricing(compiled, row, None, options)
+    if rule is None:
+        rule = columns_at(compiled.pricing(), compiled.least_failure(), row)
+    return generate(rule, options)
 
 
 def _best_pairs(process: ExplicitProcess, price: float, choice: IntArray) -> BoolArray:

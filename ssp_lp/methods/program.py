@@ -16,7 +16,7 @@ from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFai
 from ssp_lp.column_generation.compiled_problems.layered import CompiledLayered
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
-from ssp_lp.methods.rows.optimum import optimum_of
+from ssp_lp.methods.rows.solving import optimum_of
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, by_rows, compiled_constrained
 from ssp_lp.processes.failure_semantics import Aim
@@ -112,7 +112,7 @@ def _at_least_failure(compiled: CompiledProblem) -> Augmented:
     """The second stage's process."""
     checked_least_failure(compiled, None)
     if isinstance(compiled, CompiledFailureLabel):
-        return LabelledModel(compiled.second_stage().labelled, compiled.start)
+        return LabelledModel(compiled.second_stage, compiled.start)
     if isinstance(compiled, CompiledAccumulatedCost):
         compiled = CompiledArrivalCost(compiled.model, compiled.start, TOTAL_COST, ratio=True)
     if isinstance(compiled, CompiledArrivalCost):
@@ -124,7 +124,7 @@ def _within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]
     """The process of a problem with a budget, and the budget, raised to what is attainable."""
     if isinstance(compiled, CompiledFailureLabel):
         least = checked_least_failure(compiled, budget).column.failure if budget < 1.0 else 0.0
-        return LabelledModel(compiled.pricing().labelled, compiled.start), max(budget, least)
+        return LabelledModel(compiled.labelled, compiled.start), max(budget, least)
     found = optimise(compiled, budget, CERTIFYING)
     if found.least is not None and found.row.budget <= found.least.column.failure:
         if compiled.discount is None:  # only policies of least failure are within the budget

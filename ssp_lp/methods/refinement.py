@@ -12,17 +12,15 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     checked_least_failure,
 )
 from ssp_lp.column_generation.failure_constraint import Row, relative_gap
-from ssp_lp.column_generation.initial_columns import (
-    DualGuess,
-    InitialColumns,
-    columns_at,
-    columns_by_pricing,
-)
-from ssp_lp.column_generation.secant_search import SearchResult, search
+from ssp_lp.column_generation.generation import Generated, generate
+from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
+from ssp_lp.column_generation.secant import Secant
 from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
+from ssp_lp.solution import Run
 
 _PATIENCE = 3
 
@@ -37,7 +35,7 @@ _SPREAD = 1e-6  # relative uncertainty of a price that a search or a program end
 class Outcome:
     """The last search, the compiled problem that it ran on, and the work done in all."""
 
-    found: SearchResult
+    found: Generated
     compiled: CompiledProblem
     row: Row
     least: LeastFailure | None = None  # where it had to be worked out
@@ -48,8 +46,22 @@ class Outcome:
     @property
     def lottery(self) -> MixedPolicy:
         """The lottery on the model that the search ended with."""
-        pricing = self.compiled.pricing()
-        return MixedPolicy(tuple(pricing.policy(c) for c in self.found.columns), self.found.weights)
+        return self.found.lottery(self.compiled.pricing())
+
+    def answer(self, price: float, note: str) -> Found:
+        """What was found, as an answer.
+
+        Args:
+            price: multiplier of the failure row.
+            note: what a reader should know.
+        """
+        found = self.found
+        lottery, bound = self.lottery, found.lower_bound
+        return Found(lottery, found.objective, bound, found.failure, price, found.values, note=note)
+
+    def run(self, options: SolveOptions, reason: str) -> Run:
+        """What was done, and why."""
+        return Run(options.method, reason, self.calls, 0.0, self.work, self.program)
 
     def followed_by(self, other: Outcome) -> Outcome:
         """The other, with the work of both."""
@@ -125,40 +137,31 @@ def _attempt(
             guess = DualGuess(optimum.price, _SPREAD)
     if guess is None and row.budget >= 1.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
-    initial = _opening(compiled, row, least, options, guess)
-    options = options.after(initial.calls)
-    row, least = initial.bracket.row, initial.least
-    found = search(
-        compiled.pricing(),
-        initial.bracket,
-        tolerance=_TRIAL_TOLERANCE if compiled.is_trial else options.tolerance,
-        last=initial.last,
-        deadline=options.deadline,
-        report=options.progress,
-    )
+    rule, least = _begun(compiled, row, least, options, guess)
+    finer = _TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
+    found = generate(rule, replace(options, tolerance=finer))
     if optimum is not None and found.finished:
         check_agreement(optimum, found.objective)
-    if least is not None and row.budget <= least.column.failure < 1.0:
+    if least is not None and rule.row.budget <= least.column.failure < 1.0:
         found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
-    calls, work = initial.calls + found.rounds, initial.work + found.work
     report = "" if optimum is None else optimum.report
-    return Outcome(found, compiled, row, least, calls, work, report)
+    return Outcome(found, compiled, rule.row, least, rule.calls, rule.work, report)
 
 
-def _opening(
+def _begun(
     compiled: CompiledProblem,
     row: Row,
     least: LeastFailure | None,
     options: SolveOptions,
     guess: DualGuess | None,
-) -> InitialColumns:
+) -> tuple[Secant, LeastFailure | None]:
     """Columns to begin with, by pricing if that finds one that keeps to the budget."""
     if least is None or row.budget > least.column.failure:
-        initial = columns_by_pricing(compiled, row, guess, options.deadline, options.progress)
-        if initial is not None:
-            return replace(initial, least=least)
+        rule = columns_by_pricing(compiled, row, guess, options)
+        if rule is not None:
+            return rule, least
     least = checked_least_failure(compiled, row.budget) if least is None else least
-    return columns_at(least, row)
+    return columns_at(compiled.pricing(), least, row), least
 
 
 def _is_stagnant(gaps: list[float]) -> bool:

@@ -43,17 +43,8 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
         outcome = outcome.followed_by(
             optimise(outcome.compiled, problem.failure_budget, replace(options, tolerance=finer))
         )
-    found = outcome.found
-    answer = Found(
-        policy=outcome.lottery,
-        value=found.objective,
-        bound=found.lower_bound,
-        failure=found.failure,
-        price=found.price,
-        values=found.proof.values,
-        note=_note(problem, outcome, options),
-    )
-    return assembled(problem, answer, _run(outcome, options), Sense(failing))
+    answer = outcome.answer(outcome.found.price, _note(problem, outcome, options))
+    return assembled(problem, answer, outcome.run(options, _reason(outcome)), Sense(failing))
 
 
 def _is_met(outcome: Outcome, failing: float, options: SolveOptions) -> bool:
@@ -68,14 +59,13 @@ def _at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
     return assembled(problem, found, run, Sense(problem.semantics.failing_worth))
 
 
-def _run(outcome: Outcome, options: SolveOptions) -> Run:
+def _reason(outcome: Outcome) -> str:
     layers = ""
     if isinstance(outcome.compiled, CompiledArrivalCost):
         process, horizon = outcome.compiled.process, outcome.compiled.cost_horizon
         layers = f"{process.cap:,} layers of accumulated cost"
         layers += f", exact from cost {horizon:.6g} on" if horizon > 0.0 else ""
-    reason = f"backward sweeps over {layers}, {outcome.calls} pricing calls"
-    return Run(options.method, reason, outcome.calls, 0.0, outcome.work, outcome.program)
+    return f"backward sweeps over {layers}, {outcome.calls} pricing calls"
 
 
 def _note(problem: Problem, outcome: Outcome, options: SolveOptions) -> str:

@@ -91,6 +91,7 @@ def bound_of(
     pair_cost: FloatArray,
     values: FloatArray,
     floor: float = 0.0,
+    choice: IntArray | None = None,
 ) -> DualBound:
     """A checked sub-solution of a process, proved where its free components are contracted.
 
@@ -100,9 +101,10 @@ def bound_of(
         pair_cost: [pairs].
         values: near-optimal ones, [states].
         floor: a constant that is known to be a sub-solution.
+        choice: a policy of about these values, which leaves, [states].
     """
     if smaller is None:
-        return dual_bound(process.dynamics, pair_cost, values, floor)
+        return dual_bound(process.dynamics, pair_cost, values, floor, choice)
     kept, least = pair_cost[smaller.pairs], smaller.least(values)
     found = dual_bound(smaller.dynamics, kept, least, floor)
     return DualBound(found.values[smaller.node_of], found.low[smaller.node_of])

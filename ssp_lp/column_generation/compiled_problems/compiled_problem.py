@@ -1,4 +1,4 @@
-"""An compiled: a problem's augmented process together with everything that methods ask of it."""
+"""A compiled problem: an augmented process with everything that methods ask of it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class CompiledProblem(Protocol):
 
     @property
     def is_trial(self) -> bool:
-        """Whether this compiled is only to learn the price, from which its size will follow."""
+        """Whether this is only to learn the price, from which its size will follow."""
         ...
 
     def least_failure(self) -> LeastFailure:
@@ -65,7 +65,7 @@ class CompiledProblem(Protocol):
         ...
 
     def for_program(self) -> CompiledProblem:
-        """The compiled whose written-out process has the optimum of the problem, up to its size."""
+        """The one whose written-out process has the optimum of the problem, up to its size."""
         ...
 
     def explicit(self) -> ExplicitProcess:
@@ -81,18 +81,18 @@ class CompiledProblem(Protocol):
         ...
 
     def refined(self, price: float) -> CompiledProblem | None:
-        """A larger compiled with a smaller truncation error, or None where there is none.
+        """A larger one with a smaller truncation error, or None where there is none.
 
         Args:
-            price: price of failure at the optimum of this compiled.
+            price: price of failure at the optimum of this one.
         """
         ...
 
     def matching(self, values: FloatArray) -> CompiledProblem:
-        """The compiled whose value functions have the shape of this one.
+        """The one whose value functions have the shape of this one.
 
         Raises:
-            ModelError: no compiled of the problem has such value functions.
+            ModelError: none has such value functions.
         """
         ...
 

@@ -15,7 +15,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 )
 from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.sense import Sense
-from ssp_lp.column_generation.pricing.constrained import ConstrainedPricing
+from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
@@ -108,7 +108,7 @@ class CompiledConstrained:
         return CompiledFailureLabel(self.model, self.start, self.semantics, self.discount)
 
     def settled(self) -> CompiledConstrained:
-        """The compiled at least failure, where the budget does not exceed that.
+        """The same at least failure, where the budget does not exceed that.
 
         Raises:
             InfeasibleError: the budget is below the least failure by more than rounding; case S,
@@ -188,15 +188,13 @@ class CompiledConstrained:
         return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
     @cached_property
-    def pricing(self) -> ConstrainedPricing:
+    def pricing(self) -> ExplicitPricing:
         """Policy iteration on the process with a price for each row."""
-        augmented = self.augmented
-        process = augmented.process
-        cost = process.cost
+        counted = None
         if self.objective is not None:
-            (cost,) = self.row_coefficients((self.objective,))
-        rewards = [cost, process.failure, *self.row_coefficients(self.side)]
-        return ConstrainedPricing(augmented, np.stack(rewards, axis=1), self.precise)
+            (counted,) = self.row_coefficients((self.objective,))
+        rows = tuple(self.row_coefficients(self.side))
+        return ExplicitPricing(self.augmented, self.precise, rows, counted)
 
     @property
     def own_cost(self) -> FloatArray:

@@ -16,7 +16,7 @@ from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import surely_reaching
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.failure_label import label_failure
+from ssp_lp.processes.failure_label import FailureLabelled, label_failure
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 
@@ -38,17 +38,24 @@ class CompiledFailureLabel:
     precise: bool = False  # compare pairs in twice the working precision
 
     @cached_property
-    def _pricing(self) -> ExplicitPricing:
-        return self._restricted_to(None)
+    def labelled(self) -> FailureLabelled:
+        """The process; InfeasibleError where failing is forbidden and cannot be avoided."""
+        return self._labelled(None)
 
-    def _restricted_to(self, usable: BoolArray | None) -> ExplicitPricing:
-        """Pricing over all pairs (None) or, without giving up, over some, [model pairs]."""
+    @property
+    def second_stage(self) -> FailureLabelled:
+        """The process over the pairs that attain the greatest goal probability."""
+        return self._labelled(greatest_goal_reach(self.model, survival_of(self.discount)).usable)
+
+    def _labelled(self, usable: BoolArray | None) -> FailureLabelled:
+        """The process of all pairs (None) or, without giving up, of some, [model pairs]."""
         if self.semantics.forbids_failing:
             self.check_sure()
-        return ExplicitPricing(
-            label_failure(self.model, self.start, self.semantics, self.discount, usable),
-            self.precise,
-        )
+        return label_failure(self.model, self.start, self.semantics, self.discount, usable)
+
+    @cached_property
+    def _pricing(self) -> ExplicitPricing:
+        return ExplicitPricing(self.labelled, self.precise)
 
     def check_sure(self) -> None:
         """Check that the goal can be reached surely, as must be where failing is forbidden.
@@ -79,14 +86,9 @@ class CompiledFailureLabel:
         """
         return self._pricing
 
-    def second_stage(self) -> ExplicitPricing:
-        """Pricing over the pairs that attain the greatest goal probability."""
-        usable = greatest_goal_reach(self.model, survival_of(self.discount)).usable
-        return self._restricted_to(usable)
-
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least cost among its actions."""
-        second = self.second_stage()
+        second = ExplicitPricing(self.second_stage, self.precise)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:
@@ -99,7 +101,7 @@ class CompiledFailureLabel:
 
     def explicit(self) -> ExplicitProcess:
         """The labelled process."""
-        return self._pricing.process
+        return self.labelled.process
 
     def explicit_choice(self, column: Column) -> IntArray:
         """The column's own choice."""
@@ -110,15 +112,15 @@ class CompiledFailureLabel:
         if self.precise:
             return None
         finer = replace(self, precise=True)
-        finer.__dict__["_pricing"] = replace(self._pricing, precise=True)
+        finer.__dict__["labelled"] = self.labelled
         return finer
 
     def matching(self, values: FloatArray) -> CompiledFailureLabel:
-        """The compiled itself."""
+        """Itself."""
         return self
 
     def for_program(self) -> CompiledFailureLabel:
-        """The compiled itself."""
+        """Itself."""
         return self
 
     def tail_loss(self, price: float, *, slack: bool = False) -> float:

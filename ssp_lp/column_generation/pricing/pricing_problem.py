@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol, TypeVar
 
+import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, IntArray
@@ -29,9 +31,15 @@ class Column:
     choice: IntArray | None  # the pricing problem's own form of the policy
     tail_price: float = 0.0  # case S: the price by which tails beyond the cap are chosen
     policy: Policy | None = None  # the policy on the model, where it did not come from pricing
-    totals: FloatArray | None = None  # expected cost and failure from each state, a warm start
+    totals: FloatArray | None = None  # [states, rewards] the same from each state, a warm start
     found_at: float | None = None  # a price at which no policy of its process is worth less
     work: Work = field(default_factory=Work)  # what finding it took
+    rows: tuple[float, ...] = ()  # what it takes of each row beside the failure row
+
+    @cached_property
+    def figures(self) -> FloatArray:
+        """All that it is priced by, [rewards]: cost, failure, and what it takes of the rows."""
+        return np.array([self.cost, self.failure, *self.rows])
 
 
 def excess_failure(risky: Column, safe: Column) -> float:

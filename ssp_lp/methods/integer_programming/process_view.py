@@ -64,7 +64,7 @@ def _of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
     _check_size(process.n_pairs)
     best = pricing.minimise(price)
     free = np.zeros(process.n_states, dtype=np.bool_)
-    merged = _merged_nodes(pricing.labelled.quotient)
+    merged = _merged_nodes(compiled.labelled.quotient)
     free[: len(merged)] = merged
     return ProcessView(
         compiled=compiled,

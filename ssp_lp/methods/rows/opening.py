@@ -2,65 +2,53 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import IntArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.conflict import Conflict, kept_to, proved_conflict, smallest_conflict
-from ssp_lp.column_generation.constrained_search import (
-    Pace,
-    Pool,
-    Rows,
-    first_rows,
-    generate,
-    relaxed,
-)
+from ssp_lp.column_generation.generation import Generated, generate
+from ssp_lp.column_generation.pool import Pool, Rows
+from ssp_lp.column_generation.stabilised_master import StabilisedMaster, violation
 from ssp_lp.errors import InfeasibleError, SolverError
+from ssp_lp.options import SolveOptions
 from ssp_lp.processes.failure_semantics import survival_of
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 
 
-@dataclass(frozen=True, eq=False)
-class Opening:
-    """Rows, raised where they lie below what is attainable by rounding, and a pool to begin with.
-
-    Some lottery over the pool keeps to the rows.
-    """
-
-    pool: Pool
-    rows: Rows
-    asked: FloatArray  # [rows] the bounds as stated
-    unlimited: float  # the least cost without any row: the bound at prices 0
-    weights: FloatArray  # [columns] a lottery that keeps to the rows
-
-
-def opening(compiled: CompiledConstrained, stated: CompiledConstrained, pace: Pace) -> Opening:
+def opening(
+    compiled: CompiledConstrained, stated: CompiledConstrained, options: SolveOptions
+) -> StabilisedMaster:
     """The cheapest policy of all, and more until some lottery keeps to all rows (phase 1).
 
     Args:
         compiled: at least failure, where the stated budget is equal to that.
         stated: the problem with the budget that was stated.
-        pace: tolerance and limits.
+        options: tolerance and limits.
+
+    Returns:
+        The search for the least cost to begin with: its rows raised where they lie below what is
+        attainable by rounding, and in case S with the ratio of some lottery.
     """
     pricing = compiled.pricing
     pool = Pool(pricing, [pricing.first()])
-    weights = np.zeros(pricing.rewards.shape[1])
-    weights[0] = 1.0
-    cheapest = pool.priced(weights)
+    cheapest = pool.priced(np.eye(1, pricing.rewards.shape[1])[0])
     pool.add(cheapest)
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     _refuse_empty(compiled, stated, limited)
-    rows = first_rows(pool, 1 + limited, compiled.bounds[limited])
-    ended = generate(pool, rows, pace, elastic=True)
+    rows = pool.rows(1 + limited, compiled.bounds[limited])
+    ended = generate(violation(pool, rows), options)
     if kept_to(ended, rows):
-        raised = relaxed(rows, ended.master.excess)
-        return Opening(pool, raised, rows.bounds, float(cheapest.figures[0]), ended.master.weights)
+        raised = rows.relaxed(ended.excess)
+        ratio = _first_ratio(pool, ended) if compiled.ratio else 0.0
+        at_none = np.zeros(len(limited)), cheapest.cost
+        return StabilisedMaster(pool, replace(raised, ratio=ratio), *at_none)
     if compiled.budget is None and stated.budget is not None:
         anyhow = replace(stated, budget=1.0)
-        opening(anyhow, anyhow, pace)  # raises where the limits contradict each other anyhow
+        opening(anyhow, anyhow, options)  # raises where the limits contradict each other anyhow
     first = proved_conflict(pool, rows, ended)
     if first is None:
         raise SolverError(
@@ -68,8 +56,19 @@ def opening(compiled: CompiledConstrained, stated: CompiledConstrained, pace: Pa
             + ("rounding" if ended.finished else "the time limit")
             + " ended the search"
         )
-    conflict = smallest_conflict(pool, rows, first, pace)
+    conflict = smallest_conflict(pool, rows, first, options)
     raise _refusal(compiled, stated, conflict, rows)
+
+
+def _first_ratio(pool: Pool, ended: Generated) -> float:
+    """A ratio to begin with: that of the known lottery, or some policy's."""
+    attained = ended.ratio
+    if np.isfinite(attained) and attained > 0.0:
+        return attained
+    with np.errstate(divide="ignore", invalid="ignore"):
+        known = pool.figures[0] / (1.0 - pool.figures[1])
+    known = known[np.isfinite(known) & (known > 0.0)]
+    return float(known.max()) if known.size else 1.0
 
 
 def _refuse_empty(

@@ -1,6 +1,6 @@
 """Problems with rows: several quantities limited at once, and priced one by one.
 
-Column generation with phase 1 and phase 2 (``column_generation.constrained_search``), or the full
+Column generation with phase 1 and phase 2 (``column_generation.stabilised_master``), or the full
 linear program first, whose duals are then the prices to begin with. A cost given success is found
 by Dinkelbach's iteration: the least of ``cost + ratio * failure`` falls to the ratio itself at the
 optimum. Where accumulated cost is cut at a cap, the process bounds the optimum from below and the
@@ -15,56 +15,48 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.constrained_search import (
-    Generated,
-    Pace,
-    Pool,
-    without_trifles,
-)
 from ssp_lp.column_generation.failure_constraint import least_of, relative_gap
+from ssp_lp.column_generation.generation import Generated
+from ssp_lp.column_generation.pool import Rows
+from ssp_lp.column_generation.stabilised_master import StabilisedMaster, without_trifles
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import SolverError
+from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
-from ssp_lp.methods.rows.guess import Guess, by_name, coarse_guess
-from ssp_lp.methods.rows.opening import Opening, opening
+from ssp_lp.methods.rows.opening import opening
 from ssp_lp.methods.rows.proof import proved_bound
 from ssp_lp.methods.rows.ratio import generated
 from ssp_lp.methods.rows.rounded import true_lottery
 from ssp_lp.options import LinearProgramming, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem
+from ssp_lp.processes.layered.ladder import Rungs
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
 _PATIENCE = 6  # refinements that need not even halve the gap
+_COARSE_RUNGS = 64  # of the grid that a search on totals begins with
+_COARSE_GAP = 1e-4  # and how exactly it is solved
 _COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
 
 
-@dataclass(frozen=True, eq=False)
-class RowsOptimum:
-    """The best lottery that was found, with its proof."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RowsOptimum(Found):
+    """The best lottery that was found, with its proof, and what it took."""
 
-    compiled: CompiledConstrained
-    value: float  # of the lottery, in what is minimised
-    bound: float  # certified
     policy: MixedPolicy
-    failure: float
-    prices: dict[str, float]  # multiplier of each limited row, by name
-    values: FloatArray  # the checked sub-solution
+    compiled: CompiledConstrained
     calls: int
     work: Work
-    note: str
     program: str = ""
 
     @property
-    def guess(self) -> Guess:
-        """Where a finer search may begin."""
-        return Guess(self.value, self.prices)
+    def kappa(self) -> float:
+        """What failing is worth."""
+        return self.value + self.prices.get(FAILURE_ROW, 0.0)
 
     @property
     def gap(self) -> float:
@@ -82,34 +74,6 @@ class Truth:
     figures: Callable[[Policy], FloatArray] | None = None  # cost, failure and rows of one policy
 
 
-def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
-    """The best lottery within all rows, its value taken from its own evaluation."""
-    return rows_optimum(stated, options, _truth(problem, stated))
-
-
-def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
-    """What policies are worth on the model itself, where the process truncates them."""
-    if stated.charge is None:
-        return None
-
-    def value(policy: MixedPolicy) -> float:
-        """Of a lottery, in what is minimised."""
-        attained = evaluate(policy, problem).objective
-        return attained if stated.sense.constant is None else stated.sense.constant - attained
-
-    def figures(policy: Policy) -> FloatArray:
-        """Cost, failure and rows of one policy."""
-        found = evaluate(policy, problem)
-        failure = found.discounted_failure
-        failure = found.failure_probability if failure is None else failure
-        cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
-        spent = found.secondary_costs
-        taken = [row.activity(spent[row.condition.name]) for row in stated.side]
-        return np.array([cost, failure, *taken])
-
-    return Truth(value, figures)
-
-
 def rows_optimum(
     stated: CompiledConstrained, options: SolveOptions, truth: Truth | None = None
 ) -> RowsOptimum:
@@ -125,9 +89,11 @@ def rows_optimum(
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
     """
-    calls, work, gaps, best = 0, Work(), list[float](), None
-    guess = None if stated.rungs is None else coarse_guess(stated, options)
-    if guess is not None and stated.rungs is not None:
+    calls, work, gaps = 0, Work(), list[float]()
+    best: RowsOptimum | None = None
+    guess: RowsOptimum | None = None
+    if stated.rungs is not None:
+        guess = _coarse_guess(stated, options)
         stated = replace(stated, rungs=stated.rungs.up_to(guess.kappa))
     while True:
         try:
@@ -145,14 +111,14 @@ def rows_optimum(
         if time.perf_counter() > options.deadline:
             return _with_value(replace(best, note=best.note or CUT_SHORT))
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
-        finer = None if stuck else found.compiled.refined(found.guess.kappa)
+        finer = None if stuck else found.compiled.refined(found.kappa)
         if finer is None and not (stated.precise or found.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
             return _with_value(best)
         stated = finer
         if found.compiled.ladder is not None and np.isfinite(found.value):
-            guess = found.guess
+            guess = found
 
 
 def _with_value(found: RowsOptimum) -> RowsOptimum:
@@ -175,36 +141,50 @@ def _with_value(found: RowsOptimum) -> RowsOptimum:
     return found
 
 
+def _coarse_guess(stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
+    """Ratio and prices on a coarse grid of totals: from these the true ones are near."""
+    coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
+    return _attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
+
+
 def _attempt(
     stated: CompiledConstrained,
     options: SolveOptions,
     truth: Truth | None,
-    guess: Guess | None,
+    guess: RowsOptimum | None,
 ) -> RowsOptimum:
     """One search, on the process and in the precision that the compiled problem says."""
     finer = 1.0 if stated.sense.constant is None else _FINER
-    pace = Pace(finer * options.tolerance, options.deadline, report=options.progress)
+    options = replace(options, tolerance=finer * options.tolerance)
     compiled = stated.settled()
-    opened = opening(compiled, stated, pace)
-    program, centre = None, (np.zeros(len(opened.asked)), opened.unlimited)
+    opened, program = opening(compiled, stated, options), None
     if guess is not None:
-        opened, prices = guess.of(compiled, opened)
-        centre = prices, 0.0
+        opened = _guessed(compiled, opened, guess)
     if options.program is not None:
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
-            generated(compiled, opened, replace(pace, tolerance=_COARSE), centre)
-        program, opened, centre = _programmed(compiled, opened, options.program, options.deadline)
-    found, ratio = generated(compiled, opened, pace, centre)
+            generated(compiled, opened, replace(options, tolerance=_COARSE))
+        program, opened = _programmed(compiled, opened, options.program, options.deadline)
+    found, ratio = generated(compiled, opened, options)
     return _concluded(compiled, stated, opened, found, ratio, truth, program)
+
+
+def _guessed(
+    compiled: CompiledConstrained, opened: StabilisedMaster, guess: RowsOptimum
+) -> StabilisedMaster:
+    """The same search, begun at the ratio and the prices of another one."""
+    rows = replace(opened.rows, ratio=guess.value or opened.rows.ratio)
+    named = by_name(compiled, rows, np.zeros(len(rows.index)))
+    prices = np.array([guess.prices.get(name, 0.0) for name in named])
+    return replace(opened, rows=rows, prices=prices, bound=0.0)
 
 
 def _programmed(
     compiled: CompiledConstrained,
-    opened: Opening,
+    opened: StabilisedMaster,
     asked: LinearProgramming,
     deadline: float,
-) -> tuple[ProgramOptimum, Opening, tuple[FloatArray, float]]:
-    """The optimum of the full linear program, and the bound at its duals."""
+) -> tuple[ProgramOptimum, StabilisedMaster]:
+    """The optimum of the full linear program, and the search begun at its duals."""
     pricing, rows = compiled.pricing, opened.rows
     limits = {
         compiled.names[index - 1]: (pricing.rewards[:, index], float(bound))
@@ -213,35 +193,35 @@ def _programmed(
     process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
     program = solve_rows_program(process, limits, asked.backend, deadline, ratio=compiled.ratio)
     prices = np.array([program.prices[name] for name in limits])
-    rows = replace(rows, ratio=program.objective if compiled.ratio else 0.0)
-    weights = rows.weights(prices, 1.0, pricing.rewards.shape[1])
+    if compiled.ratio:
+        rows = replace(rows, ratio=program.objective or rows.ratio)
+    weights = rows.weights(prices)
     found = opened.pool.priced(weights)
     opened.pool.add(found)
-    centre = prices, found.worth(weights) - float(prices @ rows.bounds)
-    return program, replace(opened, rows=rows), centre
+    bound = float(found.figures @ weights) - float(prices @ rows.bounds)
+    return program, replace(opened, rows=rows, prices=prices, bound=bound)
 
 
 def _concluded(
     compiled: CompiledConstrained,
     stated: CompiledConstrained,
-    opened: Opening,
+    opened: StabilisedMaster,
     found: Generated,
     ratio: float,
     truth: Truth | None,
     program: ProgramOptimum | None,
 ) -> RowsOptimum:
     """The lottery, and a certified bound at the prices that the search ended with."""
-    pool, rows, master = opened.pool, opened.rows, found.master
-    cost, failure = (pool.figures[:2, : master.weights.size] @ master.weights).tolist()
+    pool, rows = opened.pool, opened.rows
+    cost, failure = found.figures[:2].tolist()
     value = cost / (1.0 - failure) if compiled.ratio else cost
     if program is not None and found.finished:
         check_agreement(program, value)
     prices = without_trifles(found.prices, pool.sizes(rows), cost + ratio * failure)
     bound, proof = proved_bound(compiled, rows, prices, ratio, pool)
-    policy = _lottery(compiled, pool, master.weights)
+    policy = found.lottery(compiled.pricing)
     if truth is not None and truth.figures is not None and compiled.is_rounded:
-        weights = rows.weights(prices, 1.0, pool.figures.shape[0])
-        kept = true_lottery(compiled, rows, pool, weights, truth.figures)
+        kept = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
         policy, failure = kept or (policy, failure)
         value = truth.value(policy) if kept else np.inf
     elif truth is not None:
@@ -255,34 +235,33 @@ def _concluded(
         bound=compiled.sense.settled_bound(value, least_of(bound, value)),
         policy=policy,
         failure=failure,
+        price=named.get(FAILURE_ROW),
         prices=named,
         values=read_only(proof.values),
         calls=pool.calls,
         work=pool.work,
-        note=_note(compiled, stated, opened, found.finished),
+        note=_note(compiled, stated, rows, found.finished),
         program="" if program is None else program.report,
     )
 
 
-def _lottery(compiled: CompiledConstrained, pool: Pool, weights: FloatArray) -> MixedPolicy:
-    """The lottery over the first policies of a pool, without those of no weight."""
-    used = np.flatnonzero(weights > 0.0)
-    members = [compiled.pricing.policy(pool.points[k]) for k in used.tolist()]
-    return MixedPolicy(tuple(members), weights[used])
+def by_name(compiled: CompiledConstrained, rows: Rows, values: FloatArray) -> dict[str, float]:
+    """A value of each limited row, by its name."""
+    names = [compiled.names[index - 1] for index in rows.index.tolist()]
+    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _note(
-    compiled: CompiledConstrained, stated: CompiledConstrained, opened: Opening, finished: bool
+    compiled: CompiledConstrained, stated: CompiledConstrained, rows: Rows, finished: bool
 ) -> str:
     """What a reader should know: bounds that were raised to what is attainable, a cut search."""
     remarks = []
     if compiled.budget is None and stated.budget is not None:
         remarks.append("the failure budget counts as equal to the least failure")
-    rows = opened.rows
-    for index, asked, granted in zip(rows.index, opened.asked, rows.bounds, strict=True):
-        if granted > asked:
+    for place, granted in zip((rows.index - 1).tolist(), rows.bounds, strict=True):
+        if granted > (asked := compiled.bounds[place]):
             remarks.append(
-                f"the bound of {compiled.names[int(index) - 1]!r} lies {granted - asked:.1e} below "
+                f"the bound of {compiled.names[place]!r} lies {granted - asked:.1e} below "
                 "what is attainable and counts as equal to it"
             )
     if not finished:

@@ -9,8 +9,8 @@ import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.constrained_search import Pool, Rows, first_rows
-from ssp_lp.column_generation.pricing.constrained import Checked
+from ssp_lp.column_generation.pool import Pool, Rows
+from ssp_lp.column_generation.pricing.pricing_problem import Proof
 
 _BELOW = 2.5e-10  # relative step below a ratio, where it is strictly best to fail
 
@@ -29,7 +29,7 @@ def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> floa
 
 def proved_bound(
     compiled: CompiledConstrained, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
-) -> tuple[float, Checked]:
+) -> tuple[float, Proof]:
     """A certified lower bound of every lottery within the rows, at prices.
 
     Args:
@@ -39,15 +39,11 @@ def proved_bound(
         ratio: case S: the value that is to be proved.
         pool: policies to begin with.
     """
-    n_rewards, found = compiled.pricing.rewards.shape[1], []
+    found = []
+    every, bounds = np.zeros((2, rows.n_rewards - 1))
+    every[rows.index - 1], bounds[rows.index - 1] = prices, rows.bounds
     for priced in ratios_below(ratio) if compiled.ratio else (0.0,):
-        weights = replace(rows, ratio=priced).weights(prices, 1.0, n_rewards)
-        start = pool.points[int(np.argmin(weights @ pool.figures))]
-        proof = compiled.pricing.prove(weights, start)
-        every = np.zeros(n_rewards - 1)
-        every[rows.index - 1] = prices
-        bounds = np.zeros(n_rewards - 1)
-        bounds[rows.index - 1] = rows.bounds
+        proof = pool.proved(replace(rows, ratio=priced).weights(prices))
         found.append((rows_bound(compiled, every, bounds, priced, proof), proof))
     return max(found, key=lambda pair: pair[0])
 
@@ -62,7 +58,7 @@ def rows_bound(
     prices: FloatArray,
     bounds: FloatArray,
     ratio: float,
-    proof: Checked,
+    proof: Proof,
 ) -> float:
     """What a checked bound of the priced cost says of the objective.
 
@@ -97,10 +93,9 @@ def bound_at(compiled: CompiledConstrained, prices: Mapping[str, float], ratio: 
         prices: multipliers of the rows, >= 0.
         ratio: case S: the value that is to be proved.
     """
-    pricing, pool = compiled.pricing, Pool(compiled.pricing, [compiled.pricing.first()])
+    pool = Pool(compiled.pricing, [compiled.pricing.first()])
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
-    rows = first_rows(pool, 1 + limited, compiled.bounds[limited])
+    rows = replace(pool.rows(1 + limited, compiled.bounds[limited]), ratio=ratio)
     known = np.array([prices.get(compiled.names[k], 0.0) for k in limited.tolist()])
-    weights = replace(rows, ratio=ratio).weights(known, 1.0, pricing.rewards.shape[1])
-    pool.add(pool.priced(weights))
+    pool.add(pool.priced(rows.weights(known)))
     return proved_bound(compiled, rows, known, ratio, pool)[0]

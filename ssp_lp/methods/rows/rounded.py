@@ -13,7 +13,8 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.constrained_search import Pool, Rows
+from ssp_lp.column_generation.pool import Pool, Rows
+from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 
@@ -42,12 +43,12 @@ def true_lottery(
     Returns:
         None where none of them keeps to the rows: the grid is too coarse.
     """
-    from ssp_lp.column_generation.restricted_master import solve_master
-
     pricing, order = compiled.pricing, np.argsort(weights @ pool.figures, kind="stable")
-    best = pool.points[int(order[0])]
-    least = np.where(rows.bounds > 0.0, weights[0] * best.worth(weights) / rows.scales, 0.0)
-    points = [pool.points[k] for k in order[:_MOST].tolist()]
+    best = pool.columns[int(order[0])]
+    least = np.where(
+        rows.bounds > 0.0, weights[0] * float(best.figures @ weights) / rows.scales, 0.0
+    )
+    points = [pool.columns[k] for k in order[:_MOST].tolist()]
     for factor in _STEEPER:  # what breaks a limit by rounding needs a policy on the other side
         steeper = weights.copy()
         steeper[rows.index] += factor * np.maximum(weights[rows.index], least)

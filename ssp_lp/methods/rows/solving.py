@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.rows.optimum import RowsOptimum, optimum_of
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
+from ssp_lp.methods.assembling import assembled
+from ssp_lp.methods.rows.optimum import RowsOptimum, Truth, rows_optimum
 from ssp_lp.options import SolveOptions
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, compiled_constrained
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Run, Solution
 
 
@@ -26,11 +30,6 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
             answer fails its check.
     """
     found = optimum_of(problem, compiled_constrained(problem), options)
-    return _solution(problem, found, options)
-
-
-def _solution(problem: Problem, found: RowsOptimum, options: SolveOptions) -> Solution:
-    """The optimum in the problem's own terms."""
     compiled = found.compiled
     many = int(np.isfinite(compiled.bounds).sum())
     reason = f"column generation with {many} rows, {found.calls} pricing calls"
@@ -38,15 +37,33 @@ def _solution(problem: Problem, found: RowsOptimum, options: SolveOptions) -> So
         reason = f"the full linear program, as asked, then {reason}"
     if compiled.charge is not None:
         reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
-    answer = Found(
-        policy=found.policy,
-        value=found.value,
-        bound=found.bound,
-        failure=found.failure,
-        price=found.prices.get(FAILURE_ROW),
-        values=found.values,
-        prices=found.prices,
-        note=found.note,
-    )
     run = Run(options.method, reason, found.calls, 0.0, found.work, found.program)
-    return assembled(problem, answer, run, compiled.sense)
+    return assembled(problem, found, run, compiled.sense)
+
+
+def optimum_of(problem: Problem, stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
+    """The best lottery within all rows, its value taken from its own evaluation."""
+    return rows_optimum(stated, options, _truth(problem, stated))
+
+
+def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
+    """What policies are worth on the model itself, where the process truncates them."""
+    if stated.charge is None:
+        return None
+
+    def value(policy: MixedPolicy) -> float:
+        """Of a lottery, in what is minimised."""
+        attained = evaluate(policy, problem).objective
+        return attained if stated.sense.constant is None else stated.sense.constant - attained
+
+    def figures(policy: Policy) -> FloatArray:
+        """Cost, failure and rows of one policy."""
+        found = evaluate(policy, problem)
+        failure = found.discounted_failure
+        failure = found.failure_probability if failure is None else failure
+        cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
+        spent = found.secondary_costs
+        taken = [row.activity(spent[row.condition.name]) for row in stated.side]
+        return np.array([cost, failure, *taken])
+
+    return Truth(value, figures)

@@ -29,10 +29,11 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.column_generation import conflict
-from ssp_lp.column_generation.constrained_search import Pace, generate
+from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.linear_programming.highs import solve_with_highs
 from ssp_lp.methods.rows.opening import opening
+from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.compiling import rows_program
@@ -179,13 +180,11 @@ def test_stabilised_prices_end_at_the_same_optimum(in_between):
     limits = {"steps": CostLimit(np.ones(900), 9.0), "fuel": CostLimit(fuel, 24.0)}
     problem = ConstrainedCost(model, 0, limits, failure_budget=0.2)
     instance = compiled_constrained(problem).settled()
-    opened = opening(instance, instance, Pace(1e-9, in_between=in_between))
-    centre = np.zeros(3), opened.unlimited
-    pace = Pace(1e-9, in_between=in_between)
-    found = generate(opened.pool, opened.rows, pace, centre=centre)
+    opened = opening(instance, instance, SolveOptions(1e-9))
+    found = generate(replace(opened, in_between=in_between), SolveOptions(1e-9))
     assert found.finished
-    assert found.master.value == pytest.approx(solve(problem).objective, rel=1e-9)
-    assert found.bound == pytest.approx(found.master.value, rel=1e-9)
+    assert found.objective == pytest.approx(solve(problem).objective, rel=1e-9)
+    assert found.lower_bound == pytest.approx(found.objective, rel=1e-9)
 
 
 def test_many_rows_are_thinned_out(monkeypatch):

@@ -1,0 +1,119 @@
+"""Column generation (Dantzig-Wolfe): one loop, at prices that a rule says.
+
+Deterministic policies are the columns. A rule keeps the best lottery over those that are known,
+and from it says at which prices of the rows the next one is sought; the loop ends when none lies
+below the rule's own valuation. There are two: ``secant`` for the failure row alone, and
+``stabilised_master`` for any rows.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from functools import partial
+from typing import ClassVar, Protocol
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
+from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
+from ssp_lp.options import SolveOptions
+from ssp_lp.policies import MixedPolicy
+
+
+@dataclass(frozen=True, eq=False)
+class Generated:
+    """What the loop ended with: the best lottery over columns, and prices that prove it."""
+
+    columns: tuple[Column, ...]
+    weights: FloatArray  # [columns]
+    prices: FloatArray  # [rows] at which the bound holds
+    objective: float  # of the lottery; in phase 1 by how much it violates the rows
+    lower_bound: float  # of the optimum
+    finished: bool  # false: stopped by the time limit
+    values: FloatArray | None = None  # the checked sub-solution, where the bound is certified
+    excess: FloatArray = field(default_factory=partial(np.zeros, 0))
+    """Phase 1: the violation in units of the rows' scales, [rows]."""
+
+    @property
+    def price(self) -> float:
+        """The price of the only row."""
+        return float(self.prices[0])
+
+    @property
+    def figures(self) -> FloatArray:
+        """Cost, failure and rows of the lottery, [rewards]."""
+        return np.asarray(self.weights @ np.stack([column.figures for column in self.columns]))
+
+    @property
+    def failure(self) -> float:
+        """What the lottery fails with."""
+        return float(self.figures[1])
+
+    @property
+    def ratio(self) -> float:
+        """Cost given success of the lottery; infinite where there is none."""
+        cost, failure = self.figures[:2]
+        return float(cost / (1.0 - failure)) if failure < 1.0 - 1e-12 else float("inf")
+
+    def lottery(self, pricing: PricingProblem) -> MixedPolicy:
+        """The lottery on the model."""
+        return MixedPolicy(tuple(pricing.policy(column) for column in self.columns), self.weights)
+
+
+class PriceRule(Protocol):
+    """Where a search stands, and how it goes on."""
+
+    most_rounds: ClassVar[int]
+
+    @property
+    def calls(self) -> int:
+        """Pricing calls so far."""
+        ...
+
+    def seek(self, tolerance: float, deadline: Deadline) -> Column | None:
+        """The best column at the rule's prices; None where no more is needed.
+
+        Args:
+            tolerance: relative gap to reach.
+            deadline: looked at inside every loop.
+
+        Raises:
+            OutOfTimeError: the deadline passed.
+        """
+        ...
+
+    def told(self) -> tuple[float, float]:
+        """What the last column was sought at: the price of failure, and the objective so far."""
+        ...
+
+    def learn(self, found: Column, tolerance: float) -> bool:
+        """Take in the column that was sought; whether that ends the search."""
+        ...
+
+    def concluded(self, tolerance: float, *, finished: bool) -> Generated:
+        """What has been found."""
+        ...
+
+
+def generate(rule: PriceRule, options: SolveOptions) -> Generated:
+    """Add columns until the rule finds none that is worth having, or time is up.
+
+    Args:
+        rule: where to begin; it moves on.
+        options: tolerance, deadline, and who is told after each pricing call.
+    """
+    begun = rule.calls
+    for _ in range(rule.most_rounds):
+        if rule.calls > begun and time.perf_counter() > options.deadline:
+            break
+        try:
+            found = rule.seek(options.tolerance, Deadline(options.deadline))
+        except OutOfTimeError:
+            break
+        if options.progress is not None and found is not None:
+            options.progress(rule.calls, *rule.told())
+        if found is None or rule.learn(found, options.tolerance):
+            return rule.concluded(options.tolerance, finished=True)
+    return rule.concluded(options.tolerance, finished=False)
