@@ -9,9 +9,11 @@ methods solve it. This module is also where a page of ``formulations`` finds wha
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
 
 from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
@@ -21,13 +23,13 @@ from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFai
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.in_short import in_short
+from ssp_lp.model.within_steps import check_steps, unroll
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
     Problem,
+    as_stated,
     check_numbers,
-    check_penalty,
-    check_setting,
     is_whole,
     stated_budget,
 )
@@ -35,6 +37,8 @@ from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
     GiveUp,
+    check_penalty,
+    check_setting,
     parse_give_up,
     start_distribution,
 )
@@ -130,9 +134,12 @@ class Formulation(_Inherited):
         constraints: name -> constraint on a quantity (``ssp_lp.secondary_cost``, ``visits``,
             ``end_probability``, ...), such as ``{"fuel": secondary_cost(fuel) <= 3.0}``; every
             criterion takes any number of them, beside its failure budget.
+        horizon: not to have reached the goal within so many steps is failure, "out of time"; None:
+            there is time for ever. Policies act on the model's states and count their steps.
     """
 
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
+    horizon: int | None = None
 
     def __init_subclass__(cls) -> None:
         """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""
@@ -162,16 +169,34 @@ class Formulation(_Inherited):
         """Check the start and the constraints.
 
         Raises:
-            ModelError: no model, an unknown state, no distribution, or a constraint that is stated
-                wrongly.
+            ModelError: no model, an unknown state, no distribution, a horizon that is no number of
+                steps, or a constraint that is stated wrongly.
         """
         if not isinstance(self._asked.model, SSP):
             name, given = type(self).__name__, in_short(self._asked.model)
             raise ModelError(f"{name} takes an SSP first, then the start, not {given}")
         start_distribution(self._asked.model, self._asked.start)
+        if self.horizon is not None:
+            check_steps(self.horizon, "horizon")
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition
+
+    @cached_property
+    def unrolled(self) -> Problem:
+        """The problem that is solved: itself, or with a horizon that on (state, steps taken).
+
+        Its model is that of :func:`~ssp_lp.model.within_steps.within_steps`, made when it is first
+        asked for; a goal that is too far away is out of reach in it.
+        """
+        if self.horizon is None:
+            return self._asked
+        start = start_distribution(self._asked.model, self._asked.start)
+        begin = np.flatnonzero(start)
+        model = unroll(self._asked.model, self.horizon, begin.tolist())
+        places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
+        on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
+        return cast("Problem", replace(self, **on_it, **as_stated(self)))
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
@@ -183,12 +208,16 @@ class Formulation(_Inherited):
         """What is minimised in place of the cost, looked up in the model; None: the cost."""
         if self.quantity is None:
             return None
+        if self.horizon is not None:
+            return cast("Formulation", self.unrolled).objective_condition
         model, start = self._asked.model, self._asked.start
         return objective_of(model, start_distribution(model, start), self.quantity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """The constraints, checked, with their costs by outcome."""
+        if self.horizon is not None and (self.constraints or self.own_constraints):
+            return cast("Formulation", self.unrolled).conditions
         model, start = self._asked.model, self._asked.start
         own, stated = self.own_constraints, self.constraints
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
@@ -209,8 +238,11 @@ class Formulation(_Inherited):
         """The augmented process, ready for a method.
 
         Costs given success, and whatever is made of the total cost, need the accumulated cost
-        (paper, section 3.1.1); everything else the failure label (section 3.1.2).
+        (paper, section 3.1.1); everything else the failure label (section 3.1.2). A horizon is
+        unrolled before.
         """
+        if self.horizon is not None:
+            return self.unrolled.compile()
         model, semantics = self._asked.model, self.semantics
         start = start_distribution(model, self._asked.start)
         if semantics.measure is not None:

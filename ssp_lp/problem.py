@@ -5,14 +5,17 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from numbers import Integral, Real
-from typing import Protocol, cast, overload
+from typing import Any, Protocol, cast, overload
 
-from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.in_short import in_short
+from ssp_lp.model.product import check_product
+from ssp_lp.policies.mixed import MixedPolicy, as_lottery
+from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.remembering import on_original, on_product
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
@@ -61,6 +64,12 @@ class Problem(Protocol):
     def compile(self) -> CompiledProblem:
         """The augmented process, ready for a method."""
         ...
+
+
+def unrolled(problem: Problem) -> Problem:
+    """The problem that is solved: itself, or with a horizon that on (state, steps taken)."""
+    found: Problem = getattr(problem, "unrolled", problem)
+    return found
 
 
 def conditions_of(problem: Problem) -> tuple[Condition, ...]:
@@ -162,7 +171,8 @@ class FailureBudget:
         if share is None:
             return stated_budget(problem)
         if "_budget" not in known:
-            known["_budget"] = _Shared(budget_of_share(problem.model, problem.start, share))
+            asked = unrolled(cast("Problem", problem))
+            known["_budget"] = _Shared(budget_of_share(asked.model, asked.start, share))
         found: float = known["_budget"]
         return found
 
@@ -175,6 +185,12 @@ def stated_budget(problem: _WithReachFraction) -> float | None:
     """The budget that a problem was given, whatever its ``reach_fraction`` makes of it."""
     stated: float | None = vars(problem)["_stated_budget"]
     return stated
+
+
+def as_stated(problem: object) -> dict[str, Any]:
+    """The argument ``failure_budget`` as a problem was given it, for a copy; empty if none was."""
+    known = vars(problem)
+    return {"failure_budget": known["_stated_budget"]} if "_stated_budget" in known else {}
 
 
 def budget_of_share(
@@ -209,8 +225,14 @@ def check_problem(problem: object, verb: str) -> None:
         )
 
 
-def check_policy(policy: object, problem: object, verb: str) -> None:
+def on_one_model(
+    policy: Policy | MixedPolicy, problem: Problem, verb: str
+) -> tuple[MixedPolicy, Problem]:
     """Check that a policy and a problem are what they should be, on one model.
+
+    Returns:
+        The policy as a lottery, and the problem that is solved; with a horizon both are on (state,
+        steps taken), wherever the policy acts.
 
     Raises:
         ModelError: a solution, or something else, in place of the policy; no problem; two models.
@@ -223,11 +245,20 @@ def check_policy(policy: object, problem: object, verb: str) -> None:
             f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("
             f"model, {{state: action}}), not {in_short(policy)}"
         )
-    theirs, mine = policy.model, cast("Problem", problem).model
-    if theirs is not mine:
-        of_product = getattr(theirs, "original", None) is mine
+    theirs = policy.model
+    asked = unrolled(problem)
+    if theirs is asked.model:
+        return as_lottery(policy), asked
+    if theirs is not problem.model:
+        of_product = getattr(theirs, "original", None) is problem.model
         told = "; on_original(policy) acts on the original model" if of_product else ""
         raise ModelError(f"the policy was made for another model object{told}")
+    return on_product(policy, check_product(asked.model)), asked
+
+
+def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
+    """A policy of the problem that is solved, acting on the states of the problem as stated."""
+    return policy if policy.model is problem.model else on_original(policy)
 
 
 def check_numbers(**named: object) -> None:
@@ -239,60 +270,3 @@ def check_numbers(**named: object) -> None:
     for name, value in named.items():
         if not isinstance(value, Real):
             raise ModelError(f"{name} must be a number, not {value!r}")
-
-
-def check_penalty(penalty: float) -> None:
-    """Check the price of failing.
-
-    Raises:
-        ModelError: it is not a positive number, or is infinite.
-    """
-    if not isinstance(penalty, Real) or not 0.0 < penalty < float("inf"):
-        raise ModelError(
-            f"penalty must be a positive number, not {penalty!r}; MinCost forbids failing"
-        )
-
-
-def check_setting(
-    failure_budget: float | None, discount: float | None, reach_fraction: float | None = None
-) -> None:
-    """Check budget, discount and share.
-
-    Raises:
-        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1), or
-            least failure together with a discount.
-    """
-    named = {
-        "failure_budget": failure_budget,
-        "discount": discount,
-        "reach_fraction": reach_fraction,
-    }
-    for name, value in named.items():
-        if value is not None and not isinstance(value, Real):
-            raise ModelError(f"{name} must be a number or None, not {value!r}")
-    if reach_fraction is not None and failure_budget is not None:
-        raise ModelError("give failure_budget or reach_fraction, not both: each says the other")
-    if reach_fraction is not None and not 0.0 <= reach_fraction <= 1.0:
-        raise ModelError(
-            f"reach_fraction must lie between 0 and 1, not {reach_fraction!r}"
-            f"{_as_percentage(reach_fraction)}"
-        )
-    if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
-        raise ModelError(
-            f"failure_budget must be a probability or None, not {failure_budget!r}"
-            f"{_as_percentage(failure_budget)}"
-        )
-    if discount is not None and not 0.0 < discount < 1.0:
-        raise ModelError(
-            f"discount must lie strictly between 0 and 1, not {discount!r}; None means exact"
-        )
-    if failure_budget is None and reach_fraction is None and discount is not None:
-        raise ModelError(
-            "failure_budget=None (least failure) is exact only: leave discount out, or give a "
-            "budget for the discounted surrogate"
-        )
-
-
-def _as_percentage(share: float) -> str:
-    """What a number may have meant that is no probability."""
-    return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""

@@ -14,6 +14,7 @@ from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
+from ssp_lp.policies.remembering import on_original
 from ssp_lp.problem import Problem, has_rows
 from ssp_lp.processes.failure_semantics import Aim
 
@@ -156,14 +157,15 @@ class Solution:
         return self.run.seconds
 
     @cached_property
-    def randomised_policy(self) -> StochasticPolicy:
+    def randomised_policy(self) -> StochasticPolicy | MixedPolicy:
         """The stationary randomised policy equivalent to the lottery (paper, section 2.2).
 
         It lives on the augmented states: the model's states in case M, (state, accumulated cost)
         in case S, and spends the same expected time in each. Where totals are rounded to levels,
-        its cost differs from the lottery's by rounding.
+        its cost differs from the lottery's by rounding. With a horizon it carries the time besides.
         """
-        return equivalent_randomised_policy(self.policy, self.problem)
+        found = equivalent_randomised_policy(self.policy, self.problem)
+        return found if found.model is self.problem.model else on_original(found)
 
     def __repr__(self) -> str:
         """One line: what was asked, the objective with its gap, the failure, and the method."""
@@ -187,7 +189,9 @@ class Solution:
         """The criterion, what is asked about failing, and whether it is discounted."""
         discount = self.problem.discount
         setting = "exact" if discount is None else f"discount {discount:g}"
-        return f"{type(self.problem).__name__}, {self._asked}, {setting}"
+        horizon = getattr(self.problem, "horizon", None)
+        within = "" if horizon is None else f", within {horizon:,} steps"
+        return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
     def _rows(self) -> list[tuple[str, str]]:
         """What the summary says, by name."""

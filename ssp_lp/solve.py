@@ -24,7 +24,15 @@ from ssp_lp.options import (
     options_of,
     parse_method,
 )
-from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, rungs_of
+from ssp_lp.problem import (
+    Problem,
+    by_rows,
+    check_problem,
+    has_rows,
+    pulled_back,
+    rungs_of,
+    unrolled,
+)
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution
 
@@ -65,13 +73,15 @@ def solve(
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
     _check_method(problem, chosen)
-    solution = _solved(problem, chosen, options)
+    solution = _solved(unrolled(problem), chosen, options)
     if method is None and "as asked" in solution.run.reason:
         reason = solution.run.reason.replace("as asked", "which scales best for one failure row")
         solution = replace(solution, run=replace(solution.run, reason=reason))
     _check_answer(solution)
     run = replace(solution.run, seconds=time.perf_counter() - began)
-    return replace(solution, run=run, note=_with_gap(solution, tolerance))
+    policy = pulled_back(solution.policy, problem)
+    note = _with_gap(solution, tolerance)
+    return replace(solution, problem=problem, policy=policy, run=run, note=note)
 
 
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:

@@ -19,9 +19,9 @@ from ssp_lp.analysis.total_cost.cost_law import law_of_chains
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.model.terminal_outcomes import end_marks
-from ssp_lp.policies.mixed import MixedPolicy, as_lottery
+from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, check_policy
+from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
     Aim,
     start_distribution,
@@ -83,9 +83,8 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
             problem forbids it.
     """
-    check_policy(policy, problem, "evaluate")
+    lottery, problem = on_one_model(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
-    lottery = as_lottery(policy)
     chains = (policy_chain(problem.model, member, start) for member in lottery.policies)
     measure = problem.semantics.measure
     if measure is None:

@@ -15,6 +15,7 @@ from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
 from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy
+from ssp_lp.problem import Problem, pulled_back
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -47,6 +48,7 @@ class Frontier:
     work: Work  # passes over the process
     _pricing: PricingProblem
     _columns: tuple[Column, ...]
+    _problem: Problem | None = None  # as stated
 
     @property
     def gap(self) -> float:
@@ -147,10 +149,10 @@ class Frontier:
             ModelError: the frontier was not traced down to the budget.
         """
         number, weight = self._locate(budget)
-        if weight == 0.0:
-            return MixedPolicy((self._pricing.policy(self._columns[number]),), np.ones(1))
-        members = tuple(self._pricing.policy(c) for c in self._columns[number : number + 2])
-        return MixedPolicy(members, np.array([1.0 - weight, weight]))
+        weights = np.ones(1) if weight == 0.0 else np.array([1.0 - weight, weight])
+        some = self._columns[number : number + len(weights)]
+        found = MixedPolicy(tuple(self._pricing.policy(column) for column in some), weights)
+        return found if self._problem is None else pulled_back(found, self._problem)
 
     def plot(self, budget: float | None = None, *, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw the frontier: :func:`ssp_lp.plotting.plot_frontier`."""

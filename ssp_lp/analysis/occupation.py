@@ -7,11 +7,11 @@ import numpy as np
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.joint_memory import common_memory
-from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, check_policy
+from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import start_distribution, survival_of
 
 
@@ -32,14 +32,14 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
     """Undiscounted expected visits of each pair, and how likely it is given up in each state.
 
     Returns:
-        [pairs] and [states] of the problem's model, whatever the policy remembers.
+        [pairs] and [states] of the problem's model, whatever the policy remembers and, within a
+        horizon, at all times together.
 
     Raises:
         ModelError: the policy is for another model, or may wander for ever.
     """
-    check_policy(policy, problem, "pair_visits")
-    model, start = problem.model, start_distribution(problem.model, problem.start)
-    lottery = as_lottery(policy)
+    lottery, asked = on_one_model(policy, problem, "pair_visits")
+    model, start = asked.model, start_distribution(asked.model, asked.start)
     pairs, gave_up = np.zeros(model.n_pairs), np.zeros(model.n_states)
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
         chain = policy_chain(model, member, start)
@@ -47,7 +47,12 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
         flow, acts = visits[chain.branch_node] * chain.branch_probability, chain.branch_pair >= 0
         np.add.at(pairs, chain.branch_pair[acts], flow[acts])
         np.add.at(gave_up, chain.state, visits * chain.give_up)
-    return pairs, gave_up
+    if asked is problem or not isinstance(model, ProductSSP):
+        return pairs, gave_up
+    return (
+        np.bincount(model.original_pair, pairs, problem.model.n_pairs),
+        np.bincount(model.original_state, gave_up, problem.model.n_states),
+    )
 
 
 def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:
@@ -64,6 +69,7 @@ def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> Stoch
     Raises:
         ModelError: a member may wander for ever, or is of a class whose memory is not known.
     """
+    policy, problem = on_one_model(policy, problem, "equivalent_randomised_policy")
     model, start = problem.model, start_distribution(problem.model, problem.start)
     survival = survival_of(problem.discount)
     memory = common_memory(policy)

@@ -18,10 +18,11 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.randomness import Randomness, generator_of
-from ssp_lp.problem import Problem, check_policy
+from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import dead_end_charges, start_distribution
 
 World = npt.NDArray[Any]
@@ -77,6 +78,28 @@ class ModelSimulator:
     @cached_property
     def _cumulative(self) -> FloatArray:
         return np.cumsum(self.model.probabilities)
+
+
+@dataclass(frozen=True, eq=False)
+class _Counting:
+    """A world of the original's states as one of (state, steps taken)."""
+
+    inner: Simulator
+    horizon: HorizonSSP
+
+    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[World, IntArray]:
+        """Begin episodes, no step taken."""
+        world, state = self.inner.reset(episodes, rng)
+        return world, self.horizon.positions[state, 0]
+
+    def step(
+        self, world: World, pair: IntArray, rng: np.random.Generator
+    ) -> tuple[World, IntArray, FloatArray]:
+        """Take one step in the world, and count it."""
+        horizon = self.horizon
+        moved, state, cost = self.inner.step(world, horizon.original_pair[pair], rng)
+        _check_states(horizon.original, state)
+        return moved, horizon.stepped(horizon.pair_state[pair], state), cost
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -141,13 +164,15 @@ def simulate(
         raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
     if episodes < 1 or max_steps < 1:
         raise ModelError("episodes and max_steps must be at least 1")
-    check_policy(policy, problem, "simulate")
+    played_by, asked = on_one_model(policy, problem, "simulate")
     world_of = simulator
     if world_of is None:
-        world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
+        world_of = ModelSimulator(asked.model, start_distribution(asked.model, asked.start))
+    elif isinstance(asked.model, HorizonSSP) and asked is not problem:
+        world_of = _Counting(world_of, asked.model)
     source = generator_of(rng)
-    played = _play(policy, problem, world_of, episodes, source, max_steps, record)
-    return _report(problem, played, confidence)
+    played = _play(played_by, asked, world_of, episodes, source, max_steps, record)
+    return _report(asked, played, confidence)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,11 +230,16 @@ def _checked_step(
 ) -> tuple[World, IntArray, FloatArray]:
     """What a simulator handed back, if it can be: states of the model and finite costs >= 0."""
     world, state, cost = step
-    if ((state < 0) | (state >= model.n_states)).any():
-        raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
+    _check_states(model, state)
     if not (np.isfinite(cost) & (np.asarray(cost) >= 0)).all():
         raise ModelError("the simulator returned a cost that is negative or not finite")
     return world, state, cost
+
+
+def _check_states(model: SSP, state: IntArray) -> None:
+    """Raise unless these are states of the model."""
+    if ((state < 0) | (state >= model.n_states)).any():
+        raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
 
 def _charges(problem: Problem, model: SSP, state: IntArray, gave_up: np.ndarray) -> FloatArray:

@@ -22,7 +22,7 @@ from ssp_lp.column_generation.secant import Secant
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.options import SolveOptions
-from ssp_lp.problem import Problem, by_rows, check_problem
+from ssp_lp.problem import Problem, by_rows, check_problem, unrolled
 from ssp_lp.processes.failure_semantics import Aim
 
 _REFINEMENTS = 6
@@ -71,6 +71,7 @@ def _check_traceable(problem: Problem) -> None:
         ModelError: it has not.
     """
     check_problem(problem, "trace_frontier")
+    stated, problem = problem, unrolled(problem)
     if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
     if problem.semantics.measure is not None:
@@ -99,7 +100,7 @@ def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
         if finer is None or time.perf_counter() > limits.deadline:
             break
         compiled = finer
-    return replace(traced, pricing_calls=calls, work=work)
+    return replace(traced, pricing_calls=calls, work=work, _problem=stated)
 
 
 @dataclass(frozen=True)

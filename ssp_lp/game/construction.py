@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ssp_lp.game.models import LabelModels, label_models
 from ssp_lp.game.setting import check_reachable, checked_setting
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 
@@ -16,7 +16,7 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
         ModelError: no discount, or a budget that is not above 0.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
-    discount = checked_setting(problem)[1]
+    discount, problem = checked_setting(problem)[1], unrolled(problem)
     start = start_distribution(problem.model, problem.start)
     if not problem.ratio:
         return label_models(problem.model, start, problem.semantics, discount)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ssp_lp.analysis.goal_probability import max_goal_probability
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 
 
@@ -42,6 +42,7 @@ def check_tolerance(tolerance: float) -> None:
 
 def infeasible(problem: Problem, budget: float, discounted: float) -> InfeasibleError:
     """No policy's discounted failure keeps to the budget; says whether the real one could."""
+    problem = unrolled(problem)
     start = start_distribution(problem.model, problem.start)
     real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
     nearer = "; a discount nearer to 1 is feasible" if real < budget else ""

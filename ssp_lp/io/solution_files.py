@@ -15,7 +15,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.archives.archive import ArrayStore, read_archive, write_archive
 from ssp_lp.io.policy_files import policy_header, policy_in
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, conditions_of
+from ssp_lp.problem import Problem, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import Run, Solution
 
@@ -70,7 +70,7 @@ def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
     """
     archive = read_archive(path, "solution", _VERSION)
     header, arrays = archive
-    policy = policy_in(archive, problem.model, check=True)
+    policy = policy_in(archive, unrolled(problem).model, check=True)
     _check_problem(problem, header["problem"], arrays[header["start"]])
     if not isinstance(policy, MixedPolicy):
         raise ModelError(f"{path} holds no lottery: it is damaged")

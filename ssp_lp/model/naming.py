@@ -51,6 +51,14 @@ class Naming:
         nearest = did_you_mean(state, self.states)
         raise ModelError(f"{state!r} is not a state of the model{nearest}")
 
+    def places_of(self, state: Hashable) -> IntArray:
+        """All states that a label stands for: here one, in a product possibly several.
+
+        Raises:
+            ModelError: no state has the label.
+        """
+        return np.array([self.index_of(state)])
+
     def action_of(self, pair: int) -> Hashable:
         """Label of the action of a pair."""
         return self.action_names[int(self.pair_action[pair])]

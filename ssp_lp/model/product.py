@@ -14,7 +14,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from ssp_lp.arrays import IntArray
+from ssp_lp.arrays import IntArray, concatenated_ranges
 from ssp_lp.errors import ModelError
 from ssp_lp.model.ssp import SSP
 
@@ -100,6 +100,49 @@ class ProductSSP(SSP):
     def memories(self) -> tuple[Hashable, ...]:
         """The memories that occur, in the order in which they do."""
         return tuple(dict.fromkeys(memory for _, memory in self._labels))
+
+    @cached_property
+    def original_pair(self) -> IntArray:
+        """Pair of the original, [pairs]."""
+        first = self.original.pair_offsets[self.original_state] - self.pair_offsets[:-1]
+        return np.asarray(np.arange(self.n_pairs) + first[self.pair_state])
+
+    @cached_property
+    def original_outcome(self) -> IntArray:
+        """Outcome of the original, [outcomes]; its impossible ones are not in the product."""
+        possible = np.flatnonzero(self.original.probabilities > 0.0)
+        first = np.searchsorted(possible, self.original.outcome_offsets[self.original_pair])
+        return np.asarray(possible[concatenated_ranges(first, np.diff(self.outcome_offsets))])
+
+    def places_of(self, state: Hashable) -> IntArray:
+        """The state with this label, or all states of the product for a state of the original.
+
+        Raises:
+            ModelError: neither model has a state with the label.
+        """
+        try:
+            return super().places_of(state)
+        except ModelError:
+            return np.flatnonzero(self.original_state == self.original.index_of(state))
+
+    def index_of(self, state: Hashable) -> int:
+        """Index of the state with the label (state, memory).
+
+        Raises:
+            ModelError: no state has the label.
+        """
+        try:
+            return super().index_of(state)
+        except ModelError as error:
+            raise ModelError(f"{error}{self.words(state)}") from error
+
+    def words(self, state: Hashable) -> str:
+        """A clause for errors about a state of the original; empty for any other."""
+        try:
+            self.original.index_of(state)
+        except ModelError:
+            return ""
+        return f"; its states are (state, memory): start({state!r}) is where it begins"
 
     @property
     def _labels(self) -> Sequence[Label]:

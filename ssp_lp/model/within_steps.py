@@ -18,10 +18,11 @@ from ssp_lp.arrays import (
     segment_ids,
 )
 from ssp_lp.errors import ModelError
+from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import Label, Memory, ProductSSP
 from ssp_lp.model.ssp import SSP
 
-LATE: Final = "late"
+LATE: Final = "out of time"
 """The memory of an episode that has used up its steps, and the label of the states it ends in."""
 
 
@@ -101,7 +102,18 @@ class HorizonSSP(ProductSSP):
             here, count = self.original.index_of(state[0]), self.memory_number[state[1]]
             if self.positions[here, count] >= 0:
                 return int(self.positions[here, count])
-        raise ModelError(f"{state!r} is not a state of the model")
+        raise ModelError(f"{state!r} is not a state of the model{self.words(state)}")
+
+    def stepped(self, states: IntArray, successors: IntArray) -> IntArray:
+        """Where steps lead that end in some states of the original, -1 for nowhere, [episodes].
+
+        Args:
+            states: of this model, in which the steps began, [episodes].
+            successors: of the original, in which they ended, [episodes].
+        """
+        count = self._step_labels.taken[states].astype(np.int64) + 1
+        over = (count == self.steps) & (np.diff(self.original.pair_offsets)[successors] > 0)
+        return np.asarray(self.positions[successors, np.where(over, self.steps + 1, count)])
 
     @property
     def _step_labels(self) -> _StepLabels:
@@ -120,8 +132,9 @@ def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = N
         start: states in which episodes may begin; None: every state of the model.
 
     Returns:
-        The product, with states (state, steps taken). The states in which the steps are used up
-        are dead-ends, (state, "late"), and bear the label "late"; other labels are kept.
+        The product, with states (state, steps taken), and (state, "out of time") where the steps
+        are used up. Dead-ends for lack of time, where more steps are needed than are left, bear
+        the label "out of time"; other labels are kept.
 
     Raises:
         ModelError: ``steps`` is no positive number, an unknown start, or no goal can be reached.
@@ -131,19 +144,33 @@ def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = N
         ...     {"lock": {"try": [(0.5, "open", 1.0), (0.5, "lock", 1.0)]}}, goal={"open"})
         >>> three = within_steps(model, 3, start=["lock"])
         >>> list(three.states)[-2:], three.start("lock")
-        ([('lock', 'late'), ('open', 3)], {('lock', 0): 1.0})
+        ([('lock', 'out of time'), ('open', 3)], {('lock', 0): 1.0})
     """
-    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
-        raise ModelError(f"steps must be a whole number >= 1, not {steps!r}")
-    steps = int(steps)
-    begin = np.ones(model.n_states, dtype=np.bool_)
-    if start is not None:
-        begin[:] = False
-        begin[[model.index_of(state) for state in start]] = True
-    reached = _reached(model, begin, steps)
-    if not reached[:, model.goal_mask].any():
+    check_steps(steps, "steps")
+    begin = None if start is None else [model.index_of(state) for state in start]
+    horizon = unroll(model, steps, begin)
+    if not horizon.goal_mask.any():
         raise ModelError(f"no goal can be reached within {steps} steps from the start")
-    return _unrolled(model, reached)
+    return horizon
+
+
+def check_steps(steps: object, name: str) -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it is a whole number >= 1."""
+    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
+        raise ModelError(f"{name} must be a whole number >= 1, not {steps!r}")
+
+
+def unroll(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
+    """The model of :func:`within_steps`, whether a goal can be reached in it or not.
+
+    Args:
+        model: the model.
+        steps: how many, >= 1.
+        begin: states in which episodes may begin; None: all.
+    """
+    first = np.full(model.n_states, begin is None)
+    first[list(begin or ())] = True
+    return _unrolled(model, _reached(model, first, int(steps)))
 
 
 def _reached(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
@@ -156,6 +183,21 @@ def _reached(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
     for step in range(steps):
         reached[step + 1][target[reached[step][source]]] = True
     return reached
+
+
+def _needed(model: SSP, steps: int) -> IntArray:
+    """Fewest steps to a goal, ``steps + 1`` for more than ``steps``, -1 for none, [states]."""
+    possible = model.probabilities > 0.0
+    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
+    target = model.successors[possible]
+    needed = np.where(dead_ends(model), -1, np.where(model.goal_mask, 0, steps + 1))
+    for step in range(1, steps + 1):
+        nearer = source[needed[target] == step - 1]
+        nearer = nearer[needed[nearer] > step]
+        if nearer.size == 0:
+            break
+        needed[nearer] = step
+    return needed
 
 
 def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
@@ -174,8 +216,8 @@ def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
     layer = np.repeat(np.repeat(step, actions), ends)
     successors = position[layer + 1, model.successors[outcomes]]
 
-    late = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
-    count = np.where(late, steps + 1, step).astype(least_integer_type(steps + 1))
+    over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
+    count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
     table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
     table[state, count] = np.arange(len(state))
     counter = _StepCount(model, steps)
@@ -189,7 +231,7 @@ def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
         probabilities=read_only(model.probabilities[outcomes]),
         costs=read_only(model.costs[outcomes]),
         goal_mask=read_only(model.goal_mask[state]),
-        state_labels=_labels(model, state, late),
+        state_labels=_labels(model, state, _needed(model, steps)[state] > steps - step),
         exact_costs=model.exact_costs,
         original=model,
         memory=Memory(start=0, update=counter.after, fails=_is_late),
@@ -203,7 +245,7 @@ def _offsets(counts: IntArray) -> IntArray:
 
 
 def _labels(model: SSP, state: IntArray, late: BoolArray) -> dict[str, IntArray]:
-    """The labels of the original, and "late", [members] each."""
+    """The labels of the original, and "out of time", [members] each."""
     marked = {LATE: late}
     for name, members in model.state_labels.items():
         among = np.zeros(model.n_states, dtype=np.bool_)

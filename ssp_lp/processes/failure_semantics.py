@@ -5,10 +5,11 @@ from __future__ import annotations
 import enum
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, segment_minima
+from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, segment_minima
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import staying_pairs
@@ -138,3 +139,60 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
     if abs(total - 1.0) > 1e-9:
         raise ModelError(f"start probabilities sum to {total:.12g}, not to 1")
     return distribution / total
+
+
+def check_penalty(penalty: float) -> None:
+    """Check the price of failing.
+
+    Raises:
+        ModelError: it is not a positive number, or is infinite.
+    """
+    if not isinstance(penalty, Real) or not 0.0 < penalty < float("inf"):
+        raise ModelError(
+            f"penalty must be a positive number, not {penalty!r}; MinCost forbids failing"
+        )
+
+
+def check_setting(
+    failure_budget: float | None, discount: float | None, reach_fraction: float | None = None
+) -> None:
+    """Check budget, discount and share.
+
+    Raises:
+        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1), or
+            least failure together with a discount.
+    """
+    named = {
+        "failure_budget": failure_budget,
+        "discount": discount,
+        "reach_fraction": reach_fraction,
+    }
+    for name, value in named.items():
+        if value is not None and not isinstance(value, Real):
+            raise ModelError(f"{name} must be a number or None, not {value!r}")
+    if reach_fraction is not None and failure_budget is not None:
+        raise ModelError("give failure_budget or reach_fraction, not both: each says the other")
+    if reach_fraction is not None and not 0.0 <= reach_fraction <= 1.0:
+        raise ModelError(
+            f"reach_fraction must lie between 0 and 1, not {reach_fraction!r}"
+            f"{_as_percentage(reach_fraction)}"
+        )
+    if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
+        raise ModelError(
+            f"failure_budget must be a probability or None, not {failure_budget!r}"
+            f"{_as_percentage(failure_budget)}"
+        )
+    if discount is not None and not 0.0 < discount < 1.0:
+        raise ModelError(
+            f"discount must lie strictly between 0 and 1, not {discount!r}; None means exact"
+        )
+    if failure_budget is None and reach_fraction is None and discount is not None:
+        raise ModelError(
+            "failure_budget=None (least failure) is exact only: leave discount out, or give a "
+            "budget for the discounted surrogate"
+        )
+
+
+def _as_percentage(share: float) -> str:
+    """What a number may have meant that is no probability."""
+    return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""

@@ -18,7 +18,7 @@ from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
 from ssp_lp.policies.cost_levels import CostLevelPolicy
-from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
+from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of, on_one_model
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.processes.layered.ladder import Rungs
@@ -86,8 +86,9 @@ def certify(solution: Solution) -> Certificate:
     Raises:
         ModelError: the policy or the value function does not fit the problem.
     """
-    problem = solution.problem
-    found = evaluate(solution.policy, problem)
+    policy, problem = on_one_model(solution.policy, solution.problem, "certify")
+    solution = replace(solution, policy=policy, problem=problem)
+    found = evaluate(policy, problem)
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
     measure = problem.semantics.measure
@@ -150,8 +151,7 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     values = np.asarray(values)
     first = solution.policy.policies[0]
     if isinstance(first, CostLevelPolicy):
-        rungs = Rungs(fixed=tuple(first.levels.tolist()))
-        compiled = replace(compiled, rungs=rungs)
+        compiled = replace(compiled, rungs=Rungs(fixed=tuple(first.levels.tolist())))
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget, spent = max(stated.budget or 0.0, least), [failure]

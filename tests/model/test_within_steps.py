@@ -41,7 +41,7 @@ def house() -> SSP:
     return SSP.from_transitions(
         HOUSE,
         goal={"out"},
-        state_labels={"below": ["cellar"], "late": ["ward"]},
+        state_labels={"below": ["cellar"], LATE: ["ward"]},
         treat_actionless_as_dead_ends=True,
     )
 

@@ -6,8 +6,9 @@ the optimum), *relaxed* arrives at no further cost with any success that some po
 (hence a lower bound). Where the two agree the value is exact.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy.sparse import coo_array, hstack, vstack
@@ -51,12 +52,12 @@ def program(
     """Write out the product up to accumulated cost `horizon`, with one of the two tails."""
     gamma = 1.0 if discount is None else discount
     begin = start_distribution(start)
-    ends = {s: _stationary(model, s, discount) for s in model.choices}
+    ends = cache(lambda state: _stationary(model, state, discount))
     columns: list[_Column] = []
     order: list[Node] = [(s, 0) for s in begin if s not in model.goals]
     seen = set(order)
     for node in order:
-        new = list(_columns(model, node, gamma, horizon, ends[node[0]], relaxed))
+        new = list(_columns(model, node, gamma, horizon, ends, relaxed))
         columns += new
         fresh = [n for n in dict.fromkeys(n for c in new for n in c.successors) if n not in seen]
         seen.update(fresh)
@@ -92,7 +93,7 @@ def _columns(
     node: Node,
     gamma: float,
     horizon: int,
-    ends: list[tuple[float, float]],
+    ends: Callable[[State], list[tuple[float, float]]],
     relaxed: bool,
 ) -> Iterator[_Column]:
     """The columns of a node: fail if it can, then its actions or, beyond the horizon, a tail."""
@@ -105,10 +106,10 @@ def _columns(
         for outcomes in model.choices[state].values():
             yield _step(model, node, gamma, outcomes)
     elif relaxed:
-        for success in (ends[0][0], ends[-1][0]):
+        for success in (ends(state)[0][0], ends(state)[-1][0]):
             yield _Column(node, {}, success, spent * success / gamma)
     else:
-        for success, cost in ends:
+        for success, cost in ends(state):
             yield _Column(node, {}, success, spent * success / gamma + cost)
 
 

@@ -17,9 +17,9 @@ from ssp_lp.analysis.total_cost.arrivals import Arrivals
 from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
-from ssp_lp.policies.mixed import MixedPolicy, as_lottery
+from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, check_policy
+from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.layered.arrival_cost import Utility, utilities
 from ssp_lp.processes.layered.lattice import last_layer
@@ -55,9 +55,8 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem) -> CostLaw:
         >>> law.within(0.3), law.quantile(0.95)
         (0.875, 0.5)
     """
-    check_policy(policy, problem, "success_costs")
+    lottery, problem = on_one_model(policy, problem, "success_costs")
     start = start_distribution(problem.model, problem.start)
-    lottery = as_lottery(policy)
     used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
     chains = [policy_chain(problem.model, p, start) for p, _ in used]
     return law_of_chains(chains, np.array([w for _, w in used]))

@@ -125,7 +125,7 @@ def _members(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
             mask[model.state_labels[one]] = True
             continue
         try:
-            mask[model.index_of(one)] = True
+            mask[model.places_of(one)] = True
         except ModelError as error:
             names = chain(model.state_labels, model.states)
             raise ModelError(
@@ -145,14 +145,14 @@ def _final_states(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArra
             mask |= marks == named.index(way)
             continue
         try:
-            state = model.index_of(way)
+            states = model.places_of(way)
         except ModelError as error:
             known = ", ".join(repr(k) for k in named)
             raise ModelError(
                 f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
                 f"{did_you_mean(way, chain(named, model.states))}"
             ) from error
-        if marks[state] < 0:
+        if (marks[states] < 0).all():
             raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")
-        mask[state] = True
+        mask[states[marks[states] >= 0]] = True
     return mask

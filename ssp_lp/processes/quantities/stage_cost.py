@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from numbers import Real
 
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.quantities.quantity import Constraint, NestedCosts, secondary_cost
 
 
@@ -62,7 +63,7 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> F
     if isinstance(cost, Mapping):
         given = np.repeat(_listed(model, name, cost), np.diff(model.outcome_offsets))
     else:
-        given = _spread(model, name, cost)
+        given = _spread(model, name, _array(name, cost))
     costs = read_only(given, np.float64)
     wrong = ~(np.isfinite(costs) & (costs >= 0.0))
     if wrong.any():
@@ -91,39 +92,69 @@ def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
     result = np.zeros(model.n_pairs)
     for state, actions in cost.items():
         try:
-            index = model.index_of(state)
+            places = model.places_of(state)
         except ModelError as error:
             raise ModelError(f"limit {name!r}: {error}") from error
         if not isinstance(actions, Mapping):
             raise ModelError(f"limit {name!r}, state {state!r}: not {{action: cost}}: {actions!r}")
-        begin, end = model.pair_offsets[index : index + 2].tolist()
-        pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
-        for action, value in actions.items():
-            if action not in pair_of:
-                raise ModelError(f"limit {name!r}: {model.no_such_action(index, action)}")
-            if not is_amount(value):
-                raise ModelError(
-                    f"limit {name!r}, action {action!r} of state {state!r}: the cost must be "
-                    f"finite and >= 0, not {value!r}"
-                )
-            result[pair_of[action]] = float(value)
+        acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
+        for place in acting or places[:1].tolist():
+            _list_pairs(model, name, place, actions, result)
     return result
 
 
-def _spread(model: SSP, name: str, cost: npt.ArrayLike) -> FloatArray:
-    """Costs from an array of pairs or of outcomes, [outcomes]."""
+def _list_pairs(
+    model: SSP, name: str, state: int, actions: Mapping[Hashable, float], result: FloatArray
+) -> None:
+    """Write the costs of a state's actions into the costs of all pairs."""
+    begin, end = model.pair_offsets[state : state + 2].tolist()
+    pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
+    for action, value in actions.items():
+        if action not in pair_of:
+            raise ModelError(f"limit {name!r}: {model.no_such_action(state, action)}")
+        if not is_amount(value):
+            raise ModelError(
+                f"limit {name!r}, action {action!r} of state {model.states[state]!r}: the cost "
+                f"must be finite and >= 0, not {value!r}"
+            )
+        result[pair_of[action]] = float(value)
+
+
+def _array(name: str, cost: npt.ArrayLike) -> FloatArray:
+    """Costs as an array of numbers."""
     try:
-        given = _numbers(cost)
+        return _numbers(cost)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
+
+
+def _spread(model: SSP, name: str, given: FloatArray) -> FloatArray:
+    """Costs from an array of pairs or of outcomes, also of a product's original, [outcomes]."""
+    own, theirs = _by_outcome(model, given), None
+    if isinstance(model, ProductSSP):
+        theirs = _by_outcome(model.original, given)
+        theirs = None if theirs is None else theirs[model.original_outcome]
+    if own is not None and theirs is not None and not np.array_equal(own, theirs):
+        raise ModelError(
+            f"limit {name!r}: an array of shape {given.shape} fits both the product and its "
+            "original: give {state: {action: cost}}"
+        )
+    found = theirs if own is None else own
+    if found is None:
+        raise ModelError(
+            f"limit {name!r}: the cost has shape {given.shape}; {model.n_pairs} pairs or "
+            f"{model.n_outcomes} outcomes are needed"
+        )
+    return found
+
+
+def _by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
+    """Costs by pair or by outcome, [outcomes]; None if they are neither."""
     if given.shape == (model.n_outcomes,):
         return given
     if given.shape == (model.n_pairs,):
         return np.repeat(given, np.diff(model.outcome_offsets))
-    raise ModelError(
-        f"limit {name!r}: the cost has shape {given.shape}; {model.n_pairs} pairs or "
-        f"{model.n_outcomes} outcomes are needed"
-    )
+    return None
 
 
 def _numbers(cost: npt.ArrayLike) -> FloatArray:

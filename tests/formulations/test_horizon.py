@@ -1,0 +1,367 @@
+"""A horizon on a criterion: the same as on the model unrolled by hand, acting on the model."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations import (
+    GUBS,
+    MCMP,
+    S3P,
+    AlphaMCMP,
+    ConstrainedCost,
+    CostLimit,
+    FinitePenalty,
+    LeastQuantity,
+    MaxProb,
+    MinCost,
+)
+from random_models import random_choices
+from references import mcmp_program, s3p_program
+from references.chain import PlainModel, plain_model
+from ssp_lp import (
+    SSP,
+    DeterministicPolicy,
+    InfeasibleError,
+    ModelError,
+    certify,
+    cross_check,
+    end_probability,
+    evaluate,
+    expected_cost,
+    on_original,
+    secondary_cost,
+    simulate,
+    solve,
+    success_costs,
+    trace_frontier,
+    visits,
+    within_steps,
+)
+from ssp_lp.analysis.simulation import ModelSimulator
+from ssp_lp.game import stationary_game
+from ssp_lp.io import load_policy, load_solution, save_policy, save_solution
+from ssp_lp.model.within_steps import LATE
+from ssp_lp.problem import unrolled
+
+STEPS = 6
+SEEDS = (0, 1, 3, 4, 5, 8)  # of which the goal can be reached in so many steps
+
+
+def drawn(seed: int) -> tuple[SSP, PlainModel]:
+    """A random ring, and the same unrolled by hand: a dead-end where the steps are used up."""
+    choices = random_choices(np.random.default_rng(seed), 7)
+    by_hand = {
+        (state, t): {
+            action: [(p, (to, t + 1), cost) for p, to, cost in outcomes]
+            for action, outcomes in (actions if t < STEPS else {}).items()
+        }
+        for state, actions in choices.items()
+        for t in range(STEPS + 1)
+    }
+    goals = {("goal", t) for t in range(STEPS + 1)}
+    model = SSP.from_transitions(choices, goal={"goal"}, treat_actionless_as_dead_ends=True)
+    return model, plain_model(by_hand, goals)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("discount", [None, 0.9])
+@pytest.mark.parametrize("give_up", ["attention", "anywhere", "dead_ends"])
+def test_case_m_is_the_program_unrolled_by_hand(
+    seed: int, discount: float | None, give_up: str
+) -> None:
+    model, by_hand = drawn(seed)
+    program = mcmp_program.program(
+        by_hand, ("s0", 0), give_up=give_up, charge_failing_step=True, discount=discount
+    )
+    least = mcmp_program.least_failure(program)
+    budget = least + 0.3 * (1.0 - least)
+    problem = MCMP(model, "s0", budget, discount, give_up, horizon=STEPS)
+    solution = solve(problem)
+    assert solution.objective == pytest.approx(mcmp_program.least_cost(program, budget), abs=1e-8)
+    check_it_holds(solution, model)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("discount", [None, 0.9])
+def test_case_s_is_the_program_unrolled_by_hand(seed: int, discount: float | None) -> None:
+    model, by_hand = drawn(seed)
+    program = s3p_program.program(by_hand, ("s0", 0), 4 * STEPS, discount=discount)
+    best = -s3p_program.least_difference(replace(program, cost=0.0 * program.cost), 1.0)
+    budget = 1.0 - 0.7 * best
+    solution = solve(S3P(model, "s0", budget, discount, horizon=STEPS))
+    assert solution.objective == pytest.approx(s3p_program.least_ratio(program, budget), abs=1e-8)
+    check_it_holds(solution, model)
+
+
+def check_it_holds(solution, model: SSP) -> None:
+    """The policy acts on the model, attains what is said of it, and the proof stands."""
+    assert solution.policy.model is solution.problem.model is model
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.gap < 1e-8
+    found = evaluate(solution.policy, solution.problem)
+    assert found.objective == pytest.approx(solution.objective, abs=1e-9)
+    mixed = evaluate(solution.randomised_policy, solution.problem)
+    assert mixed.objective == pytest.approx(solution.objective, abs=1e-9)
+    assert sum(found.ends.values()) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", SEEDS[:4])
+@pytest.mark.parametrize("horizon", [1, 2, 5, 9])
+def test_the_greatest_probability_is_backward_induction(seed: int, horizon: int) -> None:
+    model, _ = drawn(seed)
+    value = model.goal_mask.astype(np.float64)
+    for _ in range(horizon):
+        ahead = np.add.reduceat(
+            model.probabilities * value[model.successors], model.outcome_offsets[:-1]
+        )
+        best = model.goal_mask.astype(np.float64)
+        np.maximum.at(best, model.pair_state, ahead)
+        value = best
+    at_start = value[model.index_of("s0")]
+    assert solve(MaxProb(model, "s0", horizon=horizon)).objective == pytest.approx(at_start)
+    if at_start < 1.0:
+        with pytest.raises(InfeasibleError) as caught:
+            solve(MCMP(model, "s0", 0.5 * (1.0 - at_start), horizon=horizon))
+        assert caught.value.least_failure == pytest.approx(1.0 - at_start)
+        with pytest.raises(InfeasibleError):
+            solve(MinCost(model, "s0", horizon=horizon))
+
+
+@pytest.mark.parametrize("seed", SEEDS[:3])
+def test_every_criterion_agrees_with_the_model_unrolled_first(seed: int) -> None:
+    model, _ = drawn(seed)
+    start = {"s0": 0.75, "s3": 0.25}
+    unrolled_first = within_steps(model, STEPS, start=start)
+    there = unrolled_first.start(start)
+    for criterion, asked in (
+        (MCMP, {}),
+        (MCMP, {"reach_fraction": 0.9}),
+        (S3P, {}),
+        (S3P, {"reach_fraction": 0.8}),
+        (AlphaMCMP, {"reach_fraction": 0.7}),
+        (FinitePenalty, {"penalty": 20.0}),
+        (GUBS, {"utility": lambda cost: 0.9**cost, "goal_bonus": 0.5}),
+    ):
+        mine = solve(criterion(model, start, **asked, horizon=STEPS))
+        theirs = solve(criterion(unrolled_first, there, **asked))
+        assert mine.objective == pytest.approx(theirs.objective, rel=1e-9)
+        assert mine.failure_probability == pytest.approx(theirs.failure_probability, abs=1e-9)
+        assert certify(mine).accepted
+
+
+HUT = {
+    "camp": {
+        "ridge": [(0.8, "top", 3.0), (0.1, "camp", 1.0), (0.1, "gorge", 1.0)],
+        "path": [(0.5, "top", 7.0), (0.48, "camp", 2.0), (0.02, "gorge", 2.0)],
+        "back": [(1.0, "hut", 2.0)],
+    },
+    "gorge": {},
+    "hut": {},
+}
+
+
+def mountain() -> SSP:
+    return SSP.from_transitions(
+        HUT, goal={"top"}, state_labels={"fall": ["gorge"]}, treat_actionless_as_dead_ends=True
+    )
+
+
+def test_limits_are_stated_in_the_words_of_the_model() -> None:
+    model, steps = mountain(), 4
+    by_pair = np.array([2.0, 1.0, 0.0])
+    by_outcome = np.repeat(by_pair, np.diff(model.outcome_offsets))
+    nested = {"camp": {"ridge": 2.0, "path": 1.0}}
+    limits = {
+        "shelter": end_probability("hut") >= 0.1,
+        "walks": visits("camp") <= 1.3,
+        "late": end_probability(LATE) <= 0.03,
+    }
+    found = []
+    for fuel in (nested, by_pair, by_outcome):
+        rows = {**limits, "fuel": secondary_cost(fuel) <= 1.7}
+        problem = MCMP(model, "camp", 0.5, horizon=steps, constraints=rows)
+        solution = solve(problem)
+        assert certify(solution).accepted
+        found.append((solution.objective, dict(solution.secondary_costs)))
+        spent = solution.secondary_costs
+        assert spent["shelter"] >= 0.1 - 1e-9
+        assert spent["walks"] <= 1.3 + 1e-9
+        assert spent["late"] == pytest.approx(solution.evaluation.ends[LATE], abs=1e-9)
+    assert found[0] == found[1] == found[2]
+
+    unrolled_first = within_steps(model, steps, start=["camp"])
+    every = {("camp", t): nested["camp"] for t in range(steps)}
+    camps = [label for label in unrolled_first.states if label[0] == "camp"]
+    huts = [label for label in unrolled_first.states if label[0] == "hut"]
+    theirs = {
+        "shelter": end_probability(*huts) >= 0.1,
+        "walks": visits(*camps) <= 1.3,
+        "late": limits["late"],
+        "fuel": secondary_cost(every) <= 1.7,
+    }
+    again = solve(MCMP(unrolled_first, ("camp", 0), 0.5, constraints=theirs))
+    assert found[0][0] == pytest.approx(again.objective, abs=1e-9)
+    assert found[0][1] == pytest.approx(dict(again.secondary_costs), abs=1e-9)
+
+
+def test_limits_of_a_criterion_and_its_own_objective() -> None:
+    model = mountain()
+    limit = CostLimit({"camp": {"ridge": 1.0}}, 0.4)
+    limited = solve(ConstrainedCost(model, "camp", {"ridge": limit}, 0.3, horizon=3))
+    assert limited.secondary_costs["ridge"] == pytest.approx(0.4)
+    least = solve(LeastQuantity(model, "camp", expected_cost(), 0.3, horizon=3))
+    plain = solve(MCMP(model, "camp", 0.3, horizon=3))
+    assert least.objective == pytest.approx(plain.objective)
+    assert plain.objective < limited.objective
+
+
+def test_an_array_that_fits_both_models_is_refused() -> None:
+    model = SSP.from_transitions(
+        {"b": {"go": [(0.5, "goal", 1.0), (0.5, "b", 1.0)]}, "a": {"go": [(1.0, "b", 1.0)]}},
+        goal={"goal"},
+    )
+    cost = secondary_cost([1.0, 5.0]) <= 9.0  # of b, a; on (state, time) of (a, 0), (b, 1)
+    with pytest.raises(ModelError, match="fits both the product and its original"):
+        MCMP(model, "a", 0.6, horizon=2, constraints={"cost": cost})
+
+
+def test_a_product_understands_the_words_of_its_original() -> None:
+    unrolled_first = within_steps(mountain(), 3, start=["camp"])
+    short = {"walks": visits("camp") <= 1.2, "fuel": secondary_cost({"camp": {"ridge": 1}}) <= 9}
+    solution = solve(MCMP(unrolled_first, ("camp", 0), 0.5, constraints=short))
+    assert solution.secondary_costs["walks"] <= 1.2 + 1e-9
+    with pytest.raises(ModelError, match=r"neither a state nor a label.*did you mean"):
+        MCMP(unrolled_first, ("camp", 0), 0.5, constraints={"walks": visits("fal") <= 1.0})
+    with pytest.raises(ModelError, match=r"its states are \(state, memory\): start\('camp'\)"):
+        MCMP(unrolled_first, "camp", 0.5)
+
+
+def test_playing_and_simulating_know_what_time_it_is() -> None:
+    model = mountain()
+    problem = MCMP(model, "camp", 0.2, horizon=2)
+    solution = solve(problem)
+    report = simulate(solution.policy, problem, episodes=4_000, rng=7)
+    assert report.goal_probability.low <= 0.8 <= report.goal_probability.high
+    assert report.ends[LATE] > 0
+    assert report.ends["unfinished"] == 0
+    world = ModelSimulator(model, np.eye(model.n_states)[model.index_of("camp")])
+    outside = simulate(solution.policy, problem, episodes=4_000, rng=7, simulator=world)
+    assert outside.ends == report.ends
+
+    ignorant = DeterministicPolicy.from_actions(model, {"camp": "path"})
+    found = evaluate(ignorant, problem)
+    assert found.ends[LATE] == pytest.approx(0.48**2)
+    assert found.goal_probability == pytest.approx(0.5 * 1.48)
+    assert success_costs(ignorant, problem).within(7.0) == pytest.approx(0.5)
+    late = simulate(ignorant, problem, episodes=4_000, rng=7).ends[LATE]
+    assert abs(late / 4_000 - 0.48**2) < 4 * np.sqrt(0.48**2 * (1 - 0.48**2) / 4_000)
+
+    episode = solution.policy.start(3)
+    for _ in range(2):
+        assert episode.action("camp") in ("ridge", "path")
+        episode.observe("camp", 1.0)
+    with pytest.raises(ModelError, match="does not occur"):
+        solution.policy.start(3).action("gorge")
+
+
+def test_the_summary_says_that_time_ran_out() -> None:
+    told = solve(MCMP(mountain(), "camp", 0.2, horizon=2)).summary()
+    assert told.startswith("MCMP, failure budget 0.2, within 2 steps, exact")
+    assert "out of time " in told
+    assert "horizon=2" in repr(MCMP(mountain(), "camp", 0.2, horizon=2))
+
+
+def test_too_few_steps_left_is_out_of_time_wherever_it_is_found_out() -> None:
+    """From b two steps are needed: an episode there with one left ends, and says why."""
+    model = SSP.from_transitions(
+        {
+            "a": {"go": [(0.5, "c", 1.0), (0.5, "b", 1.0)]},
+            "b": {"go": [(1.0, "c", 1.0)]},
+            "c": {"go": [(0.9, "goal", 1.0), (0.1, "pit", 1.0)]},
+            "pit": {"stay": [(1.0, "pit", 1.0)]},
+        },
+        goal={"goal"},
+    )
+    solution = solve(MCMP(model, "a", horizon=2))
+    ends = solution.evaluation.ends
+    assert ends[LATE] == pytest.approx(0.5)
+    assert ends["dead_end"] == pytest.approx(0.05)
+    assert solve(MCMP(model, "a", 1.0, horizon=1)).evaluation.ends[LATE] == 1.0  # at the start
+
+
+def test_a_goal_that_is_too_far_is_out_of_reach() -> None:
+    walk = SSP.from_transitions(
+        {"a": {"go": [(1.0, "b", 1.0)]}, "b": {"go": [(1.0, "goal", 1.0)]}}, goal={"goal"}
+    )
+    assert solve(MaxProb(walk, "a", horizon=1)).objective == 0.0
+    for criterion in (MCMP, S3P):
+        assert solve(criterion(walk, "a", 0.0, horizon=2)).objective == pytest.approx(2.0)
+        with pytest.raises(InfeasibleError) as caught:
+            solve(criterion(walk, "a", 0.5, horizon=1))
+        assert caught.value.least_failure == 1.0
+
+
+def test_the_game_and_the_program_know_the_horizon() -> None:
+    problem = MCMP(mountain(), "camp", 0.3, 0.95, horizon=3)
+    check = cross_check(problem)
+    assert check.agrees
+    assert sum(method.answered for method in check.methods) == 3
+    solution = solve(problem)
+    assert stationary_game(problem).objective == pytest.approx(solution.objective, rel=1e-6)
+    program = problem.program()
+    assert str(program).startswith("MCMP, failure budget 0.3, discount 0.95, within 3 steps")
+    measure = program.solve(backend="highs")
+    assert measure.objective == pytest.approx(solution.objective, rel=1e-8)
+    for policy in (measure.mixed_policy(), on_original(measure.mixed_policy())):
+        assert evaluate(policy, problem).objective == pytest.approx(solution.objective, rel=1e-8)
+
+
+def test_a_frontier_within_the_horizon() -> None:
+    problem = MCMP(mountain(), "camp", 0.3, horizon=3)
+    frontier = trace_frontier(problem)
+    assert frontier.objective_at(0.3) == pytest.approx(solve(problem).objective)
+    policy = frontier.policy_at(0.3)
+    assert policy.model is problem.model
+    assert evaluate(policy, problem).failure_probability == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_what_is_saved_is_what_was_found(tmp_path, criterion: type[MCMP] | type[S3P]) -> None:
+    problem = criterion(mountain(), "camp", 0.2, horizon=5)
+    solution = solve(problem)
+    save_solution(solution, tmp_path / "solution.npz")
+    again = criterion(mountain(), "camp", 0.2, horizon=5)
+    known = load_solution(tmp_path / "solution.npz", again)
+    assert known.policy.model is again.model
+    assert certify(known) == certify(solution)
+    with pytest.raises(ModelError, match="made for HorizonSSP"):
+        load_solution(tmp_path / "solution.npz", criterion(mountain(), "camp", 0.2, horizon=4))
+    with pytest.raises(ModelError, match="made for HorizonSSP"):
+        load_solution(tmp_path / "solution.npz", criterion(mountain(), "camp", 0.2))
+    save_policy(solution.policy, tmp_path / "policy.npz")
+    for beside in (unrolled(again).model, within_steps(again.model, 5, start=["camp"])):
+        policy = load_policy(tmp_path / "policy.npz", beside)
+        assert policy.model.states == again.model.states
+
+
+def test_copies_and_what_cannot_be() -> None:
+    model = mountain()
+    problem = MCMP(model, "camp", horizon=2, reach_fraction=0.9)
+    assert solve(replace(problem, horizon=None)).failure_probability == pytest.approx(
+        1.0 - 0.9 * solve(MaxProb(model, "camp")).objective
+    )
+    longer = replace(problem, horizon=5)
+    assert longer.failure_budget < problem.failure_budget
+    assert replace(longer, horizon=2).failure_budget == problem.failure_budget
+    for wrong in (0, -3, 2.0, True, "many", np.nan):
+        with pytest.raises(ModelError, match="horizon must be a whole number >= 1"):
+            MCMP(model, "camp", 0.1, horizon=wrong)
+    other = solve(MCMP(within_steps(model, 2), ("camp", 0), 0.2)).policy
+    with pytest.raises(ModelError, match="another model object; on_original"):
+        evaluate(other, MCMP(model, "camp", 0.2, horizon=2))
+    assert evaluate(on_original(other), MCMP(model, "camp", 0.2, horizon=2)).ends[LATE] > 0.0
