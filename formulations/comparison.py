@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -19,8 +20,13 @@ from formulations.mcmp import MCMP
 from formulations.min_cost import MinCost
 from formulations.minprob import MinProb
 from formulations.s3p import S3P
-from ssp_lp import SSP, InfeasibleError, Solution, solve
+from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
 from ssp_lp.formulation import CostLimit, Problem
+from ssp_lp.model.html_table import html_table
+from ssp_lp.model.nearest import did_you_mean
+
+_HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
+_LOG = logging.getLogger("ssp_lp.comparing")
 
 
 @dataclass(frozen=True)
@@ -65,7 +71,8 @@ class CriteriaComparison:
         for row in self.rows:
             if row.criterion == criterion:
                 return row
-        raise KeyError(criterion)
+        nearest = did_you_mean(criterion, [row.criterion for row in self.rows])
+        raise KeyError(f"{criterion!r} is no row{nearest}")
 
     def __repr__(self) -> str:
         """One line: how many criteria there are; :meth:`summary` is the table."""
@@ -77,12 +84,21 @@ class CriteriaComparison:
         """The table."""
         return self.summary()
 
+    def _repr_html_(self) -> str:
+        """The table, for notebooks."""
+        notes = [[row.criterion, row.note] for row in self.rows if row.note]
+        return html_table("Criteria", [*self._cells(), *notes], _HEAD)
+
+    def _cells(self) -> list[list[str]]:
+        """Each row's name and numbers."""
+        return [
+            [row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)]
+            for row in self.rows
+        ]
+
     def summary(self) -> str:
         """The rows as an aligned table; what has no number says why."""
-        head = ["criterion", "objective", "cost", "given success", "failure", "price"]
-        table = [head]
-        for row in self.rows:
-            table.append([row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)])
+        table = [_HEAD, *self._cells()]
         widths = [max(map(len, column)) for column in zip(*table, strict=True)]
         lines = [
             "  ".join([cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])])
@@ -103,6 +119,7 @@ def compare_criteria(
     levels: Sequence[float] = (),
     exponential_utilities: Sequence[tuple[float, float]] = (),
     limits: Mapping[str, CostLimit] | None = None,
+    verbose: bool = False,
 ) -> CriteriaComparison:
     """Solve a model under every criterion and put the answers side by side.
 
@@ -116,6 +133,7 @@ def compare_criteria(
         levels: levels of ``CostQuantile`` and ``CVaR``, at least failure and within each budget.
         exponential_utilities: (risk factor, goal bonus) of ``EGUBS``.
         limits: of ``ConstrainedCost``, at least failure and within each budget.
+        verbose: show how far it has come (``ssp_lp.progress_shown``).
 
     Returns:
         One row per criterion. One that no policy meets stays as a row with the reason.
@@ -152,7 +170,12 @@ def compare_criteria(
     for factor, bonus in exponential_utilities:
         name = f"EGUBS, risk factor {factor:g}, goal bonus {bonus:g}"
         asked.append((name, EGUBS(model, start, factor, bonus)))
-    return CriteriaComparison(tuple(_row(name, problem) for name, problem in asked))
+    rows = []
+    with progress_shown(verbose):
+        for number, (name, question) in enumerate(asked, 1):
+            _LOG.info("%d of %d: %s", number, len(asked), name)
+            rows.append(_row(name, question))
+    return CriteriaComparison(tuple(rows))
 
 
 def _questions(

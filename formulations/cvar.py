@@ -11,6 +11,7 @@ from ssp_lp.formulation import (
     ModelError,
     Start,
     TailMeanOf,
+    as_percentage,
     check_numbers,
     check_setting,
 )
@@ -80,7 +81,8 @@ class CVaR(Formulation):
         check_setting(self.failure_budget, None)
         check_numbers(level=self.level)
         if not 0.0 <= self.level < 1.0:
-            raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}")
+            hint = as_percentage(self.level)
+            raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}{hint}")
         super().__post_init__()
 
     @property

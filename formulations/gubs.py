@@ -88,6 +88,8 @@ class GUBS(Formulation):
             raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
         if not isfinite(limit):
             raise ModelError(f"utility_at_infinity must be a finite number, not {limit!r}")
+        if not callable(self.utility):
+            raise ModelError(f"utility must be a function of the cost, not {self.utility!r}")
         super().__post_init__()
 
     @property

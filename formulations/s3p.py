@@ -11,6 +11,7 @@ from ssp_lp.formulation import (
     Formulation,
     ModelError,
     Start,
+    check_numbers,
     check_setting,
     is_whole,
     stated_budget,
@@ -85,6 +86,8 @@ class S3P(Formulation):
 
     def __post_init__(self) -> None:
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
+        if self.cost_cap is not None:
+            check_numbers(cost_cap=self.cost_cap)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
         levels = self.cost_levels

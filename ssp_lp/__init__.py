@@ -13,7 +13,13 @@ from ssp_lp.errors import (
     SSPError,
 )
 from ssp_lp.model import SSP
-from ssp_lp.options import ColumnGeneration, DeterministicPolicies, Game, LinearProgramming
+from ssp_lp.options import (
+    ColumnGeneration,
+    DeterministicPolicies,
+    Game,
+    LinearProgramming,
+    progress_shown,
+)
 from ssp_lp.policies import (
     GIVE_UP,
     CostAwarePolicy,
@@ -106,6 +112,7 @@ __all__ = [
     "goal_probability",
     "on_original",
     "product",
+    "progress_shown",
     "secondary_cost",
     "simulate",
     "solve",

@@ -8,10 +8,11 @@ methods solve it. This module is also where a page of ``formulations`` finds wha
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
@@ -37,6 +38,7 @@ from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
     GiveUp,
+    as_percentage,
     check_penalty,
     check_setting,
     parse_give_up,
@@ -89,6 +91,7 @@ __all__ = [
     "TailMeanOf",
     "Utility",
     "WithinBound",
+    "as_percentage",
     "attention_labels",
     "check_numbers",
     "check_penalty",
@@ -109,6 +112,9 @@ __all__ = [
 Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
+
+_BUILDING = logging.getLogger("ssp_lp.building")
+_COMPILING = logging.getLogger("ssp_lp.compiling")
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
@@ -140,6 +146,17 @@ class Formulation(_Inherited):
 
     constraints: Mapping[str, Constraint] = field(default_factory=dict)
     horizon: int | None = None
+
+    def __new__(cls, *arguments: Any, **named: Any) -> Self:
+        """Check what comes first before anything else is missed.
+
+        Raises:
+            ModelError: it is no model.
+        """
+        if arguments and not isinstance(arguments[0], SSP):
+            given = in_short(arguments[0])
+            raise ModelError(f"{cls.__name__} takes an SSP first, then the start, not {given}")
+        return super().__new__(cls)
 
     def __init_subclass__(cls) -> None:
         """Every criterion keeps the repr that it inherits, which ``dataclass`` would replace."""
@@ -173,8 +190,7 @@ class Formulation(_Inherited):
                 steps, or a constraint that is stated wrongly.
         """
         if not isinstance(self._asked.model, SSP):
-            name, given = type(self).__name__, in_short(self._asked.model)
-            raise ModelError(f"{name} takes an SSP first, then the start, not {given}")
+            raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
         start_distribution(self._asked.model, self._asked.start)
         if self.horizon is not None:
             check_steps(self.horizon, "horizon")
@@ -194,6 +210,7 @@ class Formulation(_Inherited):
         start = start_distribution(self._asked.model, self._asked.start)
         begin = np.flatnonzero(start)
         model = unroll(self._asked.model, self.horizon, begin.tolist())
+        _BUILDING.info("%r", model)
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
         return cast("Problem", replace(self, **on_it, **as_stated(self)))
@@ -245,6 +262,7 @@ class Formulation(_Inherited):
             return self.unrolled.compile()
         model, semantics = self._asked.model, self.semantics
         start = start_distribution(model, self._asked.start)
+        _COMPILING.info("%r", self)
         if semantics.measure is not None:
             return CompiledArrivalCost(model, start, semantics.measure.charge, self.ratio)
         if self.ratio:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from numbers import Real
-from typing import ClassVar
+from typing import ClassVar, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.errors import ModelError
@@ -15,6 +19,13 @@ BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cv
 
 Progress = Callable[[int, float, float], None]
 """Called after each pricing call with (calls, failure price, objective)."""
+
+LOGGER = "ssp_lp"
+"""All that is told of work goes to this logger's children, one for each phase: "ssp_lp.building",
+"ssp_lp.search", ...; what is done at level INFO, how far it has come at DEBUG."""
+
+_BETWEEN = 0.1  # seconds between two tellings of how far work has come
+_WIDTH = 100  # characters of a line
 
 
 @dataclass(frozen=True)
@@ -143,11 +154,99 @@ def options_of(
     Raises:
         ModelError: a tolerance outside (0, 1), or a time limit that is no number of seconds.
     """
-    if not 0.0 < tolerance < 1.0:
+    if not (isinstance(tolerance, Real) and 0.0 < tolerance < 1.0):
         raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
-    if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0.0):
-        raise ModelError(f"time_limit must be a number of seconds or None, not {time_limit!r}")
-    deadline = float("inf") if time_limit is None else began + float(time_limit)
+    if progress is not None and not callable(progress):
+        raise ModelError(f"progress must be a function or None, not {progress!r}; verbose=True "
+                         "shows how far work has come")  # fmt: skip
+    deadline = deadline_of(time_limit, began)
     asked = method.relaxation if isinstance(method, DeterministicPolicies) else method
     program = asked if isinstance(asked, LinearProgramming) else None
-    return SolveOptions(tolerance, deadline, progress, program)
+    return SolveOptions(tolerance, deadline, _logged(progress), program)
+
+
+def deadline_of(time_limit: float | None, began: float) -> float:
+    """When a time limit ends, on the clock of ``time.perf_counter``.
+
+    Raises:
+        ModelError: a limit that is no number of seconds.
+    """
+    if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0.0):
+        raise ModelError(f"time_limit must be a number of seconds or None, not {time_limit!r}")
+    return float("inf") if time_limit is None else began + float(time_limit)
+
+
+def _logged(progress: Progress | None) -> Progress:
+    """The function itself, after the logger has been told the same."""
+    log = logging.getLogger(f"{LOGGER}.search")
+
+    def told(calls: int, price: float, objective: float) -> None:
+        log.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
+        if progress is not None:
+            progress(calls, price, objective)
+
+    return told
+
+
+@contextmanager
+def progress_shown(asked: bool = True) -> Iterator[None]:
+    """Show what the library is doing, on the standard error: each phase as it is done.
+
+    In a terminal or a notebook a line at the bottom says besides how far the work has come. Without
+    it nothing is shown; ``logging`` has the same under the name "ssp_lp".
+
+    Args:
+        asked: False: show nothing.
+
+    Example:
+        >>> with progress_shown():
+        ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
+    """
+    if not asked:
+        yield
+        return
+    logger, shown = logging.getLogger(LOGGER), _Lines(sys.stderr)
+    level, passed_on = logger.level, logger.propagate
+    logger.addHandler(shown)
+    logger.setLevel(logging.DEBUG)
+    logger.propagate = False  # or whoever listens to all loggers would be told as well
+    try:
+        yield
+    finally:
+        logger.removeHandler(shown)
+        logger.setLevel(level)
+        logger.propagate = passed_on
+        shown.close()
+
+
+class _Lines(logging.Handler):
+    """Lines of what is done; below them, where it can be overwritten, what is under way."""
+
+    def __init__(self, stream: TextIO) -> None:
+        """Begin to count the seconds."""
+        super().__init__()
+        self._stream, self._began = stream, time.perf_counter()
+        self._overwrites = stream.isatty() or "ipykernel" in sys.modules
+        self._told, self._under_way = 0.0, False
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write one line, over that of what was under way."""
+        now, done = time.perf_counter(), record.levelno > logging.DEBUG
+        if not done and not (self._overwrites and now - self._told >= _BETWEEN):
+            return
+        phase = record.name.rpartition(".")[2]
+        line = f"{now - self._began:8.1f} s  {phase:<10}  {record.getMessage()}"
+        self._clear()
+        self._stream.write(f"{line}\n" if done else line[:_WIDTH])
+        self._stream.flush()
+        self._told, self._under_way = (self._told, False) if done else (now, True)
+
+    def close(self) -> None:
+        """Leave no line of what was under way."""
+        self._clear()
+        super().close()
+
+    def _clear(self) -> None:
+        if self._under_way:
+            self._stream.write(f"\r{' ' * _WIDTH}\r")
+            self._under_way = False

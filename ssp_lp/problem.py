@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from numbers import Integral, Real
-from typing import Any, Protocol, cast, overload
+from typing import Any, Protocol, TypeGuard, cast, overload
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
@@ -66,6 +67,10 @@ class Problem(Protocol):
         ...
 
 
+NEEDED = cast("Problem", None)
+"""Stands where a problem was left out, so that what is said of it is the library's word."""
+
+
 def unrolled(problem: Problem) -> Problem:
     """The problem that is solved: itself, or with a horizon that on (state, steps taken)."""
     found: Problem = getattr(problem, "unrolled", problem)
@@ -114,6 +119,7 @@ def by_rows(problem: Problem) -> bool:
 
 def compiled_constrained(problem: Problem) -> CompiledConstrained:
     """The process of a problem with constraints, and its rows."""
+    logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     measure, objective = problem.semantics.measure, objective_of(problem)
     charge = TOTAL_COST if problem.ratio else None
     return CompiledConstrained(
@@ -207,7 +213,7 @@ def budget_of_share(
     return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
 
 
-def is_whole(value: object) -> bool:
+def is_whole(value: object) -> TypeGuard[int]:
     """Whether a value is a whole number, Python's or numpy's, and no truth value."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
@@ -237,9 +243,9 @@ def on_one_model(
     Raises:
         ModelError: a solution, or something else, in place of the policy; no problem; two models.
     """
-    check_problem(problem, verb)
     if hasattr(policy, "policy") and hasattr(policy, "problem"):
-        raise ModelError(f"{verb} takes a policy: pass solution.policy")
+        raise ModelError(f"{verb} takes a policy: pass solution.policy and its problem")
+    check_problem(problem, verb)
     if not hasattr(policy, "model") or hasattr(policy, "semantics"):
         raise ModelError(
             f"{verb} takes a policy, such as solution.policy or DeterministicPolicy.from_actions("

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
@@ -12,10 +12,13 @@ from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.errors import ModelError
 from ssp_lp.model.html_table import html_table
+from ssp_lp.model.in_short import in_short
+from ssp_lp.model.nearest import ByName
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.remembering import on_original
-from ssp_lp.problem import Problem, has_rows
+from ssp_lp.problem import Problem, has_rows, on_one_model
 from ssp_lp.processes.failure_semantics import Aim
 
 
@@ -60,6 +63,9 @@ class Solution:
     note: str = ""
     upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "prices", ByName(self.prices))
 
     @cached_property
     def evaluation(self) -> Evaluation:
@@ -238,6 +244,18 @@ class Solution:
         if semantics.penalty > 0.0:
             return "no failure" if semantics.forbids_failing else f"penalty {semantics.penalty:g}"
         return limit
+
+
+def as_solved(solution: Solution, verb: str) -> Solution:
+    """The solution of the problem that is solved: with a horizon that on (state, steps taken).
+
+    Raises:
+        ModelError: it is no solution; ``verb`` is what was to be done with it.
+    """
+    if not isinstance(solution, Solution):
+        raise ModelError(f"{verb} takes a solution, such as solve(problem): {in_short(solution)}")
+    policy, problem = on_one_model(solution.policy, solution.problem, verb)
+    return replace(solution, policy=policy, problem=problem)
 
 
 CUT_SHORT = "stopped by the time limit; the gap is honest"

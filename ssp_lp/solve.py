@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from dataclasses import replace
 
@@ -23,6 +24,7 @@ from ssp_lp.options import (
     SolveOptions,
     options_of,
     parse_method,
+    progress_shown,
 )
 from ssp_lp.problem import (
     Problem,
@@ -37,6 +39,7 @@ from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities
+_SEARCH, _PROOF = logging.getLogger("ssp_lp.search"), logging.getLogger("ssp_lp.proof")
 
 
 def solve(
@@ -46,6 +49,7 @@ def solve(
     tolerance: float = RELATIVE_GAP,
     time_limit: float | None = None,
     progress: Progress | None = None,
+    verbose: bool = False,
 ) -> Solution:
     """Solve a problem to a certified relative gap.
 
@@ -58,6 +62,7 @@ def solve(
         time_limit: seconds after which the best policy so far is returned with its honest gap;
             with constraints, if any that keeps to them has been found.
         progress: called after each pricing call with (calls, failure price, objective).
+        verbose: show each phase and how far it has come (``progress_shown``).
 
     Returns:
         The solution; its numbers are recomputed from the model. Of what is to be large the
@@ -73,15 +78,31 @@ def solve(
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
     _check_method(problem, chosen)
-    solution = _solved(unrolled(problem), chosen, options)
+    with progress_shown(verbose):
+        return _as_stated(problem, _proved(unrolled(problem), chosen, options), method, began)
+
+
+def _proved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
+    """The answer, checked; its note says where the tolerance is missed."""
+    solution = _solved(problem, method, options)
+    _check_answer(solution)
+    found = solution.run.method, solution.run.pricing_calls, solution.objective
+    _SEARCH.info("%s: %d pricing calls, objective %.9g", *found)
+    bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
+    _PROOF.info("bound %.9g, relative gap %.1e", bound, solution.gap)
+    return replace(solution, note=_with_gap(solution, options.tolerance))
+
+
+def _as_stated(
+    problem: Problem, solution: Solution, method: Method | str | None, began: float
+) -> Solution:
+    """The answer to the problem as it was stated, with what was asked of the method."""
     if method is None and "as asked" in solution.run.reason:
         reason = solution.run.reason.replace("as asked", "which scales best for one failure row")
         solution = replace(solution, run=replace(solution.run, reason=reason))
-    _check_answer(solution)
     run = replace(solution.run, seconds=time.perf_counter() - began)
     policy = pulled_back(solution.policy, problem)
-    note = _with_gap(solution, tolerance)
-    return replace(solution, problem=problem, policy=policy, run=run, note=note)
+    return replace(solution, problem=problem, policy=policy, run=run)
 
 
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:

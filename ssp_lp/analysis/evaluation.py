@@ -18,10 +18,11 @@ from ssp_lp.analysis.quantity_values import (
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.model.nearest import ByName
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, on_one_model
+from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
     Aim,
     start_distribution,
@@ -46,6 +47,10 @@ class Evaluation:
         default_factory=dict
     )  # each constrained quantity, by name; as ``objective``
 
+    def __post_init__(self) -> None:
+        for name in ("ends", "secondary_costs"):
+            object.__setattr__(self, name, ByName(getattr(self, name)))
+
     def __repr__(self) -> str:
         """One line: the objective, how episodes end, and the costs."""
         failing = failing_in_words(self.ends)
@@ -63,7 +68,7 @@ class Evaluation:
         return f"Evaluation({', '.join(parts)})"
 
 
-def evaluate(policy: Policy | MixedPolicy, problem: Problem) -> Evaluation:
+def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluation:
     """Evaluate a policy exactly, with the stopping time taken from its own chain.
 
     The paper's tau (section 2.4) is the first time at which the goal cannot be reached any more

@@ -16,6 +16,7 @@ from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_mod
 from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, pulled_back
+from ssp_lp.processes.failure_semantics import check_setting
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -212,6 +213,7 @@ class Frontier:
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """The turning point at or before the budget, and the weight of the next one."""
+        check_setting(budget, None)
         least = float(self.failure[0])
         if not self.complete and not budget >= least:
             raise ModelError(

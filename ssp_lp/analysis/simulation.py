@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,13 +19,17 @@ from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.nearest import ByName
 from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.model.within_steps import HorizonSSP
+from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.randomness import Randomness, generator_of
-from ssp_lp.problem import Problem, on_one_model
-from ssp_lp.processes.failure_semantics import dead_end_charges, start_distribution
+from ssp_lp.problem import Problem, is_whole, on_one_model
+from ssp_lp.processes.failure_semantics import as_percentage, dead_end_charges, start_distribution
+
+_LOG = logging.getLogger("ssp_lp.simulation")
 
 World = npt.NDArray[Any]
 
@@ -141,6 +147,7 @@ def simulate(
     simulator: Simulator | None = None,
     record: int = 0,
     confidence: float = 0.95,
+    verbose: bool = False,
 ) -> SimulationReport:
     """Play episodes and count how they end.
 
@@ -156,14 +163,12 @@ def simulate(
         simulator: another world than the model, such as a continuous one.
         record: keep the paths of this many first episodes.
         confidence: of the intervals.
+        verbose: show how far it has come (``ssp_lp.progress_shown``).
 
     Raises:
         ModelError: wrong arguments, or a state in which the policy has no decision.
     """
-    if not 0.0 < confidence < 1.0:
-        raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
-    if episodes < 1 or max_steps < 1:
-        raise ModelError("episodes and max_steps must be at least 1")
+    _check_asked(episodes, max_steps, record, confidence)
     played_by, asked = on_one_model(policy, problem, "simulate")
     world_of = simulator
     if world_of is None:
@@ -171,8 +176,22 @@ def simulate(
     elif isinstance(asked.model, HorizonSSP) and asked is not problem:
         world_of = _Counting(world_of, asked.model)
     source = generator_of(rng)
-    played = _play(played_by, asked, world_of, episodes, source, max_steps, record)
-    return _report(asked, played, confidence)
+    with progress_shown(verbose):
+        played = _play(played_by, asked, world_of, episodes, source, max_steps, record)
+        report = _report(asked, played, confidence)
+        _LOG.info("%r", report)
+    return report
+
+
+def _check_asked(episodes: int, max_steps: int, record: int, confidence: float) -> None:
+    """Raise :class:`ModelError` for numbers that are none, or out of range."""
+    if not (isinstance(confidence, Real) and 0.0 < confidence < 1.0):
+        raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}"
+                         f"{as_percentage(confidence)}")  # fmt: skip
+    least = {"episodes": (episodes, 1), "max_steps": (max_steps, 1), "record": (record, 0)}
+    for name, (number, lowest) in least.items():
+        if not is_whole(number) or number < lowest:
+            raise ModelError(f"{name} must be a whole number >= {lowest}, not {number!r}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -204,10 +223,11 @@ def _play(
     cost, steps = np.zeros(episodes), np.zeros(episodes, dtype=np.int64)
     gave_up = np.zeros(episodes, dtype=np.bool_)
     trace = [world[:record].copy()]
-    for _ in range(max_steps):
+    for step in range(max_steps):
         alive = np.flatnonzero((marks[state] < 0) & ~gave_up)
         if alive.size == 0:
             break
+        _LOG.debug("step %d, %d of %d episodes are over", step, episodes - alive.size, episodes)
         pair = players.decide(alive, state[alive])
         gave_up[alive[pair == GIVE_UP_CODE]] = True
         alive, pair = alive[pair != GIVE_UP_CODE], pair[pair != GIVE_UP_CODE]
@@ -258,7 +278,7 @@ def _report(problem: Problem, played: _Played, confidence: float) -> SimulationR
     reached = played.mark == 0
     return SimulationReport(
         episodes=len(played.mark),
-        ends=ends,
+        ends=ByName(ends),
         goal_probability=proportion_estimate(int(reached.sum()), len(played.mark), confidence),
         conditional_cost=mean_estimate(played.cost[reached], confidence),
         expected_cost=mean_estimate(played.cost + played.charge, confidence),

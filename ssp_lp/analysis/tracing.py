@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
+from numbers import Real
 
 import numpy as np
 
@@ -21,11 +23,12 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProb
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.options import SolveOptions
-from ssp_lp.problem import Problem, by_rows, check_problem, unrolled
+from ssp_lp.options import SolveOptions, deadline_of, progress_shown
+from ssp_lp.problem import Problem, by_rows, check_problem, is_whole, unrolled
 from ssp_lp.processes.failure_semantics import Aim
 
 _REFINEMENTS = 6
+_LOG = logging.getLogger("ssp_lp.frontier")
 
 
 def trace_frontier(
@@ -36,6 +39,7 @@ def trace_frontier(
     point_limit: int | None = None,
     time_limit: float | None = None,
     progress: Callable[[int, int], None] | None = None,
+    verbose: bool = False,
 ) -> Frontier:
     """Trace the frontier from the least failure to where more failure buys nothing.
 
@@ -53,31 +57,36 @@ def trace_frontier(
         time_limit: seconds after which splitting stops; segments that wait are still priced once,
             so that ``gap`` is honest.
         progress: called after each pricing call with (calls, turning points so far).
+        verbose: show how far it has come (``ssp_lp.progress_shown``).
 
     Raises:
         ModelError: an argument out of range, or a problem without a failure budget.
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
-    _check_traceable(problem)
-    deadline = np.inf if time_limit is None else time.perf_counter() + time_limit
+    asked = _traceable(problem)
+    deadline = deadline_of(time_limit, time.perf_counter())
     limits = _Limits(gap, steepest_price, point_limit, deadline, progress)
-    return _traced_and_refined(_first_compiled(problem, steepest_price), limits)
+    with progress_shown(verbose):
+        traced = _traced_and_refined(_first_compiled(asked, steepest_price), limits)
+        _LOG.info("%d turning points, gap %.1e", len(traced.failure), traced.gap)
+    return replace(traced, _problem=problem)
 
 
-def _check_traceable(problem: Problem) -> None:
-    """Check that a problem has one failure budget and a mean of costs.
+def _traceable(problem: Problem) -> Problem:
+    """The problem that is solved, which has one failure budget and a mean of costs.
 
     Raises:
         ModelError: it has not.
     """
     check_problem(problem, "trace_frontier")
-    stated, problem = problem, unrolled(problem)
+    problem = unrolled(problem)
     if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
     if problem.semantics.measure is not None:
         raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
     if by_rows(problem):
         raise ModelError(f"{type(problem).__name__} has several rows: trace MCMP's frontier")
+    return problem
 
 
 def _first_compiled(problem: Problem, steepest_price: float | None) -> CompiledProblem:
@@ -114,12 +123,12 @@ class _Limits:
     progress: Callable[[int, int], None] | None
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.gap < 1.0:
+        if not (isinstance(self.gap, Real) and 0.0 < self.gap < 1.0):
             raise ModelError(f"gap must lie strictly between 0 and 1, not {self.gap!r}")
-        if self.point_limit is not None and self.point_limit < 2:
-            raise ModelError(f"point_limit must be at least 2, not {self.point_limit!r}")
-        steepest = self.steepest_price
-        if steepest is not None and not 0.0 < steepest < np.inf:
+        most, steepest = self.point_limit, self.steepest_price
+        if most is not None and not (is_whole(most) and most >= 2):
+            raise ModelError(f"point_limit must be at least 2, not {most!r}")
+        if steepest is not None and not (isinstance(steepest, Real) and 0.0 < steepest < np.inf):
             raise ModelError(f"steepest_price must be a positive number, not {steepest!r}")
 
     @property
@@ -207,6 +216,7 @@ class _Waiting:
         if below > self._limits.gap:
             urgency = -below if self._limits.may_stop else -float(self.calls)
             heappush(self.found, (urgency, self.calls, (inside, found, outside)))
+        _LOG.debug("%d pricing calls, %d turning points", self.calls, points)
         if self._limits.progress is not None:
             self._limits.progress(self.calls, points)
 

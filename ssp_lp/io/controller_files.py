@@ -37,10 +37,10 @@ def write_controller(policy: Policy | MixedPolicy, path: str | PathLike[str]) ->
         ModelError: the policy is of another class, or a label is no str, int, float, bool, None or
             tuple of them, or an action is called "give up".
     """
-    model = policy.model
+    lottery = as_lottery(policy)
+    model = lottery.model
     if GIVE_UP_WORD in model.action_names:
         raise ModelError(f"an action is called {GIVE_UP_WORD!r}, which says that a policy gives up")
-    lottery = as_lottery(policy)
     told = {
         "format": "ssp-lp controller",
         "version": _VERSION,

@@ -45,8 +45,8 @@ def write_dot(
             is of a class whose memory is not known.
     """
     lottery = as_lottery(policy)
-    first = start_distribution(policy.model, start)
-    chains = [policy_chain(policy.model, member, first) for member in lottery.policies]
+    first = start_distribution(lottery.model, start)
+    chains = [policy_chain(lottery.model, member, first) for member in lottery.policies]
     count = sum(chain.n_nodes for chain in chains)
     if count > most_nodes:
         raise ModelError(f"the policy's chain has {count:,} nodes, most_nodes is {most_nodes:,}")

@@ -22,6 +22,7 @@ from ssp_lp.arrays import read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
+from ssp_lp.model.ssp import check_model
 
 _FORMAT, _VERSION = "ssp-lp model", 1
 _ARRAYS = {
@@ -66,6 +67,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     Raises:
         ModelError: a state or an action is called by something else.
     """
+    check_model(model, "save_model")
     uniform = model.costs.strides == (0,) and model.costs.size > 0
     members = list(model.state_labels.values())
     texts = {

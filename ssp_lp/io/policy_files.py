@@ -10,6 +10,7 @@ from ssp_lp.io.archives.archive import Archive, ArrayStore, read_archive, write_
 from ssp_lp.io.archives.policy_records import AnyPolicy, PolicyRecords, carries_a_memory, made_of
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
+from ssp_lp.model.ssp import check_model
 
 _VERSION = 1
 
@@ -46,6 +47,7 @@ def load_policy(path: str | PathLike[str], model: SSP, *, check: bool = True) ->
     Raises:
         ModelError: the file is none of a policy, or the model is another one.
     """
+    check_model(model, "load_policy")
     return policy_in(read_archive(path, "policy", _VERSION), model, check=check)
 
 

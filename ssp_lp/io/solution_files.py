@@ -17,7 +17,7 @@ from ssp_lp.io.policy_files import policy_header, policy_in
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
-from ssp_lp.solution import Run, Solution
+from ssp_lp.solution import Run, Solution, as_solved
 
 _VERSION = 1
 
@@ -46,6 +46,7 @@ def save_solution(solution: Solution, path: str | PathLike[str]) -> None:
     Raises:
         ModelError: its policy is of a class that cannot be saved.
     """
+    as_solved(solution, "save_solution")
     store, values = ArrayStore(), solution.value_function
     header = policy_header(solution.policy, store)
     header["problem"] = _words_of(solution.problem)

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from bisect import bisect_right
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple, cast
 
 from ssp_lp.errors import ModelError
+from ssp_lp.model.in_short import in_short
 from ssp_lp.model.nearest import did_you_mean
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 
 _PROGRESS_EVERY = 10_000
+_EXPLORING = logging.getLogger("ssp_lp.exploring")
 
 
 class FlatModel(NamedTuple):
@@ -37,6 +40,11 @@ def flatten_transitions(
     Raises:
         ModelError: an outcome is no triple, or its successor is neither a key nor a goal.
     """
+    if not isinstance(transitions, Mapping):
+        raise ModelError(
+            "a model is told as {state: {action: [(probability, successor, cost), ...]}}, not as "
+            f"{in_short(transitions)}"
+        )
     goals = list(dict.fromkeys(no_lone_string(goal, "goal")))
     states = list(transitions) + [g for g in goals if g not in transitions]
     found, goal_set = _Found(list(states)), set(goals)
@@ -71,8 +79,11 @@ def flatten_successors(
                 f"more than state_limit={state_limit:,} states are reachable; raise the limit or "
                 f"bound the model (the last state expanded was {state!r})"
             )
-        if progress is not None and done % _PROGRESS_EVERY == 0:
-            progress(len(found.states))
+        if done % _PROGRESS_EVERY == 0:
+            _EXPLORING.debug("%d states found, %d expanded", len(found.states), done)
+            if progress is not None:
+                progress(len(found.states))
+    _EXPLORING.info("%d states found", len(found.states))
     if progress is not None:
         progress(len(found.states))
     return found.flat()
@@ -160,6 +171,8 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     """The states themselves; a lone string, whose letters they would be, is an error."""
     if isinstance(states, str):
         raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
+    if not isinstance(states, Iterable):
+        raise ModelError(f"{name} must be a set of states, not {in_short(states)}")
     return states
 
 

@@ -1,4 +1,4 @@
-"""A small table for notebooks."""
+"""Small tables and plain text for notebooks."""
 
 from __future__ import annotations
 
@@ -13,6 +13,11 @@ def html_table(title: str, rows: Iterable[Sequence[str]], head: Sequence[str] = 
         lines.append(_row(head, "th"))
     lines += [_row(row, "td") for row in rows]
     return "\n".join(["<table>", *lines, "</table>"])
+
+
+def html_text(text: str) -> str:
+    """Text in columns as it stands, escaped."""
+    return f'<pre style="line-height: 1.2">{escape(text)}</pre>'
 
 
 def _row(cells: Sequence[str], tag: str) -> str:

@@ -5,6 +5,20 @@ from __future__ import annotations
 from collections.abc import Hashable, Iterable
 from difflib import get_close_matches
 from itertools import islice
+from typing import TypeVar
+
+_Value = TypeVar("_Value")
+
+
+class ByName(dict[str, _Value]):
+    """Values by name, whose KeyError says which name was probably meant."""
+
+    def __missing__(self, name: object) -> _Value:
+        """Raise :class:`KeyError`."""
+        names = ", ".join(map(repr, self)) or "none"
+        nearest = did_you_mean(name, self) or f"; there are {names}"
+        raise KeyError(f"{name!r} is no name here{nearest}")
+
 
 _LOOKED_AT = 20_000
 """Names that are compared: beyond them a slip of the pen costs more time than it is worth."""

@@ -16,7 +16,8 @@ import numpy as np
 
 from ssp_lp.arrays import IntArray, concatenated_ranges
 from ssp_lp.errors import ModelError
-from ssp_lp.model.ssp import SSP
+from ssp_lp.model.builders import no_lone_string
+from ssp_lp.model.ssp import SSP, check_model
 
 MEMORY_FAILS = "memory fails"
 """Label of states where the memory fails."""
@@ -185,8 +186,11 @@ def product(
         ModelError: the limit was passed (a memory that grows without end), or the memory's
             functions do not return what they should.
     """
+    check_model(model, "product")
+    if not isinstance(memory, Memory):
+        raise ModelError(f"product takes a Memory after the model, not {memory!r}")
     task = _Task(model, memory)
-    begin = model.states if start is None else start
+    begin = model.states if start is None else no_lone_string(start, "start")
     plain = SSP.from_successors(
         [(state, memory.start) for state in begin],
         task.successors,

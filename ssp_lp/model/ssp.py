@@ -28,6 +28,7 @@ from ssp_lp.model.checks import (
     unit_sums,
 )
 from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
+from ssp_lp.model.in_short import in_short
 from ssp_lp.model.labels import action_table, check_state_names, goal_mask_of, indexed_labels
 from ssp_lp.model.naming import Naming
 
@@ -267,3 +268,14 @@ class SSP(Naming):
     def kept_facts(self) -> dict[str, Any]:
         """What was found out about the model's graph, by name (``ssp_lp.model.graph.kept``)."""
         return {}
+
+
+def check_model(model: object, verb: str) -> None:
+    """Check that what should be a model is one.
+
+    Raises:
+        ModelError: a problem or something else; ``verb`` is what was to be done with it.
+    """
+    if not isinstance(model, SSP):
+        told = "; it has one: .model" if isinstance(getattr(model, "model", None), SSP) else ""
+        raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{told}")

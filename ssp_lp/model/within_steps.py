@@ -18,9 +18,10 @@ from ssp_lp.arrays import (
     segment_ids,
 )
 from ssp_lp.errors import ModelError
+from ssp_lp.model.builders import no_lone_string
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import Label, Memory, ProductSSP
-from ssp_lp.model.ssp import SSP
+from ssp_lp.model.ssp import SSP, check_model
 
 LATE: Final = "out of time"
 """The memory of an episode that has used up its steps, and the label of the states it ends in."""
@@ -146,8 +147,11 @@ def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = N
         >>> list(three.states)[-2:], three.start("lock")
         ([('lock', 'out of time'), ('open', 3)], {('lock', 0): 1.0})
     """
+    check_model(model, "within_steps")
     check_steps(steps, "steps")
-    begin = None if start is None else [model.index_of(state) for state in start]
+    begin = None
+    if start is not None:
+        begin = [model.index_of(state) for state in no_lone_string(start, "start")]
     horizon = unroll(model, steps, begin)
     if not horizon.goal_mask.any():
         raise ModelError(f"no goal can be reached within {steps} steps from the start")

@@ -11,6 +11,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.ssp import check_model
 from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Branches, Policy
 
@@ -36,6 +37,7 @@ class DeterministicPolicy(Policy, Playable):
         Raises:
             ModelError: unknown state, or an action that the state does not have.
         """
+        check_model(model, "from_actions")
         decision = np.full(model.n_states, UNDECIDED, dtype=np.int64)
         for state, action in actions.items():
             s = model.index_of(state)

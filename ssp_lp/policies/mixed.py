@@ -10,7 +10,7 @@ from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.playing import Playable
-from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.policy import Policy, check_policies
 
 _LISTED = 3  # members that a repr names
 
@@ -29,6 +29,7 @@ class MixedPolicy(Playable):
     def __post_init__(self) -> None:
         object.__setattr__(self, "policies", tuple(self.policies))
         object.__setattr__(self, "weights", read_only(self.weights, np.float64))
+        check_policies(self.policies)
         if not self.policies or len(self.policies) != len(self.weights):
             raise ModelError("a mixed policy needs one weight for each of its policies")
         if not ((self.weights >= 0).all() and abs(float(self.weights.sum()) - 1.0) <= 1e-9):
@@ -63,5 +64,9 @@ class MixedPolicy(Playable):
 
 
 def as_lottery(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """The policy as a lottery, of one member if it is none."""
+    """The policy as a lottery, of one member if it is none.
+
+    Raises:
+        ModelError: it is no policy.
+    """
     return policy if isinstance(policy, MixedPolicy) else MixedPolicy((policy,), np.ones(1))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.in_short import in_short
 
 
 class Decision(enum.Enum):
@@ -85,3 +87,11 @@ class Policy(ABC):
             state = self.model.states[int(states[int(np.argmax(pairs == UNDECIDED))])]
             raise ModelError(f"the policy has no decision in state {state!r}")
         return pairs
+
+
+def check_policies(policies: Iterable[object]) -> None:
+    """Raise :class:`ModelError` unless all of these are policies; a solution has one."""
+    for one in policies:
+        if not isinstance(one, Policy):
+            told = "; pass solution.policy" if hasattr(one, "policy") else ""
+            raise ModelError(f"a policy is needed, not {in_short(one)}{told}")

@@ -10,6 +10,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, read_only, segment_sums
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.ssp import check_model
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Branches, Policy
@@ -47,6 +48,7 @@ class StochasticPolicy(Policy, Playable):
         Raises:
             ModelError: unknown state or action, or probabilities that do not sum to one.
         """
+        check_model(model, "from_actions")
         rows = sorted((model.index_of(state), table) for state, table in actions.items())
         pairs = [
             GIVE_UP_CODE if a is GIVE_UP else find_pair(model, s, a) for s, t in rows for a in t

@@ -10,7 +10,7 @@ from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.playing import Playable
-from ssp_lp.policies.policy import Branches, Policy
+from ssp_lp.policies.policy import Branches, Policy, check_policies
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -30,6 +30,7 @@ class TimedPolicy(Policy, Playable):
         object.__setattr__(self, "stages", tuple(self.stages))
         if not self.stages:
             raise ModelError("a timed policy needs at least one stage")
+        check_policies(self.stages)
         if any(p.model is not self.stages[0].model for p in self.stages):
             raise ModelError("the stages of a timed policy must act on one model")
 

@@ -127,11 +127,13 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
     Raises:
         ModelError: unknown state, negative probability, or a sum that is not one.
     """
-    if isinstance(start, (list, set)):
+    if isinstance(start, (list, set, np.ndarray)):
         raise ModelError(f"start must be a state or {{state: probability}}, not {start!r}")
     weights = start if isinstance(start, Mapping) else {start: 1.0}
     distribution = np.zeros(model.n_states)
     for state, probability in weights.items():
+        if not isinstance(probability, Real):
+            raise ModelError(f"start probability of state {state!r} is no number: {probability!r}")
         if not 0.0 <= float(probability) <= 1.0 + 1e-12:
             raise ModelError(f"start probability of state {state!r} is {probability!r}")
         distribution[model.index_of(state)] += float(probability)
@@ -168,19 +170,19 @@ def check_setting(
         "reach_fraction": reach_fraction,
     }
     for name, value in named.items():
-        if value is not None and not isinstance(value, Real):
+        if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
             raise ModelError(f"{name} must be a number or None, not {value!r}")
     if reach_fraction is not None and failure_budget is not None:
         raise ModelError("give failure_budget or reach_fraction, not both: each says the other")
     if reach_fraction is not None and not 0.0 <= reach_fraction <= 1.0:
         raise ModelError(
             f"reach_fraction must lie between 0 and 1, not {reach_fraction!r}"
-            f"{_as_percentage(reach_fraction)}"
+            f"{as_percentage(reach_fraction)}"
         )
     if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
         raise ModelError(
             f"failure_budget must be a probability or None, not {failure_budget!r}"
-            f"{_as_percentage(failure_budget)}"
+            f"{as_percentage(failure_budget)}"
         )
     if discount is not None and not 0.0 < discount < 1.0:
         raise ModelError(
@@ -193,6 +195,6 @@ def check_setting(
         )
 
 
-def _as_percentage(share: float) -> str:
+def as_percentage(share: float) -> str:
     """What a number may have meant that is no probability."""
     return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""

@@ -23,6 +23,7 @@ from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.answer import LPAnswer
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.linear_programming.solving import cold_attempts, run
+from ssp_lp.model.html_table import html_text
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -272,6 +273,10 @@ class OccupationProgram:
 
         names = [f"x{k}.{self.label(k)}" for k in range(self.process.n_pairs)]
         write_program(self.linear, Path(path), names + ["t"] * self.ratio)
+
+    def _repr_html_(self) -> str:
+        """The same, for notebooks."""
+        return html_text(repr(self))
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""

@@ -18,11 +18,11 @@ from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
 from ssp_lp.policies.cost_levels import CostLevelPolicy
-from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of, on_one_model
+from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.processes.layered.ladder import Rungs
-from ssp_lp.solution import Solution
+from ssp_lp.solution import Solution, as_solved
 
 _BUDGET_ROUNDING = 1e-12
 _ENOUGH = 1e-290  # a bound below it is 0
@@ -86,9 +86,9 @@ def certify(solution: Solution) -> Certificate:
     Raises:
         ModelError: the policy or the value function does not fit the problem.
     """
-    policy, problem = on_one_model(solution.policy, solution.problem, "certify")
-    solution = replace(solution, policy=policy, problem=problem)
-    found = evaluate(policy, problem)
+    solution = as_solved(solution, "certify")
+    problem = solution.problem
+    found = evaluate(solution.policy, problem)
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
     measure = problem.semantics.measure

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from ssp_lp.errors import ModelError
+from ssp_lp.model.html_table import html_text
 from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.verification.comparison import Comparison
 from ssp_lp.verification.method_result import METHODS, Member, MethodResult, result_by
@@ -52,6 +53,10 @@ class CrossCheck:
     def __str__(self) -> str:
         """The table."""
         return self.summary()
+
+    def _repr_html_(self) -> str:
+        """The table, for notebooks."""
+        return html_text(self.summary())
 
     def summary(self) -> str:
         """The methods as a table, their policies, the remarks, and one line with the verdict."""

@@ -19,8 +19,8 @@ from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, on_one_model
-from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.problem import NEEDED, Problem, on_one_model
+from ssp_lp.processes.failure_semantics import as_percentage, start_distribution
 from ssp_lp.processes.layered.arrival_cost import Utility, utilities
 from ssp_lp.processes.layered.lattice import last_layer
 from ssp_lp.processes.layered.measures_of_law import TailMeanOf
@@ -30,7 +30,7 @@ _NOTHING = 1e-17  # of a sum: less than its rounding
 _UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
 
 
-def success_costs(policy: Policy | MixedPolicy, problem: Problem) -> CostLaw:
+def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
     """The law of the total cost of a policy on the runs that reach the goal.
 
     Costs and probabilities are undiscounted, whatever the problem's discount. The law of a lottery
@@ -290,4 +290,4 @@ def _gain(utility: Utility, at_infinity: float) -> Utility:
 
 def _check_level(level: float) -> None:
     if not 0.0 <= level < 1.0:
-        raise ModelError(f"level must lie in [0, 1), not {level!r}")
+        raise ModelError(f"level must lie in [0, 1), not {level!r}{as_percentage(level)}")

@@ -158,6 +158,7 @@ def visits(*states: Hashable) -> Quantity:
     Args:
         states: states, or labels of states.
     """
+    _check_names("visits", states)
     return Quantity(((1.0, Visits(states)),))
 
 
@@ -168,6 +169,7 @@ def end_probability(*ways: Hashable) -> Quantity:
         ways: "goal", a label of dead-ends, "dead_end" (one without a label), as in the ``ends`` of
             reports; or a state at which episodes end.
     """
+    _check_names("end_probability", ways)
     return Quantity(((1.0, Ends(ways)),))
 
 
@@ -179,6 +181,12 @@ def goal_probability() -> Quantity:
 def failure_probability() -> Quantity:
     """The probability of never reaching the goal."""
     return Quantity(((1.0, Ends(("goal",), others=True)),))
+
+
+def _check_names(verb: str, names: tuple[object, ...]) -> None:
+    for name in names:
+        if not isinstance(name, Hashable):
+            raise ModelError(f"{verb} takes names one by one, {verb}('a', 'b'), not {name!r}")
 
 
 def _number(value: object) -> float:
