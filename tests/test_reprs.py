@@ -225,12 +225,18 @@ class Tags(HTMLParser):
 
 
 def test_notebooks_show_escaped_tables(solution: Solution) -> None:
-    for shown in (solution, MODEL, trace_frontier(PROBLEM)):
+    limited = MCMP(MODEL, "s", 0.3, constraints={"<i> & co": visits("pit") <= 0.5})
+    compared = compare_criteria(MODEL, "s", penalties=())
+    program, check = limited.program(), cross_check(PROBLEM)
+    for shown in (solution, MODEL, trace_frontier(PROBLEM), compared, program, check):
         tags = Tags()
         tags.feed(shown._repr_html_())
         assert tags.open == []
-        assert tags.seen <= {"table", "caption", "tr", "th", "td"}
+        assert tags.seen <= {"table", "caption", "tr", "th", "td", "pre"}
     assert "crash &lt;b&gt;" in solution._repr_html_()
+    assert "&lt;i&gt; &amp; co" in program._repr_html_()
+    assert "MinCost" in compared._repr_html_()
+    assert "columns" in check._repr_html_()
 
 
 def test_a_policy_that_gives_up_is_described() -> None:

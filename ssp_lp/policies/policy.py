@@ -49,6 +49,11 @@ class Policy(ABC):
     monotone: bool = True
     is_stationary: ClassVar[bool] = False  # whether there is no memory at all
 
+    @property
+    def step_limit(self) -> int | None:
+        """The steps within which it was made to reach the goal; None: it knows of none."""
+        return None
+
     @abstractmethod
     def start_memory(self, states: IntArray) -> IntArray:
         """Memory at the start of episodes that begin in these states, [episodes]."""

@@ -11,6 +11,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP, check_product
+from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy
@@ -38,6 +39,12 @@ class RememberingPolicy(Policy, Playable):
     def model(self) -> SSP:  # type: ignore[override]
         """The original model."""
         return self.product.original
+
+    @property
+    def step_limit(self) -> int | None:
+        """The fewest of the products that it was made for."""
+        own = self.product.steps if isinstance(self.product, HorizonSSP) else None
+        return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
 
     def member(self, rng: np.random.Generator | None) -> Policy:
         """The policy itself."""

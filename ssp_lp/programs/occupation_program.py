@@ -293,12 +293,8 @@ class OccupationProgram:
             f"  subject to  balance: outflow(x) - inflow(x) = start   ({process.n_states:,} rows)",
         ]
         width = max((len(row.name) for row in self.rows), default=0)
-        for row in self.rows:
-            lines.append(
-                f"              {row.name + ':':<{width + 1}} <{row.words}, x> <= {row.bound:g}"
-            )
-        lines.append(
-            f"              x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} "
-            "entries)"
-        )
+        named = ((f"{row.name}:".ljust(width + 1), row) for row in self.rows)
+        told = [f"{name} <{row.words}, x> <= {row.bound:g}" for name, row in named]
+        sizes = f"{process.n_pairs:,} columns, {self.linear.matrix.nnz:,} entries"
+        lines += [14 * " " + line for line in (*told, f"x >= 0   ({sizes})")]
         return "\n".join(lines)

@@ -16,8 +16,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.environments.gym_environments import EnvironmentSSP, step_limit_of
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP
-from ssp_lp.model.within_steps import HorizonSSP
-from ssp_lp.policies.mixed import MixedPolicy
+from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
 from ssp_lp.policies.remembering import on_original
 
@@ -108,16 +107,14 @@ def rollout(
 
 def _on_environment(policy: Policy | MixedPolicy) -> tuple[MixedPolicy, int | None]:
     """The policy on the environment's states, and the fewest steps that it was made for."""
-    horizons = []
-    while isinstance(policy.model, ProductSSP):
-        if isinstance(policy.model, HorizonSSP):
-            horizons.append(policy.model.steps)
-        policy = on_original(policy)
-    if not isinstance(policy.model, EnvironmentSSP):
+    lottery = as_lottery(policy)
+    while isinstance(lottery.model, ProductSSP):
+        lottery = on_original(lottery)
+    if not isinstance(lottery.model, EnvironmentSSP):
         raise ModelError("the policy's model is of no environment: make it by from_gymnasium(env)")
-    if not isinstance(policy, MixedPolicy):
-        policy = MixedPolicy((policy,), np.ones(1))
-    return policy, min(horizons, default=None)
+    limits = [member.step_limit for member in lottery.policies]
+    known = [limit for limit in limits if limit is not None]
+    return lottery, min(known) if len(known) == len(limits) else None
 
 
 class _Player:
