@@ -86,8 +86,7 @@ class CriteriaComparison:
 
     def _repr_html_(self) -> str:
         """The table, for notebooks."""
-        notes = [[row.criterion, row.note] for row in self.rows if row.note]
-        return html_table("Criteria", [*self._cells(), *notes], _HEAD)
+        return html_table("Criteria", self._cells(), _HEAD, self._notes())
 
     def _cells(self) -> list[list[str]]:
         """Each row's name and numbers."""
@@ -95,6 +94,10 @@ class CriteriaComparison:
             [row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)]
             for row in self.rows
         ]
+
+    def _notes(self) -> list[str]:
+        """Why some have no numbers."""
+        return [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
 
     def summary(self) -> str:
         """The rows as an aligned table; what has no number says why."""
@@ -104,8 +107,7 @@ class CriteriaComparison:
             "  ".join([cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])])
             for cells in table
         ]
-        notes = [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
-        return "\n".join([*lines, *notes])
+        return "\n".join([*lines, *self._notes()])
 
 
 def compare_criteria(

@@ -113,7 +113,6 @@ Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 
-_BUILDING = logging.getLogger("ssp_lp.building")
 _COMPILING = logging.getLogger("ssp_lp.compiling")
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
@@ -210,7 +209,6 @@ class Formulation(_Inherited):
         start = start_distribution(self._asked.model, self._asked.start)
         begin = np.flatnonzero(start)
         model = unroll(self._asked.model, self.horizon, begin.tolist())
-        _BUILDING.info("%r", model)
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
         return cast("Problem", replace(self, **on_it, **as_stated(self)))

@@ -232,7 +232,7 @@ def test_notebooks_show_escaped_tables(solution: Solution) -> None:
         tags = Tags()
         tags.feed(shown._repr_html_())
         assert tags.open == []
-        assert tags.seen <= {"table", "caption", "tr", "th", "td", "pre"}
+        assert tags.seen <= {"table", "caption", "tr", "th", "td", "pre", "p"}
     assert "crash &lt;b&gt;" in solution._repr_html_()
     assert "&lt;i&gt; &amp; co" in program._repr_html_()
     assert "MinCost" in compared._repr_html_()

@@ -6,13 +6,19 @@ from collections.abc import Iterable, Sequence
 from html import escape
 
 
-def html_table(title: str, rows: Iterable[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """Rows of text as an HTML table under a title, escaped."""
-    lines = [f"<caption>{escape(title)}</caption>"]
+def html_table(
+    title: str,
+    rows: Iterable[Sequence[str]],
+    head: Sequence[str] = (),
+    notes: Iterable[str] = (),
+) -> str:
+    """Rows of text as an HTML table under a title, with notes below it, escaped."""
+    lines = [f'<caption style="white-space: nowrap">{escape(title)}</caption>']
     if head:
         lines.append(_row(head, "th"))
     lines += [_row(row, "td") for row in rows]
-    return "\n".join(["<table>", *lines, "</table>"])
+    below = [f"<p>{escape(note)}</p>" for note in notes]
+    return "\n".join(["<table>", *lines, "</table>", *below])
 
 
 def html_text(text: str) -> str:

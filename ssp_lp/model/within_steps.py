@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -22,6 +23,8 @@ from ssp_lp.model.builders import no_lone_string
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import Label, Memory, ProductSSP
 from ssp_lp.model.ssp import SSP, check_model
+
+_BUILDING = logging.getLogger("ssp_lp.building")
 
 LATE: Final = "out of time"
 """The memory of an episode that has used up its steps, and the label of the states it ends in."""
@@ -174,7 +177,9 @@ def unroll(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
     """
     first = np.full(model.n_states, begin is None)
     first[list(begin or ())] = True
-    return _unrolled(model, _reached(model, first, int(steps)))
+    horizon = _unrolled(model, _reached(model, first, int(steps)))
+    _BUILDING.info("%r", horizon)
+    return horizon
 
 
 def _reached(model: SSP, begin: BoolArray, steps: int) -> BoolArray:

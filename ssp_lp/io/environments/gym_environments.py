@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -102,6 +103,7 @@ def from_gymnasium(
     limit = step_limit_of(env)
     table, begin = _table_of(env), _start_of(env, start)
     model = _model_of(_Listing(table, begin, goal), _cost_function(cost))
+    logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
         raise ModelError(f"horizon must be 'env', a number of steps or None, not {horizon!r}")
     steps = limit if horizon == "env" else horizon
