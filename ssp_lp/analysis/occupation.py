@@ -49,10 +49,10 @@ def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatAr
         np.add.at(gave_up, chain.state, visits * chain.give_up)
     if asked is problem or not isinstance(model, ProductSSP):
         return pairs, gave_up
-    return (
-        np.bincount(model.original_pair, pairs, problem.model.n_pairs),
-        np.bincount(model.original_state, gave_up, problem.model.n_states),
-    )
+    there = np.zeros(problem.model.n_pairs), np.zeros(problem.model.n_states)
+    np.add.at(there[0], model.original_pair, pairs)
+    np.add.at(there[1], model.original_state, gave_up)
+    return there
 
 
 def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:

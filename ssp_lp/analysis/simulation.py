@@ -172,8 +172,8 @@ def simulate(
     played_by, asked = on_one_model(policy, problem, "simulate")
     world_of = simulator
     if world_of is None:
-        world_of = ModelSimulator(asked.model, start_distribution(asked.model, asked.start))
-    elif isinstance(asked.model, HorizonSSP) and asked is not problem:
+        world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
+    if isinstance(asked.model, HorizonSSP) and asked is not problem:
         world_of = _Counting(world_of, asked.model)
     source = generator_of(rng)
     with progress_shown(verbose):

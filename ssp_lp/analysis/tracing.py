@@ -109,7 +109,7 @@ def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
         if finer is None or time.perf_counter() > limits.deadline:
             break
         compiled = finer
-    return replace(traced, pricing_calls=calls, work=work, _problem=stated)
+    return replace(traced, pricing_calls=calls, work=work)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ from ssp_lp import (
     visits,
     within_steps,
 )
+from ssp_lp.analysis.occupation import pair_visits
 from ssp_lp.analysis.simulation import ModelSimulator
 from ssp_lp.game import stationary_game
 from ssp_lp.io import load_policy, load_solution, save_policy, save_solution
@@ -253,6 +254,13 @@ def test_playing_and_simulating_know_what_time_it_is() -> None:
     world = ModelSimulator(model, np.eye(model.n_states)[model.index_of("camp")])
     outside = simulate(solution.policy, problem, episodes=4_000, rng=7, simulator=world)
     assert outside.ends == report.ends
+    (path,) = simulate(solution.policy, problem, episodes=1, rng=1, record=1).paths
+    assert {model.states[k] for k in path} <= {"camp", "top", "gorge"}
+    visited, gave_up = pair_visits(solution.policy, problem)
+    walks = {"walks": visits("camp") <= 9.0}
+    counted = evaluate(solution.policy, replace(problem, constraints=walks)).secondary_costs
+    assert visited.sum() <= counted["walks"] <= 2.0 + 1e-12
+    assert gave_up.sum() == pytest.approx(solution.evaluation.ends["gave_up"])
 
     ignorant = DeterministicPolicy.from_actions(model, {"camp": "path"})
     found = evaluate(ignorant, problem)
