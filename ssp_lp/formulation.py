@@ -152,7 +152,8 @@ class Formulation(_Inherited):
         Raises:
             ModelError: it is no model.
         """
-        if arguments and not isinstance(arguments[0], SSP):
+        first = next(part.name for part in fields(cls) if not part.kw_only)
+        if arguments and first == "model" and not isinstance(arguments[0], SSP):
             given = in_short(arguments[0])
             raise ModelError(f"{cls.__name__} takes an SSP first, then the start, not {given}")
         return super().__new__(cls)

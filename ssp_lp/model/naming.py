@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
+from typing import cast
 
 import numpy as np
 
@@ -36,20 +37,26 @@ class Naming:
         Raises:
             ModelError: no state has the label.
         """
+        found = self.find(state)
+        if found is None:
+            raise ModelError(f"{state!r} is not a state of the model{self.hint(state)}")
+        return found
+
+    def find(self, state: Hashable) -> int | None:
+        """Index of the state with this label, None if there is none."""
         if isinstance(self.states, range):
-            if isinstance(state, (int, np.integer)) and state in self.states:
-                return int(state)
-            raise ModelError(
-                f"{state!r} is not a state of the model: states are 0 .. {len(self.states) - 1}"
-            )
+            known = isinstance(state, (int, np.integer)) and state in self.states
+            return int(cast("int", state)) if known else None
         try:
-            found = self._index.get(state)
+            return self._index.get(state)
         except TypeError:  # a list, say
-            found = None
-        if found is not None:
-            return found
-        nearest = did_you_mean(state, self.states)
-        raise ModelError(f"{state!r} is not a state of the model{nearest}")
+            return None
+
+    def hint(self, state: Hashable) -> str:
+        """A clause for errors: what may be meant by what is no state."""
+        if isinstance(self.states, range):
+            return f": states are 0 .. {len(self.states) - 1}"
+        return did_you_mean(state, self.states)
 
     def places_of(self, state: Hashable) -> IntArray:
         """All states that a label stands for: here one, in a product possibly several.

@@ -121,29 +121,17 @@ class ProductSSP(SSP):
         Raises:
             ModelError: neither model has a state with the label.
         """
-        try:
-            return super().places_of(state)
-        except ModelError:
-            return np.flatnonzero(self.original_state == self.original.index_of(state))
+        found = self.find(state)
+        if found is not None:
+            return np.array([found])
+        copies = self.table[self.original.index_of(state)]
+        return np.asarray(copies[copies >= 0])
 
-    def index_of(self, state: Hashable) -> int:
-        """Index of the state with the label (state, memory).
-
-        Raises:
-            ModelError: no state has the label.
-        """
-        try:
-            return super().index_of(state)
-        except ModelError as error:
-            raise ModelError(f"{error}{self.words(state)}") from error
-
-    def words(self, state: Hashable) -> str:
-        """A clause for errors about a state of the original; empty for any other."""
-        try:
-            self.original.index_of(state)
-        except ModelError:
-            return ""
-        return f"; its states are (state, memory): start({state!r}) is where it begins"
+    def hint(self, state: Hashable) -> str:
+        """A clause for errors: what may be meant by what is no state."""
+        if self.original.find(state) is None:
+            return super().hint(state)
+        return f": its states are (state, memory), start({state!r}) is where it begins"
 
     @property
     def _labels(self) -> Sequence[Label]:

@@ -96,17 +96,13 @@ class HorizonSSP(ProductSSP):
         """The product's state of each state and count, -1 for none, [states, counts]."""
         return self.positions
 
-    def index_of(self, state: Hashable) -> int:
-        """Index of the state with the label (state, count).
-
-        Raises:
-            ModelError: no state has the label.
-        """
-        if isinstance(state, tuple) and len(state) == 2 and state[1] in self.memory_number:
-            here, count = self.original.index_of(state[0]), self.memory_number[state[1]]
-            if self.positions[here, count] >= 0:
-                return int(self.positions[here, count])
-        raise ModelError(f"{state!r} is not a state of the model{self.words(state)}")
+    def find(self, state: Hashable) -> int | None:
+        """Index of the state with the label (state, count), None if there is none."""
+        if not (isinstance(state, tuple) and len(state) == 2 and state[1] in self.memory_number):
+            return None
+        here = self.original.find(state[0])
+        found = -1 if here is None else int(self.positions[here, self.memory_number[state[1]]])
+        return found if found >= 0 else None
 
     def stepped(self, states: IntArray, successors: IntArray) -> IntArray:
         """Where steps lead that end in some states of the original, -1 for nowhere, [episodes].

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from ssp_lp import (
     SSP,
     DeterministicPolicy,
     InfeasibleError,
+    Memory,
     ModelError,
     certify,
     cross_check,
@@ -33,6 +35,7 @@ from ssp_lp import (
     evaluate,
     expected_cost,
     on_original,
+    product,
     secondary_cost,
     simulate,
     solve,
@@ -239,8 +242,29 @@ def test_a_product_understands_the_words_of_its_original() -> None:
     assert solution.secondary_costs["walks"] <= 1.2 + 1e-9
     with pytest.raises(ModelError, match=r"neither a state nor a label.*did you mean"):
         MCMP(unrolled_first, ("camp", 0), 0.5, constraints={"walks": visits("fal") <= 1.0})
-    with pytest.raises(ModelError, match=r"its states are \(state, memory\): start\('camp'\)"):
+    with pytest.raises(ModelError, match=r"its states are \(state, memory\), start\('camp'\)"):
         MCMP(unrolled_first, "camp", 0.5)
+
+
+def test_limits_on_the_copies_of_many_states_are_quick() -> None:
+    """On a grid, whose states are pairs of numbers as the product's could be."""
+    size, began = 60, time.process_time()
+    grid = SSP.from_transitions(
+        {
+            (x, y): {"on": [(1.0, (x, y + 1) if y + 1 < size else (x + 1, 0), 1.0)]}
+            for x in range(size)
+            for y in range(size)
+        },
+        goal={(size, 0)},
+    )
+    cost = {state: {"on": 1.0} for state in grid.states[:-1]}
+    last = (size - 1, size - 9)
+    problem = MCMP(grid, last, 0.5, horizon=20, constraints={"c": secondary_cost(cost) <= 30.0})
+    assert solve(problem).secondary_costs["c"] == pytest.approx(9.0)
+    task = product(grid, Memory(0, lambda kept, *step: kept), start=[last])
+    found = {"c": secondary_cost({last: {"on": 1.0}}) <= 3.0}
+    assert solve(MCMP(task, (last, 0), 0.5, constraints=found)).objective == pytest.approx(9.0)
+    assert time.process_time() - began < 20.0
 
 
 def test_playing_and_simulating_know_what_time_it_is() -> None:
