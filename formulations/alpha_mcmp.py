@@ -47,6 +47,7 @@ class AlphaMCMP(Formulation):
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the

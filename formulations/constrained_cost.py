@@ -58,6 +58,7 @@ class ConstrainedCost(Formulation):
         give_up: "anywhere", "attention" (the paper) or "dead_ends".
         charge_failing_step: charge the failing step (the paper's section 3.1.2).
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the

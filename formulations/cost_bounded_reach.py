@@ -51,6 +51,7 @@ class CostBoundedReach(Formulation):
         cost_bound: greatest total cost, a number or a fraction, not negative.
         failure_budget: largest failure probability; None: as low as possible.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,

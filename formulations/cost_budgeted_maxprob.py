@@ -52,6 +52,7 @@ class CostBudgetedMaxProb(Formulation):
         start: a state, or ``{state: probability}``; the budget holds in the mean.
         cost_budget: the largest expected total cost, a number, finite and not negative.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,

@@ -51,6 +51,7 @@ class CostQuantile(Formulation):
         level: strictly between 0 and 1.
         failure_budget: largest failure probability; None: as low as possible.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the least quantile as ``objective``, a certified ``lower_bound``, and a

@@ -52,6 +52,7 @@ class CVaR(Formulation):
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the least conditional value at risk as ``objective``, a certified

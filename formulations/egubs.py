@@ -50,6 +50,7 @@ class EGUBS(Formulation):
         risk_factor: lambda < 0, per unit of cost.
         goal_bonus: K_g >= 0.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the greatest expected utility as ``objective``, a certified

@@ -51,6 +51,7 @@ class FinitePenalty(Formulation):
         give_up: "anywhere", "attention" or "dead_ends".
         charge_failing_step: charge the failing step as well.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: cost and penalty together as ``objective``, a certified

@@ -51,6 +51,7 @@ class GUBS(Formulation):
         goal_bonus: K_g >= 0.
         utility_at_infinity: what the utility falls to, and what failing is worth.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the greatest expected utility as ``objective``, a certified

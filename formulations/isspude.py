@@ -41,6 +41,7 @@ class ISSPUDE(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the least cost given success as ``objective``, a certified

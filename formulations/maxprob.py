@@ -42,6 +42,7 @@ class MaxProb(Formulation):
         model: the model.
         start: a state, or ``{state: probability}``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the greatest probability as ``objective``, a certified ``upper_bound``,

@@ -55,6 +55,7 @@ class MCMP(Formulation):
         reach_fraction: instead of a budget, the share of the greatest goal probability that must
             be attained (of the real one, also under a discount).
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the

@@ -55,6 +55,7 @@ class S3P(Formulation):
             tolerance ask for. Costs without a common unit are told apart by their sums, or, where
             these are too many, on a grid, with an honest gap.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
+        horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
     Returns:
         the problem. Solved: the least cost given success as ``objective``, a certified

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,10 @@ from formulations import (
     S3P,
     AlphaMCMP,
     ConstrainedCost,
+    CostBoundedReach,
     CostLimit,
+    CostQuantile,
+    CVaR,
     FinitePenalty,
     LeastQuantity,
     MaxProb,
@@ -52,7 +56,7 @@ from ssp_lp.model.within_steps import LATE
 from ssp_lp.problem import unrolled
 
 STEPS = 6
-SEEDS = (0, 1, 3, 4, 5, 8)  # of which the goal can be reached in so many steps
+SEEDS = (0, 3, 4, 8)  # of which the goal can be reached in so many steps
 
 
 def drawn(seed: int) -> tuple[SSP, PlainModel]:
@@ -156,6 +160,38 @@ def test_every_criterion_agrees_with_the_model_unrolled_first(seed: int) -> None
         assert mine.objective == pytest.approx(theirs.objective, rel=1e-9)
         assert mine.failure_probability == pytest.approx(theirs.failure_probability, abs=1e-9)
         assert certify(mine).accepted
+
+
+@pytest.mark.parametrize(
+    ("criterion", "asked", "method"),
+    [
+        (S3P, {"constraints": {"walks": visits("camp") <= 1.3}}, None),
+        (S3P, {"constraints": {"walks": visits("camp") <= 1.3}, "discount": 0.9}, "lp"),
+        (MCMP, {"discount": 0.9}, "lp"),
+        (MCMP, {"discount": 0.9}, "game"),
+        (S3P, {"discount": 0.9}, "game"),
+        (MCMP, {}, "deterministic"),
+        (S3P, {}, "deterministic"),
+        (CostQuantile, {"level": 0.5}, None),
+        (CVaR, {"level": 0.5}, None),
+        (CostBoundedReach, {"cost_bound": 9}, None),
+    ],
+)
+def test_what_it_goes_with(criterion: Any, asked: dict[str, Any], method: str | None) -> None:
+    model, steps, budget = mountain(), 4, 0.3
+    first = within_steps(model, steps, start=["camp"])
+    options = dict(asked)
+    if "constraints" in asked:
+        camps = [label for label in first.states if label[0] == "camp"]
+        options["constraints"] = {"walks": visits(*camps) <= 1.3}
+    problem = criterion(model, "camp", failure_budget=budget, horizon=steps, **asked)
+    mine = solve(problem, method)
+    theirs = solve(criterion(first, ("camp", 0), failure_budget=budget, **options), method)
+    assert mine.objective == pytest.approx(theirs.objective, rel=1e-6 if method == "game" else 1e-9)
+    certificate = certify(mine)
+    assert certificate.accepted
+    assert certificate.objective == pytest.approx(mine.objective, rel=1e-9)
+    assert mine.policy.model is model
 
 
 HUT = {
