@@ -11,6 +11,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
+from ssp_lp.model.nearest import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.programs.decomposition import decomposed
@@ -36,6 +37,9 @@ class OccupationMeasure:
     status: str
     seconds: float
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "duals", ByName(self.duals))
+
     @cached_property
     def objective(self) -> float:
         """The program's objective at these visits."""
@@ -45,9 +49,10 @@ class OccupationMeasure:
         return self.program.worth(cost)
 
     @cached_property
-    def activity(self) -> dict[str, float]:
+    def activity(self) -> Mapping[str, float]:
         """What is spent of each row's quantity, by name."""
-        return {row.name: float(row.coefficients @ self.visits) for row in self.program.rows}
+        rows = self.program.rows
+        return ByName({row.name: float(row.coefficients @ self.visits) for row in rows})
 
     @cached_property
     def residual(self) -> float:

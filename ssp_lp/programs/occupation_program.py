@@ -71,8 +71,9 @@ class OccupationProgram:
         return value - self.offset if self.constant is None else self.constant - value
 
     def bounded_by(self, bounds: Mapping[str, float]) -> OccupationProgram:
-        """The same program with other bounds, by name of the row."""
-        rows = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in self.rows)
+        """The same program with other bounds, by name of the row; see :meth:`row`."""
+        other = {self.row(name).name: bound for name, bound in bounds.items()}
+        rows = tuple(replace(row, bound=other.get(row.name, row.bound)) for row in self.rows)
         return replace(self, rows=rows)
 
     @cached_property
@@ -280,9 +281,8 @@ class OccupationProgram:
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""
-        process = self.process
+        process, verb = self.process, "minimise"
         fraction = f"<{self.objective}, x> / <goal, x>" if self.ratio else f"<{self.objective}, x>"
-        verb = "minimise"
         if self.offset:
             fraction = f"{fraction} - {self.offset:g}"
         if self.constant is not None:

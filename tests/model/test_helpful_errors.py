@@ -236,6 +236,7 @@ def test_a_seed_is_a_generator() -> None:
         (lambda: SSP.from_transitions(ROAD, goal=lambda state: True), "goal must be a set"),
         (lambda: visits(["crash"]), "names one by one"),
         (lambda: end_probability(["crash"]), "names one by one"),
+        (lambda: PROBLEM.program().bounded_by({"failur": 0.1}), "no row is named 'failur'"),
         (lambda: solve(PROBLEM, tolerance="fine"), "tolerance must lie"),
         (lambda: trace_frontier(PROBLEM, gap="fine"), "gap must lie"),
         (lambda: trace_frontier(PROBLEM, point_limit=2.5), "point_limit must be"),
@@ -262,6 +263,8 @@ def test_values_by_name_have_a_nearest_name() -> None:
         (solution.secondary_costs, "Fuel", "'fuel'"),
         (solution.evaluation.ends, "crahs", "'crash'"),
         (report.ends, "unfinishd", "'unfinished'"),
+        (problem.program().solve().duals, "failur", "'failure'"),
+        (problem.program().solve().activity, "fule", "'fuel'"),
         (compare_criteria(MODEL, "depot", penalties=()), "MaxProp", "'MaxProb'"),
     ):
         with pytest.raises(KeyError, match=f"did you mean {meant}"):
