@@ -15,8 +15,8 @@ from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
 from ssp_lp.model.html_table import html_table
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, pulled_back
-from ssp_lp.processes.failure_semantics import check_setting
+from ssp_lp.problem import Problem, check_numbers, pulled_back
+from ssp_lp.processes.failure_semantics import as_percentage
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -213,7 +213,9 @@ class Frontier:
 
     def _locate(self, budget: float) -> tuple[int, float]:
         """The turning point at or before the budget, and the weight of the next one."""
-        check_setting(budget, None)
+        check_numbers(budget=budget)
+        if budget > 1.0 + LEAST_BUDGET:
+            raise ModelError(f"budget must be a probability, not {budget!r}{as_percentage(budget)}")
         least = float(self.failure[0])
         if not self.complete and not budget >= least:
             raise ModelError(
