@@ -1,4 +1,4 @@
-"""Methods of solution, which are values, and the options that go with every one of them."""
+"""Methods of solution, which are values, the options that go with them, and what they tell."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ Progress = Callable[[int, float, float], None]
 
 LOGGER = "ssp_lp"
 """All that is told of work goes to this logger's children, one for each phase: "ssp_lp.building",
-"ssp_lp.search", ...; what is done at level INFO, how far it has come at DEBUG."""
+"ssp_lp.search", ...; what is done at level INFO, how far it has come at DEBUG, with the ``share``
+of it that is done as a field of the record where that is known."""
 
 _BETWEEN = 0.1  # seconds between two tellings of how far work has come
-_WIDTH = 100  # characters of a line
+_WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
 
 @dataclass(frozen=True)
@@ -202,10 +203,10 @@ def progress_shown(asked: bool = True) -> Iterator[None]:
         >>> with progress_shown():
         ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
     """
-    if not asked:
-        yield
-        return
     logger, shown = logging.getLogger(LOGGER), _Lines(sys.stderr)
+    if not asked or any(isinstance(known, _Lines) for known in logger.handlers):
+        yield  # nothing, or it is shown already
+        return
     level, passed_on = logger.level, logger.propagate
     logger.addHandler(shown)
     logger.setLevel(logging.DEBUG)
@@ -235,7 +236,9 @@ class _Lines(logging.Handler):
         if not done and not (self._overwrites and now - self._told >= _BETWEEN):
             return
         phase = record.name.rpartition(".")[2]
-        line = f"{now - self._began:8.1f} s  {phase:<10}  {record.getMessage()}"
+        share: float | None = getattr(record, "share", None)
+        bar = "" if share is None else f"[{'#' * int(_BAR * share):-<{_BAR}}] "
+        line = f"{now - self._began:8.1f} s  {phase:<10}  {bar}{record.getMessage()}"
         self._clear()
         self._stream.write(f"{line}\n" if done else line[:_WIDTH])
         self._stream.flush()

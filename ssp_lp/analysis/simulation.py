@@ -227,7 +227,9 @@ def _play(
         alive = np.flatnonzero((marks[state] < 0) & ~gave_up)
         if alive.size == 0:
             break
-        _LOG.debug("step %d, %d of %d episodes are over", step, episodes - alive.size, episodes)
+        over = episodes - alive.size
+        share = {"share": over / episodes}
+        _LOG.debug("step %d, %d of %d episodes are over", step, over, episodes, extra=share)
         pair = players.decide(alive, state[alive])
         gave_up[alive[pair == GIVE_UP_CODE]] = True
         alive, pair = alive[pair != GIVE_UP_CODE], pair[pair != GIVE_UP_CODE]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -28,6 +29,8 @@ SPOT_CHECKS: Final = 30
 """Pairs that are worked out once more where a user says that some are alike."""
 
 MIDPOINTS: Final = Quadrature()
+
+_BUILDING = logging.getLogger("ssp_lp.building")
 
 
 def discretise(
@@ -66,11 +69,16 @@ def discretise(
     for begin in range(0, n_distinct, size):
         some = np.arange(begin, min(begin + size, n_distinct), dtype=least_integer_type(n_pairs))
         store.append(_rows(world, trials, some if distinct is None else distinct[some]))
+        done = int(some[-1]) + 1
+        share = {"share": done / n_distinct}
+        _BUILDING.debug("%d of %d pairs tried", done, n_distinct, extra=share)
         if progress is not None:
-            progress(int(some[-1]) + 1, n_distinct)
+            progress(done, n_distinct)
     if row_of_pair is not None:
         store = _repeated(world, trials, store.outcomes(), row_of_pair)
-    return _model(world, store)
+    model = _model(world, store)
+    _BUILDING.info("%r", model)
+    return model
 
 
 class _Tried(NamedTuple):
