@@ -12,7 +12,6 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.analysis.episode_batch import EpisodeBatch
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.analysis.failure_costs import state_give_up_charges
 from ssp_lp.arrays import FloatArray, IntArray, read_only
@@ -24,6 +23,7 @@ from ssp_lp.model.terminal_outcomes import end_marks
 from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
+from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.randomness import Randomness, generator_of
 from ssp_lp.problem import Problem, is_whole, on_one_model
@@ -216,7 +216,7 @@ def _play(
     record: int,
 ) -> _Played:
     model, marks = problem.model, end_marks(problem.model)
-    players = EpisodeBatch(policy, episodes, rng)
+    players = as_lottery(policy).start_many(episodes, rng)
     world, state = simulator.reset(episodes, rng)
     world, state = world.copy(), np.array(state, dtype=np.int64)
     players.begin(state, marks[state] < 0)

@@ -16,7 +16,13 @@ if TYPE_CHECKING:
     from ssp_lp.io.model_fingerprint import fingerprint
     from ssp_lp.io.policy_files import load_policy, save_policy
     from ssp_lp.io.prism import read_prism, write_prism
+    from ssp_lp.io.reading import read_any, write_any
     from ssp_lp.io.solution_files import load_solution, save_solution
+    from ssp_lp.io.storm.from_storm import from_stormpy
+    from ssp_lp.io.storm.induced_chain import induced_chain
+    from ssp_lp.io.storm.programs import read_with_storm
+    from ssp_lp.io.storm.schedulers import write_scheduler
+    from ssp_lp.io.storm.to_storm import to_stormpy, write_umb
     from ssp_lp.io.tables import policy_table, to_frame
 
 __all__ = [
@@ -28,24 +34,40 @@ __all__ = [
     "fingerprint",
     "from_gymnasium",
     "from_matrices",
+    "from_stormpy",
+    "induced_chain",
     "load_model",
     "load_policy",
     "load_solution",
     "policy_table",
+    "read_any",
     "read_drn",
     "read_prism",
+    "read_with_storm",
     "rollout",
     "save_model",
     "save_policy",
     "save_solution",
     "to_frame",
+    "to_stormpy",
+    "write_any",
     "write_controller",
     "write_dot",
     "write_drn",
     "write_prism",
+    "write_scheduler",
+    "write_umb",
 ]
 
 _ON_DEMAND = {
+    "from_stormpy": "ssp_lp.io.storm.from_storm",
+    "to_stormpy": "ssp_lp.io.storm.to_storm",
+    "write_umb": "ssp_lp.io.storm.to_storm",
+    "read_with_storm": "ssp_lp.io.storm.programs",
+    "write_scheduler": "ssp_lp.io.storm.schedulers",
+    "induced_chain": "ssp_lp.io.storm.induced_chain",
+    "read_any": "ssp_lp.io.reading",
+    "write_any": "ssp_lp.io.reading",
     "Controller": "ssp_lp.io.controller",
     "write_controller": "ssp_lp.io.controller_files",
     "write_dot": "ssp_lp.io.dot",

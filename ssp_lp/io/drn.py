@@ -51,9 +51,10 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
 
     State k of the file is the k-th of ``model.states``. The cost is the action reward "cost".
     Where outcomes of an action differ in cost, the action pays the least, and a dearer outcome
-    leads through a state labelled "paying" that pays the rest: each run keeps its total. (What is
-    counted up to a failure can lack the rest of the step that fails.) Goal states are labelled
-    "goal", dead-ends "deadlock", the start "init"; goal states and dead-ends get a free loop.
+    leads through a state labelled "paying" that pays the rest: each run keeps its total, and our
+    readers take the state out again. (For other tools, what is counted up to a failure can lack
+    the rest of the step that fails.) Goal states are labelled "goal", dead-ends "deadlock", the
+    start "init"; goal states and dead-ends get a free loop.
 
     Args:
         model: the model.

@@ -9,13 +9,7 @@ import numpy as np
 
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.exported import Exported, exported, write_text
-from ssp_lp.io.model_files.model_file import (
-    ModelFile,
-    RawModel,
-    distinct_actions,
-    finished,
-    offsets_of,
-)
+from ssp_lp.io.model_files.model_file import ModelFile, distinct_actions, finished
 from ssp_lp.io.model_files.prism_rewards import (
     Transitions,
     chosen_structure,
@@ -23,6 +17,7 @@ from ssp_lp.io.model_files.prism_rewards import (
     outcome_costs,
 )
 from ssp_lp.io.model_files.prism_text import Table, read_labels, read_states, read_table
+from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
 

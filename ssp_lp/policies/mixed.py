@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, read_only
+from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.playing import Playable
@@ -53,6 +53,18 @@ class MixedPolicy(Playable):
         if rng is None:
             raise ModelError("a lottery over policies needs a random generator: reset(rng)")
         return self.policies[int(rng.choice(len(self.policies), p=self.weights))]
+
+    def draw(
+        self, episodes: int, rng: np.random.Generator | None
+    ) -> tuple[tuple[Policy, ...], IntArray]:
+        """The members, and the position of the one that plays each episode, [episodes].
+
+        Raises:
+            ModelError: there are several members and no generator.
+        """
+        if rng is None:
+            return super().draw(episodes, rng)
+        return self.policies, rng.choice(len(self.policies), size=episodes, p=self.weights)
 
     def __repr__(self) -> str:
         """One line: how many members there are, and the first of them with their weights."""

@@ -12,6 +12,7 @@ from ssp_lp.arrays import IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states, staying_pairs
+from ssp_lp.policies.episode_batch import EpisodeBatch
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
 from ssp_lp.policies.randomness import Randomness, generator_of
 
@@ -96,6 +97,27 @@ class Playable(ABC):
         """
         drawn = None if rng is None else generator_of(rng)
         return Episode(self.member(drawn), drawn)
+
+    def start_many(self, episodes: int, rng: Randomness | None = None) -> EpisodeBatch:
+        """Many new episodes side by side, whose ``actions`` are asked for all at once.
+
+        Args:
+            episodes: how many.
+            rng: as of :meth:`start`.
+
+        Raises:
+            ModelError: no episodes, or a lottery without a generator.
+        """
+        if episodes < 1:
+            raise ModelError(f"episodes must be at least 1, not {episodes!r}")
+        drawn = None if rng is None else generator_of(rng)
+        return EpisodeBatch(*self.draw(episodes, drawn), drawn)
+
+    def draw(
+        self, episodes: int, rng: np.random.Generator | None
+    ) -> tuple[tuple[Policy, ...], IntArray]:
+        """The members of the lottery, and the position of the one that plays each episode."""
+        return (self.member(rng),), np.zeros(episodes, dtype=np.int64)
 
     def reset(self, rng: Randomness | None = None) -> None:
         """Begin the policy's own episode afresh; ``rng`` draws the lottery and random actions.

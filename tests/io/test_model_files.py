@@ -15,6 +15,7 @@ import pytest
 import scipy.sparse as sp
 
 from cases import load_case
+from examples.checks.damaged_files import mutated
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.io import (
@@ -428,9 +429,14 @@ def test_outcomes_of_several_costs_keep_their_totals(tmp_path: Path) -> None:
     )
     write_drn(model, tmp_path / "m.drn", start="s")
     found = read_drn(tmp_path / "m.drn", goal="goal")
-    assert found.model.n_states == model.n_states + 2  # 0.2 before g, and before t
-    assert set(found.model.costs) == {0.0, 0.1, 0.2, 0.3}  # no 0.19999999999999998
-    assert found.model.state_labels["paying"].tolist() == [4, 5]
+    text = (tmp_path / "m.drn").read_text()
+    assert text.count("paying") == 2  # 0.2 before g, and before t
+    assert "[0.2]" in text
+    assert "999" not in text  # no 0.19999999999999998
+    # and the reader takes them out again
+    assert found.model.n_states == model.n_states
+    assert set(found.model.costs) == {0.0, 0.1, 0.3}
+    assert not found.model.state_labels
     assert optima(found.model, 0, 0.5) == pytest.approx(optima(model, "s", 0.5), rel=1e-12)
     write_drn(found.model, tmp_path / "n.drn", start=0)
     assert (tmp_path / "n.drn").read_text() == (tmp_path / "m.drn").read_text()
@@ -446,20 +452,6 @@ def test_what_cannot_be_exported_is_named(tmp_path: Path) -> None:
         with pytest.raises(ModelError, match="cannot be written"):
             write_drn(model, tmp_path / "m.drn", start=0)
     assert not list(tmp_path.iterdir())
-
-
-def mutated(content: bytes, rng: np.random.Generator) -> bytes:
-    """One small damage: bytes changed, cut, doubled, or a number made large."""
-    kind, at = int(rng.integers(5)), int(rng.integers(len(content)))
-    if kind == 0:
-        return content[:at] + bytes([int(rng.integers(256))]) + content[at + 1 :]
-    if kind == 1:
-        return content[:at]
-    if kind == 2:
-        return content[:at] + content[at + int(rng.integers(1, 20)) :]
-    if kind == 3:
-        return content[:at] + b"99999999999" + content[at:]
-    return content[:at] + content[max(0, at - 30) :]
 
 
 def loads_or_is_refused(load: Callable[..., object], path: Path, **options: str) -> bool:
@@ -531,3 +523,38 @@ def test_matrices_that_do_not_fit_are_named(options: dict[str, object], message:
         from_matrices(MATRICES, **options)
     with pytest.raises(ModelError, match="square"):
         from_matrices([np.ones((2, 3))], [0], costs=[1, 1])
+
+
+def test_what_is_paid_until_a_failure_survives_a_round_trip(tmp_path: Path) -> None:
+    """A step that fails is paid in full, though its file pays in two steps."""
+    write_drn(FIRST, tmp_path / "m.drn", start="depot")
+    found = read_drn(tmp_path / "m.drn", goal="goal")
+    dear = MCMP(found.model, 0, failure_budget=0.05, charge_failing_step=False)
+    told = MCMP(FIRST, "depot", failure_budget=0.05, charge_failing_step=False)
+    assert solve(dear).objective == pytest.approx(solve(told).objective, rel=1e-15)
+
+
+def test_a_state_that_merely_bears_the_name_is_kept(tmp_path: Path) -> None:
+    """A state labelled "paying" is the model's own if it may do anything but pay."""
+    model = SSP.from_transitions(
+        {
+            "s": {"a": [(1.0, "till", 1.0)]},
+            "till": {"pay": [(0.5, "g", 1.0), (0.5, "s", 1.0)]},
+            "bar": {"wait": [(1.0, "g", 1.0)]},
+        },
+        goal={"g"},
+        state_labels={"paying": ["till", "bar"]},
+    )
+    write_drn(model, tmp_path / "m.drn", start="s")
+    found = read_drn(tmp_path / "m.drn", goal="goal").model
+    assert found.n_states == 4
+    assert found.state_labels["paying"].tolist() == [1, 2]
+
+
+def test_a_negative_payment_is_not_hidden_by_a_sum(tmp_path: Path) -> None:
+    write_drn(FIRST, tmp_path / "m.drn", start="depot")
+    text = (tmp_path / "m.drn").read_text(encoding="utf-8")
+    assert "action pay [2.0]" in text
+    (tmp_path / "m.drn").write_text(text.replace("pay [2.0]", "pay [-2.0]"), encoding="utf-8")
+    with pytest.raises(ModelError, match="action 'pay' of state 3 has a negative cost"):
+        read_drn(tmp_path / "m.drn", goal="goal")

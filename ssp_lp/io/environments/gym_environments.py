@@ -146,17 +146,17 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> Table:
 def _entries(listed: Any) -> list[tuple[Hashable, Any]]:
     """Keys and values of a dict, or positions and entries of a list."""
     rows = listed.items() if isinstance(listed, Mapping) else enumerate(listed)
-    return [(_plain(key), value) for key, value in rows]
+    return [(plain(key), value) for key, value in rows]
 
 
-def _plain(value: Any) -> Hashable:
+def plain(value: Any) -> Hashable:
     """A number of numpy's as one of Python's; anything else as it is."""
     plain: Hashable = value.item() if isinstance(value, np.generic) else value
     return plain
 
 
 def _outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
-    found = [(float(p), _plain(to), float(reward), bool(over)) for p, to, reward, over in rows]
+    found = [(float(p), plain(to), float(reward), bool(over)) for p, to, reward, over in rows]
     total = fsum(p for p, *_ in found)
     if abs(total - 1.0) > SINGLE_PRECISION_SUM:
         raise ModelError(
@@ -175,11 +175,11 @@ def _start_of(
             raise ModelError("the environment has no initial_state_distrib: give start=")
         start = {state: float(share) for state, share in _entries(shares)}
     if not isinstance(start, Mapping):
-        return {_plain(start): 1.0}
+        return {plain(start): 1.0}
     total = fsum(start.values())
     if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
         raise ModelError(f"the start's probabilities sum to {total:.9g}")
-    return {_plain(state): float(share) / total for state, share in start.items() if share != 0.0}
+    return {plain(state): float(share) / total for state, share in start.items() if share != 0.0}
 
 
 def _cost_function(cost: str | CostFunction) -> CostFunction:

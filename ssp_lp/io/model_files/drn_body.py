@@ -12,7 +12,8 @@ import numpy.typing as npt
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.drn_header import DrnHeader
-from ssp_lp.io.model_files.model_file import RawModel, distinct_actions, offsets_of
+from ssp_lp.io.model_files.model_file import distinct_actions
+from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
 from ssp_lp.io.model_files.text_file import Lines, TextFile
 
 _STATE = re.compile(rb"state\s+(\d+)\s*(?:\[([^\]]*)\])?\s*(.*)")

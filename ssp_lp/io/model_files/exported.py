@@ -13,13 +13,13 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum, distinct_pairs
-from ssp_lp.io.model_files.model_file import DEADLOCK, INITIAL, PAYING, offsets_of
+from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, PAY, PAYING, offsets_of
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
 
 GOAL = "goal"
 
-_OWN_ACTIONS = ("stay", "pay")
+_OWN_ACTIONS = ("stay", PAY)
 _GZIP_LEVEL = 6  # the usual compromise of size and time; 9 takes several times as long
 _BAD_LABEL = re.compile(r'["\\\x00-\x1f]|//')
 
@@ -39,6 +39,8 @@ class Exported(NamedTuple):
     costs: FloatArray  # [pairs]
     actions: Sequence[str]  # [pairs] words, distinct within each state
     labels: Mapping[str, IntArray]  # label -> states
+    choice_of_pair: IntArray  # [pairs of the model]
+    target_of_outcome: IntArray  # [outcomes of the model] the next state; -1: it never occurs
 
 
 class _Outcomes(NamedTuple):
@@ -88,6 +90,8 @@ def exported(model: SSP, start: Hashable) -> Exported:
     names = [*_words(model.action_names), *_OWN_ACTIONS]
     code[own], code[loops], code[paying] = model.pair_action, len(names) - 2, len(names) - 1
     counts = np.concatenate([np.maximum(np.diff(model.pair_offsets), 1), np.ones_like(paying)])
+    targets = np.full(model.n_outcomes, -1, dtype=np.int64)
+    targets[model.probabilities > 0.0] = outcomes.successors
     return Exported(
         pair_offsets=offsets_of(counts),
         outcome_offsets=offsets_of(np.bincount(final.pairs, minlength=place.size)),
@@ -96,6 +100,8 @@ def exported(model: SSP, start: Hashable) -> Exported:
         costs=costs,
         actions=[names[k] for k in code.tolist()],
         labels=_labels(model, start, idle, paying.size),
+        choice_of_pair=own,
+        target_of_outcome=targets,
     )
 
 

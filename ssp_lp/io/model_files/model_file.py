@@ -1,23 +1,18 @@
-"""What a model file of another tool holds, and how it becomes a model."""
+"""How what a model file of another tool holds becomes a model."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
-from fractions import Fraction
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.errors import ModelError
+from ssp_lp.io.model_files.paying import without_paying_states
+from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, RawModel, offsets_of
 from ssp_lp.model import SSP
 from ssp_lp.model.labels import ENDS
-
-INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
-"""Labels that the files give a meaning: initial states, dead-ends, and states between outcomes
-and their successors that pay what the action has not paid yet."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,30 +41,16 @@ class ModelFile:
         return self.initial_states[0]
 
 
-class RawModel(NamedTuple):
-    """A model as a file states it: goal states may act, and every state may."""
-
-    pair_offsets: IntArray  # [states + 1]
-    outcome_offsets: IntArray  # [pairs + 1]
-    successors: IntArray  # [outcomes]
-    probabilities: FloatArray  # [outcomes]
-    costs: FloatArray  # [outcomes]
-    actions: Sequence[Hashable] | None  # [pairs]
-    labels: Mapping[str, IntArray]  # label -> states
-    states: Sequence[Hashable] | None = None
-    exact_costs: Mapping[float, Fraction] | None = None
-
-
-def finished(raw: RawModel, goal: str, path: Path) -> ModelFile:
+def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
     """Make the model whose goal states bear a label.
 
     Actions of goal states are dropped, and of states with the label "deadlock" that no action
-    leaves: they are dead-ends.
+    leaves: they are dead-ends. States that only pay what an action has not paid are taken out.
 
     Args:
         raw: what the file says; its arrays are consistent.
         goal: the label of the goal states.
-        path: the file, for errors.
+        source: the file, for errors.
 
     Raises:
         ModelError: no state bears the label, or the numbers make no model.
@@ -77,12 +58,14 @@ def finished(raw: RawModel, goal: str, path: Path) -> ModelFile:
     goals = raw.labels.get(goal)
     if goals is None or not goals.size:
         known = ", ".join(sorted(map(repr, raw.labels))) or "none"
-        raise ModelError(f"{path}: no state has the label {goal!r}; labels: {known}")
+        raise ModelError(f"{source}: no state has the label {goal!r}; labels: {known}")
+    raw = without_paying_states(raw, goals)
+    goals = raw.labels[goal]
     own = {INITIAL, DEADLOCK, goal, *ENDS}
     kept = {name: members for name, members in raw.labels.items() if name not in own}
     none = np.zeros(0, dtype=np.int64)
     idle = raw.labels.get(DEADLOCK, none)
-    model = absorbed(raw._replace(labels=kept), goals, idle, str(path))
+    model = absorbed(raw._replace(labels=kept), goals, idle, str(source))
     initial = raw.labels.get(INITIAL, none)
     return ModelFile(model, tuple(model.states[int(state)] for state in initial))
 
@@ -124,11 +107,6 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
         )
     except ModelError as error:
         raise ModelError(f"{source}: {error}") from error
-
-
-def offsets_of(counts: IntArray) -> IntArray:
-    """Where each of several segments in a row begins, and the end, [segments + 1]."""
-    return np.concatenate([[0], np.cumsum(counts)])
 
 
 def _leaves(raw: RawModel, state: IntArray, n_states: int) -> BoolArray:

@@ -1,0 +1,208 @@
+"""Sparse models of Storm, in memory, as models of ours."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.io.model_files.decimals import decimal_sum
+from ssp_lp.io.model_files.model_file import ModelFile, distinct_actions, finished
+from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
+from ssp_lp.io.storm.bindings import asked, storm
+
+_KINDS = ("MDP", "DTMC")
+
+
+def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile:
+    """Make a model of a sparse model of Storm's, a Markov decision process or Markov chain.
+
+    The cost of an outcome is what Storm's reward model says of it: the reward of its state, that
+    of its action and that of its transition, added as decimals. Actions bear the labels of
+    choices, states the values of their variables, where the model was built with them; else both
+    are numbers. Actions of goal states are dropped, and of states with the label "deadlock" that
+    no action leaves: they are dead-ends. Other labels of states become ``state_labels``, but for
+    names that reports use for something else, and conditions that Storm was asked: "(x = 2)".
+
+    Args:
+        model: such as ``stormpy.build_model(program)``; its numbers are floats.
+        goal: the label of the goal states, or a formula of labels, '"a" & !"b"'.
+        cost: the name of a reward model; None: the only one, or 1 for each action if there is none.
+
+    Returns:
+        The model and its initial states.
+
+    Raises:
+        MissingDependencyError: stormpy is not installed.
+        ModelError: a model of another kind, no such goal or cost, or naming the state and the
+            action at fault, as where a reward is negative.
+    """
+    return built(model, goal, label_formula(goal), cost, "the stormpy model")
+
+
+def label_formula(goal: str) -> Any:
+    """What a formula of labels says, as stormpy's property; None: the goal is a label's name.
+
+    Raises:
+        MissingDependencyError: stormpy is not installed.
+        ModelError: Storm refuses the formula.
+    """
+    if '"' not in goal:
+        return None
+    formula, *_ = asked(f"goal {goal!r}", storm().parse_properties, goal)
+    return formula
+
+
+def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) -> ModelFile:
+    """Make a model whose goals are the states with a label, or those that a formula holds in.
+
+    Args:
+        model: of stormpy.
+        goal: the goal's name.
+        formula: stormpy's property that says what the goal is; None: the label of its name.
+        cost: as in :func:`from_stormpy`.
+        source: where the model comes from, for errors.
+
+    Raises:
+        ModelError: see :func:`from_stormpy`.
+    """
+    _check_sparse(model, source)
+    labels = {name: _members(model.labeling.get_states(name)) for name in _label_names(model)}
+    if formula is not None:
+        labels[goal] = asked(source, _states_of, model, formula, goal, source)
+    reward, paid = _chosen_reward(model, cost, source)
+    matrix = model.transition_matrix
+    offsets, pair_offsets = _offsets(model, matrix)
+    entries = list(matrix.row_iter(0, matrix.nr_rows - 1))
+    successors = np.array([entry.column for entry in entries], dtype=np.int64)
+    state = np.repeat(np.arange(model.nr_states), np.diff(pair_offsets))
+    raw = RawModel(
+        pair_offsets=pair_offsets,
+        outcome_offsets=offsets,
+        successors=successors,
+        probabilities=np.array([entry.value for entry in entries]),
+        costs=_costs(reward, state, offsets, successors),
+        actions=_action_names(model, state, pair_offsets),
+        labels=labels,
+        states=asked(source, _state_names, model),
+    )
+    return finished(raw, goal, f"{source}, cost {paid!r}" if paid else source)
+
+
+def check_kind(kind: str, source: object) -> None:
+    """Raise :class:`ModelError` unless Storm's name of a kind of models is one that we read."""
+    if kind not in _KINDS:
+        raise ModelError(f"{source} is a {kind}: only MDPs and DTMCs are read")
+
+
+def _check_sparse(model: Any, source: str) -> None:
+    """Raise :class:`ModelError` unless this is a sparse model of floats and of a kind we know."""
+    kind = getattr(getattr(model, "model_type", None), "name", None)
+    if kind is None:
+        raise ModelError(f"{source} must be a model of stormpy, not {type(model).__name__}")
+    check_kind(kind, source)
+    if not model.is_sparse_model:
+        raise ModelError(f"{source} is symbolic: build it with the sparse engine")
+    if model.supports_parameters or model.supports_uncertainty or model.is_exact:
+        told = "parameters" if model.supports_parameters else "intervals"
+        told = told if model.supports_parameters or model.supports_uncertainty else "fractions"
+        raise ModelError(f"{source} has {told} for numbers: build it with floats")
+
+
+def _label_names(model: Any) -> list[str]:
+    return sorted(name for name in model.labeling.get_labels() if not name.startswith("("))
+
+
+def _members(bits: Any) -> IntArray:
+    """The states of a bit vector, [members]."""
+    return np.array(list(bits), dtype=np.int64)
+
+
+def _states_of(model: Any, formula: Any, goal: str, source: str) -> IntArray:
+    """The states in which a formula holds, [members]."""
+    found = storm().model_checking(model, formula, only_initial_states=False)
+    if not found.is_qualitative():
+        raise ModelError(
+            f"{source}: the goal must say of each state whether it is one, not {goal!r}"
+        )
+    return _members(found.get_truth_values_vector())
+
+
+def _offsets(model: Any, matrix: Any) -> tuple[IntArray, IntArray]:
+    """Where the outcomes of each pair begin, and the pairs of each state."""
+    sizes = np.array([len(matrix.get_row(row)) for row in range(matrix.nr_rows)], dtype=np.int64)
+    if matrix.has_trivial_row_grouping:
+        return offsets_of(sizes), np.arange(model.nr_states + 1)
+    return offsets_of(sizes), np.array(model.nondeterministic_choice_indices, dtype=np.int64)
+
+
+def _chosen_reward(model: Any, cost: str | None, source: str) -> tuple[Any, str]:
+    """The reward model that is the cost, and its name; None where the model has none."""
+    rewards = dict(model.reward_models)
+    if cost is None and not rewards:
+        return None, ""
+    chosen = next(iter(rewards)) if cost is None and len(rewards) == 1 else cost
+    if chosen is None or chosen not in rewards:
+        names = ", ".join(sorted(map(repr, rewards))) or "none"
+        raise ModelError(f"{source}: choose one of the reward models, cost=...: {names}")
+    return rewards[chosen], chosen
+
+
+def _costs(reward: Any, state: IntArray, offsets: IntArray, successors: IntArray) -> FloatArray:
+    """The cost of each outcome: of the state, the action and the transition, [outcomes]."""
+    pair = np.repeat(np.arange(state.size), np.diff(offsets))
+    if reward is None:
+        return np.ones(pair.size)
+    of_state, of_pair, of_outcome = np.zeros(1), np.zeros(state.size), np.zeros(pair.size)
+    if reward.has_state_action_rewards:
+        of_pair = np.array(reward.state_action_rewards, dtype=np.float64)
+    if reward.has_state_rewards:
+        of_state = np.array(reward.state_rewards, dtype=np.float64)
+        of_pair = decimal_sum(of_pair, of_state[state])
+    if reward.has_transition_rewards:
+        matrix, width = reward.transition_rewards, int(successors.max(initial=0)) + 1
+        listed = {
+            row * width + entry.column: entry.value
+            for row in range(matrix.nr_rows)
+            for entry in matrix.get_row(row)
+        }
+        keys = (pair * width + successors).tolist()
+        of_outcome = np.array([listed.get(key, 0.0) for key in keys])
+    return decimal_sum(of_pair[pair], of_outcome)
+
+
+def _action_names(model: Any, state: IntArray, pair_offsets: IntArray) -> Sequence[str] | None:
+    """Labels of choices, the position where there is none, [pairs]; None: no labels at all."""
+    if not model.has_choice_labeling():
+        return None
+    position = (np.arange(state.size) - pair_offsets[state]).tolist()
+    labels = [model.choice_labeling.get_labels_of_choice(pair) for pair in range(state.size)]
+    names = [
+        "+".join(sorted(some)) or str(number) for some, number in zip(labels, position, strict=True)
+    ]
+    return distinct_actions(names, state)
+
+
+def _state_names(model: Any) -> Sequence[Hashable] | None:
+    """The values of each state's variables, in Storm's order; None: they name no state."""
+    if not model.has_state_valuations():
+        return None
+    valuations = model.state_valuations
+    columns = [_values(valuations, variable) for variable in valuations.get_all_variables()]
+    names = list(zip(*columns, strict=True))
+    return names if len(set(names)) == model.nr_states else None
+
+
+def _values(valuations: Any, variable: Any) -> list[Hashable]:
+    """A variable's value in each state, [states]."""
+    if variable.has_boolean_type():
+        bits = valuations.get_boolean_values(variable)
+        return [bits[state] for state in range(len(bits))]
+    if variable.has_integer_type():
+        return list(valuations.get_int64_values(variable))
+    if variable.has_rational_type():
+        return list(valuations.get_double_values(variable))
+    return list(valuations.get_string_values(variable))
