@@ -4,6 +4,8 @@ Stock is a real number, a week's demand a gamma variable. A week that asks for m
 loses the customer: that is failing. What the grid model's policies do in the world is played.
 """
 
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+
 import numpy as np
 from scipy.stats import gamma
 
@@ -55,6 +57,7 @@ def table(budgets=(0.01, 0.05, 0.1), episodes: int = 20_000) -> list[tuple[float
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     print("budget    cost  failure   in the world         cost there")
     for row in table():
         print("{:6.2f} {:7.2f} {:8.4f}   {:.4f} .. {:.4f} {:12.2f}".format(*row))

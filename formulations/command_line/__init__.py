@@ -39,10 +39,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(asked: Namespace) -> int:
+    from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), progress_shown(asked.verbose):
             warnings.showwarning = _warn
             for line in import_module(f"{__name__}.{asked.command}").run(asked):
                 print(line)

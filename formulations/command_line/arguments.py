@@ -39,7 +39,10 @@ def _number(text: str) -> Fraction:
 
 
 def _steps(text: str) -> int | str | None:
-    return {"none": None, "env": "env"}[text] if text in ("none", "env") else int(text)
+    """A horizon: a number of steps, none, or "env", the environment's own."""
+    if text == "env":
+        return text
+    return None if text == "none" else int(text)
 
 
 PARAMETERS = {
@@ -140,6 +143,9 @@ def parser() -> ArgumentParser:
         one.add_argument("model", metavar="MODEL", help="see above")
         if name == "convert":
             one.add_argument("target", metavar="TARGET", help="a file, or - for JSON to read on")
+        one.add_argument(
+            "--verbose", action="store_true", help="say on the way how far it has come"
+        )
         _add_model(one)
         if name in _ADD:
             _ADD[name](one)

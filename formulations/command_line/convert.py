@@ -19,7 +19,7 @@ def run(asked: Namespace) -> Iterable[str]:
         raise ModelError(f"{asked.target!r} ends in none of {', '.join(_WRITERS)}")
     setting = setting_of(asked)
     if asked.target == "-":
-        return json_text(setting.model, setting.stated_start)
+        return ["".join(json_text(setting.model, setting.stated_start)).rstrip()]
     _WRITERS[endings[0]](setting, asked.target)
     return []
 

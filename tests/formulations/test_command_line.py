@@ -84,6 +84,15 @@ def test_solve_says_what_the_library_says(
         assert {member["actions"]["depot"] for member in told["policy"]} == {"alley", "road"}
 
 
+def test_what_is_told_on_the_way_is_no_answer(
+    roads: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked = ("solve", roads, "--goal", "home", "--start", "depot", "--json", "--verbose")
+    code, out, err = run(capsys, *asked)
+    assert (code, json.loads(out)["failure_probability"]) == (0, pytest.approx(0.01))
+    assert err
+
+
 def test_numbers_that_are_none_are_null(roads: Path, capsys: pytest.CaptureFixture[str]) -> None:
     asked = ("solve", roads, "--goal", "home", "--start", "wreck", "--criterion", "maxprob")
     code, out, _ = run(capsys, *asked, "--json")
