@@ -132,6 +132,8 @@ def _with_value(found: RowsOptimum) -> RowsOptimum:
     Raises:
         SolverError: none was found that does so on the model itself.
     """
+    if np.isfinite(found.value) and (found.note or not found.compiled.is_rounded):
+        return found
     levels = f"{found.compiled.layers:,} levels"
     if found.compiled.ladder is not None:
         levels = f"{levels} up to {found.compiled.ladder.rungs[-1]:.6g}"
@@ -140,10 +142,8 @@ def _with_value(found: RowsOptimum) -> RowsOptimum:
             f"no policy on {levels} of accumulated cost keeps to the limits: more cost_levels, or "
             "more time, make them finer"
         )
-    if found.compiled.is_rounded and not found.note:
-        told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
-        return replace(found, note=told)
-    return found
+    told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
+    return replace(found, note=told)
 
 
 def _coarse_guess(stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
