@@ -9,6 +9,7 @@ from ssp_lp.errors import (
     InfeasibleError,
     MissingDependencyError,
     ModelError,
+    OutOfTimeError,
     SolverError,
     SSPError,
 )
@@ -18,6 +19,7 @@ from ssp_lp.options import (
     DeterministicPolicies,
     Game,
     LinearProgramming,
+    Status,
     progress_shown,
 )
 from ssp_lp.policies import (
@@ -92,6 +94,7 @@ __all__ = [
     "ModelError",
     "OccupationMeasure",
     "OccupationProgram",
+    "OutOfTimeError",
     "ProductSSP",
     "Quadrature",
     "Quantity",
@@ -99,6 +102,7 @@ __all__ = [
     "Samples",
     "Solution",
     "SolverError",
+    "Status",
     "StochasticPolicy",
     "TimedPolicy",
     "WorldSimulator",

@@ -46,6 +46,10 @@ class SolverError(SSPError, RuntimeError):
     """A method did not deliver an answer that passes its check; says what was tried."""
 
 
+class OutOfTimeError(SolverError):
+    """The time limit passed before any policy that keeps to the limits was found."""
+
+
 class MissingDependencyError(SSPError, ImportError):
     """An optional package is not installed; the message carries the pip line.
 

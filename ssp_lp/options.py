@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from numbers import Real
 from typing import ClassVar, TextIO
 
@@ -16,6 +17,16 @@ from ssp_lp.errors import ModelError
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
 """Solvers of linear programs."""
+
+
+class Status(StrEnum):
+    """Why a call ended with the answer that it hands back."""
+
+    OPTIMAL = "optimal: the certified gap meets the tolerance"
+    TIME_LIMIT = "stopped by the time limit: the best answer so far, with its certified gap"
+    INTERRUPTED = "interrupted: the best answer so far, with its certified gap"
+    TOLERANCE_MISSED = "the certified gap misses the tolerance"
+
 
 Progress = Callable[[int, float, float], None]
 """Called after each pricing call with (calls, failure price, objective)."""

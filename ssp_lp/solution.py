@@ -16,6 +16,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model.html_table import html_table
 from ssp_lp.model.in_short import in_short
 from ssp_lp.model.nearest import ByName
+from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.remembering import on_original
 from ssp_lp.problem import Problem, has_rows, on_one_model
@@ -61,6 +62,7 @@ class Solution:
     budget_used: float  # failure of the policy (discounted, if that is limited), as measured
     run: Run
     note: str = ""
+    status: Status = Status.OPTIMAL
     upper_bound: float | None = None  # of a greatest probability, certified; None for least costs
     prices: Mapping[str, float] = field(default_factory=dict)  # multiplier of each row, by name
 
@@ -220,6 +222,8 @@ class Solution:
         lottery = ", ".join(f"{w:.4f}" for w in self.policy.weights)
         rows.append(("policy", f"lottery over {len(self.policy.weights)} ({lottery})"))
         rows.append(("method", f"{self.method}: {self.run.reason}, {self.seconds:.3g} s"))
+        if self.status is not Status.OPTIMAL:
+            rows.append(("status", str(self.status)))
         if self.note:
             rows.append(("note", self.note))
         return rows
@@ -258,8 +262,8 @@ def as_solved(solution: Solution, verb: str) -> Solution:
     return replace(solution, policy=policy, problem=problem)
 
 
-CUT_SHORT = "stopped by the time limit; the gap is honest"
-"""Said of every search that ran out of time."""
+CUT_SHORT = "stopped before the tolerance was met; the gap is honest"
+"""Said of every search that ran out of time, or was interrupted."""
 
 
 def remarks(problem: Problem, granted: float, finished: bool) -> str:

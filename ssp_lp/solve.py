@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.compiled.deadline import Deadline, Stop, until
+from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.plain import best_within_budget, cheapest_at_least_failure, extreme_goal
 from ssp_lp.methods.playing import solve_by_game
 from ssp_lp.methods.risk import solve_for_risk
@@ -59,8 +60,9 @@ def solve(
             ``LinearProgramming(backend)``, ``Game()`` or ``DeterministicPolicies(...)``; or the
             name of one with its defaults: "columns", "lp", "game", "deterministic".
         tolerance: relative gap to reach.
-        time_limit: seconds after which the best policy so far is returned with its honest gap;
-            with constraints, if any that keeps to them has been found.
+        time_limit: seconds after which the best policy so far is returned with its certified
+            gap, if any that keeps to all limits has been found. Ctrl-C does the same at once;
+            ``Solution.status`` says what ended the call.
         progress: called after each pricing call with (calls, failure price, objective).
         verbose: show each phase and how far it has come (``progress_shown``).
 
@@ -73,6 +75,8 @@ def solve(
         InfeasibleError: the budget is below the least failure probability, which it carries, a
             constraint cannot be kept, or failing is forbidden and cannot be avoided.
         SolverError: the method delivered nothing that passes its check.
+        OutOfTimeError: the time limit passed before there was a policy to hand back.
+        KeyboardInterrupt: Ctrl-C came before there was one.
     """
     check_problem(problem, "solve")
     began, chosen = time.perf_counter(), parse_method(method)
@@ -84,13 +88,18 @@ def solve(
 
 def _proved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
     """The answer, checked; its note says where the tolerance is missed."""
-    solution = _solved(problem, method, options)
+    try:
+        with until(options.deadline) as deadline:
+            solution = _solved(problem, method, options)
+    except Stop as stop:
+        raise _unanswered(deadline, stop) from None
     _check_answer(solution)
     found = solution.run.method, solution.run.pricing_calls, solution.objective
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *found)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     _PROOF.info("bound %.9g, relative gap %.1e", bound, solution.gap)
-    return replace(solution, note=_with_gap(solution, options.tolerance))
+    status = deadline.status(solution.gap, options.tolerance)
+    return replace(solution, note=_with_gap(solution, options.tolerance), status=status)
 
 
 def _as_stated(
@@ -103,6 +112,17 @@ def _as_stated(
     run = replace(solution.run, seconds=time.perf_counter() - began)
     policy = pulled_back(solution.policy, problem)
     return replace(solution, problem=problem, policy=policy, run=run)
+
+
+def _unanswered(deadline: Deadline, stop: Stop) -> BaseException:
+    """What to raise where the time ended before there was an answer."""
+    if deadline.is_interrupted:
+        return KeyboardInterrupt(stop.told)
+    known = stop.told or "nothing but the model was known by then"
+    return OutOfTimeError(
+        f"the time limit ended before a policy that keeps to all limits was found ({known}): "
+        "allow more time"
+    )
 
 
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:

@@ -35,7 +35,7 @@ SHOWN = {
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
     "docs/models.md": 3,
-    "docs/solving.md": 1,
+    "docs/solving.md": 2,
     "docs/tutorial.md": 6,
 }
 """Pages with code, and how often each shows what it prints."""

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
+from ssp_lp.analysis.measuring.layered import LayeredMeasures
+from ssp_lp.analysis.measuring.measures import Measures, mean_of
 from ssp_lp.analysis.quantity_values import (
     complement,
     counted_nodes,
@@ -16,6 +18,7 @@ from ssp_lp.analysis.quantity_values import (
     until_failure,
 )
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
+from ssp_lp.analysis.total_cost.spine import chain_of_law
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.model.nearest import ByName
@@ -90,45 +93,21 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
     """
     lottery, problem = on_one_model(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
-    chains = (policy_chain(problem.model, member, start) for member in lottery.policies)
     measure = problem.semantics.measure
+    streams, members, chains = LayeredMeasures(problem, start), [], []
+    for member, weight in zip(lottery.policies, lottery.weights, strict=True):
+        found, chain = streams.of(member), None
+        if found is None:
+            chain = policy_chain(problem.model, member, start)
+            found = _measure(chain, problem)
+        members.append(found)
+        if measure is not None and weight > 0.0:  # the law needs it as well
+            chains.append(chain or chain_of_law(problem.model, member, start))
+    evaluation = _report(mean_of(members, lottery.weights), problem)
     if measure is None:
-        return _report(_mean([_measure(c, problem) for c in chains], lottery.weights), problem)
-    kept, used = list(chains), lottery.weights > 0.0  # the law needs them as well
-    evaluation = _report(_mean([_measure(c, problem) for c in kept], lottery.weights), problem)
-    law = law_of_chains([kept[i] for i in np.flatnonzero(used)], lottery.weights[used])
+        return evaluation
+    law = law_of_chains(chains, lottery.weights[lottery.weights > 0.0])
     return replace(evaluation, objective=measure.of(law))
-
-
-@dataclass(frozen=True)
-class Measures:
-    """Quantities of a policy that are linear in the start lottery."""
-
-    goal: float
-    failure: float  # 1 - goal, summed from its own exits
-    success_cost: float
-    expected_cost: float
-    discounted_goal: float  # E[gamma^T; goal]
-    discounted_failure: float  # 1 - that, likewise
-    discounted_cost: float  # case M: discounted E[r_tau]; case S: E[gamma^(T - 1) r_T; goal]
-    ends: Mapping[str, float]
-    secondary: Mapping[str, float]  # discounted like the cost
-
-
-def _mean(parts: list[Measures], weights: FloatArray) -> Measures:
-    """Mean of measures over a lottery; an infinite cost of weight 0 does not count."""
-    used = [(p, float(w)) for p, w in zip(parts, weights, strict=True) if w > 0]
-    scalars = {
-        f.name: sum(w * getattr(p, f.name) for p, w in used)
-        for f in fields(Measures)
-        if f.name not in ("ends", "secondary")
-    }
-    names = list(dict.fromkeys(name for p, _ in used for name in p.ends))
-    return Measures(
-        **scalars,
-        ends={n: sum(w * p.ends.get(n, 0.0) for p, w in used) for n in names},
-        secondary={n: sum(w * p.secondary[n] for p, w in used) for n in used[0][0].secondary},
-    )
 
 
 def _report(sums: Measures, problem: Problem) -> Evaluation:

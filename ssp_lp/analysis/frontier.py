@@ -14,6 +14,7 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProb
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
 from ssp_lp.model.html_table import html_table
+from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, check_numbers, pulled_back
 from ssp_lp.processes.failure_semantics import as_percentage
@@ -50,11 +51,19 @@ class Frontier:
     _pricing: PricingProblem
     _columns: tuple[Column, ...]
     _problem: Problem | None = None  # as stated
+    ends_early: bool = False  # whether tracing was stopped before it found the other end
+    status: Status = Status.OPTIMAL
 
     @property
     def gap(self) -> float:
         """No policy lies below a segment by more than this share of its safer end's cost."""
         return max(self.tolerance, self.hidden, float(self.below.max(initial=0.0)))
+
+    @property
+    def open_segments(self) -> tuple[int, ...]:
+        """Numbers of the segments below which points may be missing; k lies from point k on."""
+        found = np.flatnonzero(self.below > self.tolerance).tolist()
+        return (*found, len(self.price)) if self.ends_early else tuple(found)
 
     @property
     def objective(self) -> FloatArray:
@@ -72,6 +81,7 @@ class Frontier:
         """
         number, weight = self._locate(budget)
         share = self.hidden if weight == 0.0 else max(self.hidden, float(self.below[number]))
+        share = np.inf if self.ends_early and number == len(self.price) else share
         if share > self.tolerance:
             low, high = self.bounds_at(budget)
             raise SolverError(
@@ -196,10 +206,11 @@ class Frontier:
     @property
     def _title(self) -> str:
         """How many points, from where to where, and how near."""
-        failure, value = self.failure, self.objective
+        failure, value, count = self.failure, self.objective, len(self.open_segments)
+        told = f", {count} segment{'s' * (count != 1)} open: {self.status}" if count else ""
         return (
             f"{len(failure):,} points, failure {failure[0]:.6g} .. {failure[-1]:.6g}, "
-            f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}"
+            f"objective {value[0]:.6g} .. {value[-1]:.6g}, gap {self.gap:.1e}{told}"
         )
 
     def _some(self) -> list[tuple[str, str, str]]:

@@ -21,8 +21,9 @@ from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, until
 from ssp_lp.dynamic_programming.work import Work
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.options import SolveOptions, deadline_of, progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem, is_whole, unrolled
 from ssp_lp.processes.failure_semantics import Aim
@@ -54,22 +55,31 @@ def trace_frontier(
             S) rather than at the least failure, near which the price grows without bound.
         point_limit: stop splitting after so many turning points, of which the segments with most
             below them get theirs first; ``gap`` is then what was reached.
-        time_limit: seconds after which splitting stops; segments that wait are still priced once,
-            so that ``gap`` is honest.
+        time_limit: seconds after which splitting stops, also within a pricing call, as Ctrl-C does
+            at once. The points found are kept; ``open_segments`` says where others may be missing.
         progress: called after each pricing call with (calls, turning points so far).
         verbose: show how far it has come (``ssp_lp.progress_shown``).
 
     Raises:
         ModelError: an argument out of range, or a problem without a failure budget.
         InfeasibleError: case S, and the goal cannot be reached from the start.
+        OutOfTimeError: the time limit passed before there was a point.
+        KeyboardInterrupt: Ctrl-C came before there was one.
     """
     asked = _traceable(problem)
     deadline = deadline_of(time_limit, time.perf_counter())
-    limits = _Limits(gap, steepest_price, point_limit, deadline, progress)
-    with progress_shown(verbose):
-        traced = _traced_and_refined(_first_compiled(asked, steepest_price), limits)
+    limits = _Limits(gap, steepest_price, point_limit, deadline < np.inf, progress)
+    with progress_shown(verbose), until(deadline) as ended:
+        try:
+            traced = _traced_and_refined(_first_compiled(asked, steepest_price), limits)
+        except Stop:
+            if ended.is_interrupted:
+                raise KeyboardInterrupt from None
+            told = "the time limit ended before the least failure was known: allow more time"
+            raise OutOfTimeError(told) from None
         _LOG.info("%d turning points, gap %.1e", len(traced.failure), traced.gap)
-    return replace(traced, _problem=problem)
+    status = ended.status(np.inf if traced.ends_early else traced.gap, gap)
+    return replace(traced, _problem=problem, status=status)
 
 
 def _traceable(problem: Problem) -> Problem:
@@ -99,17 +109,25 @@ def _first_compiled(problem: Problem, steepest_price: float | None) -> CompiledP
 
 def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
     """Trace, and again on a finer process while a cap on the cost hides more than the gap."""
-    calls, work = 0, Work()
+    calls, work, known = 0, Work(), None
     for _ in range(_REFINEMENTS):
-        traced = _trace(compiled, limits)
+        try:
+            traced = _trace(compiled, limits)
+        except STOPS as stop:
+            heed(stop)
+            if known is None:
+                raise Stop from stop
+            return known
         calls, work = calls + traced.pricing_calls, work + traced.work
         lost = _share_lost(compiled, traced)
-        finer = compiled.refined(float(traced.price[0])) if lost > limits.gap else None
-        traced = replace(traced, hidden=lost)
-        if finer is None or time.perf_counter() > limits.deadline:
+        known = replace(traced, hidden=lost, pricing_calls=calls, work=work)
+        if lost <= limits.gap or is_late():
+            break
+        finer = compiled.refined(float(traced.price[0]))
+        if finer is None:
             break
         compiled = finer
-    return replace(traced, pricing_calls=calls, work=work)
+    return known or traced
 
 
 @dataclass(frozen=True)
@@ -119,7 +137,7 @@ class _Limits:
     gap: float
     steepest_price: float | None
     point_limit: int | None
-    deadline: float  # on the clock of time.perf_counter
+    has_deadline: bool
     progress: Callable[[int, int], None] | None
 
     def __post_init__(self) -> None:
@@ -134,19 +152,24 @@ class _Limits:
     @property
     def may_stop(self) -> bool:
         """Whether some segments may be left, so that it matters which are split."""
-        return self.point_limit is not None or self.deadline < np.inf
+        return self.point_limit is not None or self.has_deadline
 
     def allows(self, points: int) -> bool:
         """Whether a segment may still be split."""
         full = self.point_limit is not None and points >= self.point_limit
-        return not full and time.perf_counter() <= self.deadline
+        return not full and not is_late()
 
 
 def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
     """How far below the frontier policies may lie that the cap on accumulated cost hides."""
     if len(traced.price) == 0:
         return 0.0
-    lost = max(compiled.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
+    try:
+        with closing():
+            lost = max(compiled.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
+    except STOPS as stop:
+        heed(stop)
+        return np.inf
     return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
 
 
@@ -162,7 +185,7 @@ def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
                 "steepest_price must lie above the least cost given success"
             )
     rule = Secant(pricing, row, first, calls=calls, work=first.work)
-    free = generate(rule, SolveOptions(limits.gap, limits.deadline))
+    free = generate(rule, SolveOptions(limits.gap))
     last, calls, work = free.columns[-1], rule.calls, rule.work
     columns = [first] if last.failure <= first.failure else [first, last]
     waiting = _Waiting(pricing, compiled.ratio, limits, calls)
@@ -172,8 +195,9 @@ def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
     while waiting.found and limits.allows(len(columns)):
         inside, found, outside = waiting.next()
         columns.append(replace(found, totals=None))  # only those waiting start others warmly
-        waiting.add(inside, found, len(columns))
-        waiting.add(found, outside, len(columns))
+        at_most = waiting.below[inside.failure]
+        waiting.add(inside, found, len(columns), at_most)
+        waiting.add(found, outside, len(columns), at_most * inside.cost / max(found.cost, 1e-300))
     ordered = tuple(sorted(columns, key=lambda c: c.failure))
     failure, cost = np.array([c.failure for c in ordered]), np.array([c.cost for c in ordered])
     return Frontier(
@@ -184,6 +208,7 @@ def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
         below=np.array([waiting.below[column.failure] for column in ordered[:-1]]),
         tolerance=limits.gap,
         hidden=0.0,
+        ends_early=not free.finished,
         ratio=compiled.ratio,
         complete=limits.steepest_price is None,
         pricing_calls=waiting.calls,
@@ -203,13 +228,25 @@ class _Waiting:
         self._pricing, self._ratio, self._limits = pricing, ratio, limits
         self.below: dict[float, float] = {}  # by a segment's safer failure; see Frontier.below
 
-    def add(self, inside: Column, outside: Column, points: int) -> None:
-        """Price a segment, and keep it if a policy lies below it by more than the gap."""
+    def add(self, inside: Column, outside: Column, points: int, at_most: float = 1.0) -> None:
+        """Price a segment, and keep it if a policy lies below it by more than the gap.
+
+        Args:
+            inside: its safer end.
+            outside: its other end.
+            points: turning points so far.
+            at_most: the share by which policies may lie below it, where there is no time for that.
+        """
         line = Secant(self._pricing, Row(1.0, self._ratio), inside, outside)
         if line.slope == 0.0:
             self.below[inside.failure] = 0.0
             return
-        found = replace(self._pricing.minimise(line.slope, outside), found_at=line.slope)
+        try:
+            found = replace(self._pricing.minimise(line.slope, outside), found_at=line.slope)
+        except STOPS as stop:
+            heed(stop)
+            self.below[inside.failure] = at_most
+            return
         self.calls += 1
         below, self.work = _share_below(line, found), self.work + found.work
         self.below[inside.failure] = below
@@ -217,8 +254,11 @@ class _Waiting:
             urgency = -below if self._limits.may_stop else -float(self.calls)
             heappush(self.found, (urgency, self.calls, (inside, found, outside)))
         _LOG.debug("%d pricing calls, %d turning points", self.calls, points)
-        if self._limits.progress is not None:
-            self._limits.progress(self.calls, points)
+        try:
+            if self._limits.progress is not None:
+                self._limits.progress(self.calls, points)
+        except STOPS as stop:
+            heed(stop)
 
     def next(self) -> tuple[Column, Column, Column]:
         """Take out the segment to split: its ends and the policy between them."""

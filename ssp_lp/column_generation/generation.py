@@ -8,7 +8,6 @@ below the rule's own valuation. There are two: ``secant`` for the failure row al
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 from functools import partial
 from typing import ClassVar, Protocol
@@ -17,7 +16,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
-from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
+from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 
@@ -72,15 +71,14 @@ class PriceRule(Protocol):
         """Pricing calls so far."""
         ...
 
-    def seek(self, tolerance: float, deadline: Deadline) -> Column | None:
+    def seek(self, tolerance: float) -> Column | None:
         """The best column at the rule's prices; None where no more is needed.
 
         Args:
             tolerance: relative gap to reach.
-            deadline: looked at inside every loop.
 
         Raises:
-            OutOfTimeError: the deadline passed.
+            Stop: the time ended.
         """
         ...
 
@@ -104,16 +102,18 @@ def generate(rule: PriceRule, options: SolveOptions) -> Generated:
         rule: where to begin; it moves on.
         options: tolerance, deadline, and who is told after each pricing call.
     """
-    begun = rule.calls
-    for _ in range(rule.most_rounds):
-        if rule.calls > begun and time.perf_counter() > options.deadline:
-            break
-        try:
-            found = rule.seek(options.tolerance, Deadline(options.deadline))
-        except OutOfTimeError:
-            break
-        if options.progress is not None and found is not None:
-            options.progress(rule.calls, *rule.told())
-        if found is None or rule.learn(found, options.tolerance):
-            return rule.concluded(options.tolerance, finished=True)
-    return rule.concluded(options.tolerance, finished=False)
+    begun, finished = rule.calls, False
+    try:
+        for _ in range(rule.most_rounds):
+            if rule.calls > begun and is_late():
+                break
+            found = rule.seek(options.tolerance)
+            told = None if found is None else rule.told()
+            finished = found is None or rule.learn(found, options.tolerance)
+            if options.progress is not None and told is not None:
+                options.progress(rule.calls, *told)
+            if finished:
+                break
+    except STOPS as stop:
+        heed(stop)
+    return rule.concluded(options.tolerance, finished=finished)

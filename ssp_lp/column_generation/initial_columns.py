@@ -8,7 +8,6 @@ is near the least failure or below it, is the least failure itself worked out.
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
-from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.options import SolveOptions
 
@@ -60,7 +59,7 @@ def columns_by_pricing(
         options: deadline, and who is told after each pricing call.
 
     Raises:
-        OutOfTimeError: the deadline passed before a column that keeps to the budget was found.
+        Stop: the time ended before a column that keeps to the budget was found.
 
     Returns:
         None where no column that keeps to the budget was found.
@@ -74,30 +73,55 @@ def columns_by_pricing(
     inside: Column | None = None
     outside: Column | None = None
     work = Work()
-    for calls, step in enumerate((*steps, None), start=1):
-        try:
-            last = pricing.minimise(
-                price, last, inside, outside, deadline=Deadline(options.deadline)
-            )
-        except OutOfTimeError:
-            if last is None or (inside is None and row.breaks(last)):
-                raise
-            inside = last if inside is None else inside
-            break
-        work, value = work + last.work, row.objective(last.cost, last.goal)
-        if row.breaks(last):
-            outside = last
-        elif value < np.inf:
-            inside = last
-        if options.progress is not None:
-            options.progress(calls, price, value if last is inside else np.inf)
-        enough = one_sided or outside is not None or time.perf_counter() > options.deadline
-        if step is None or (inside is not None and enough):
-            break
-        price = _moved(price, step, last.failure, row.budget, is_hinted=guess is not None)
+    calls = 0
+    try:
+        for step in (*steps, None):
+            last, calls = pricing.minimise(price, last, inside, outside), calls + 1
+            work, value = work + last.work, row.objective(last.cost, last.goal)
+            if row.breaks(last):
+                outside = last
+            elif value < np.inf:
+                inside = last
+            if options.progress is not None:
+                options.progress(calls, price, value if last is inside else np.inf)
+            enough = one_sided or outside is not None or is_late()
+            if step is None or (inside is not None and enough):
+                break
+            price = _moved(price, step, last.failure, row.budget, is_hinted=guess is not None)
+    except STOPS as stop:
+        heed(stop)
+        inside = last = _kept_to(pricing, row, stop, inside, last)
     if inside is None or last is None:
         return None
     return Secant(pricing, row, inside, outside, last, calls, work)
+
+
+def _kept_to(
+    pricing: PricingProblem, row: Row, stop: BaseException, *known: Column | None
+) -> Column:
+    """The best policy within the budget that is known when the time ends.
+
+    Args:
+        pricing: was stopped.
+        row: the budget.
+        stop: what stopped it.
+        known: columns so far.
+
+    Raises:
+        Stop: none of them keeps to the budget.
+    """
+    columns = [column for column in known if column is not None]
+    try:
+        with closing():
+            reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
+            columns += [pricing.first() if reached is None else reached]
+    except STOPS as again:
+        heed(again)
+    kept = [c for c in columns if not row.breaks(c) and row.objective(c.cost, c.goal) < np.inf]
+    if not kept:
+        least = min((column.failure for column in columns), default=1.0)
+        raise Stop(told=f"the safest policy known by then fails with {least:.6g}") from stop
+    return min(kept, key=lambda column: row.objective(column.cost, column.goal))
 
 
 def _moved(price: float, step: float, failure: float, budget: float, *, is_hinted: bool) -> float:

@@ -9,7 +9,6 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, weighted
 from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
-from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.work import Work
 
 _TRIFLE = 1e-9  # of what policies take of a row: no bound is taken to be smaller
@@ -71,9 +70,9 @@ class Pool:
         """The known policy of least weighted totals."""
         return self.columns[int(np.argmin(weights @ self.figures))]
 
-    def priced(self, weights: FloatArray, deadline: Deadline = NEVER) -> Column:
+    def priced(self, weights: FloatArray) -> Column:
         """A policy of least weighted totals, from the known one that is best."""
-        found = self.pricing.minimise(weights, self.best(weights), deadline=deadline)
+        found = self.pricing.minimise(weights, self.best(weights))
         self.calls, self.work = self.calls + 1, self.work + found.work
         return found
 

@@ -9,11 +9,13 @@ as no column is infeasible the price is the ratio itself (Dinkelbach's iteration
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
 
+from ssp_lp.column_generation.anytime_bound import AnytimeBound
 from ssp_lp.column_generation.failure_constraint import Row, least_of
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pricing.pricing_problem import (
@@ -21,7 +23,7 @@ from ssp_lp.column_generation.pricing.pricing_problem import (
     PricingProblem,
     excess_failure,
 )
-from ssp_lp.dynamic_programming.deadline import Deadline
+from ssp_lp.compiled.deadline import STOPS, closing, heed
 from ssp_lp.dynamic_programming.work import Work
 
 _SAME_COST = 1e-15  # relative
@@ -40,8 +42,13 @@ class Secant:
     last: Column | None = None  # found last: a warm start
     calls: int = 0
     work: Work = field(default_factory=Work)
+    proved: AnytimeBound = field(init=False)
 
     most_rounds: ClassVar[int] = 200
+
+    def __post_init__(self) -> None:
+        """Nothing is proved yet."""
+        self.proved = AnytimeBound(self.pricing, self.row)
 
     @property
     def slope(self) -> float:
@@ -74,13 +81,14 @@ class Secant:
         """The price of failure, and the objective so far."""
         return self.slope, self.objective
 
-    def seek(self, tolerance: float, deadline: Deadline) -> Column:
+    def seek(self, tolerance: float) -> Column:
         """The best column at the slope, unless the last one is known to be that."""
         price, last = self.slope, self.inside if self.last is None else self.last
         if last.found_at != price:
             known = last, self.inside, self.outside
-            last = self.pricing.minimise(price, *known, deadline=deadline)
+            began, last = time.perf_counter(), self.pricing.minimise(price, *known)
             self.calls, self.work = self.calls + 1, self.work + last.work
+            self.proved.learn(price, last, began)
         self.last = last
         return last
 
@@ -130,7 +138,8 @@ class Secant:
         price = max(price, best) if row.ratio else price
         slack = row.ratio and price <= best  # then prove it just below it: Row.lower_bound
         at = price * (1.0 - 0.25 * tolerance) if slack else price
-        proof = self.pricing.prove(at, last, slack=slack)
+        proof = self.proved.concluded(at, last, slack=slack)
+        price = price if proof.price == at else max(proof.price, best if row.ratio else 0.0)
         self.work = self.work + proof.work
         bound = least_of(row.lower_bound(proof), best)
         return Generated(columns, weights, np.array([price]), best, bound, finished, proof.values)
@@ -139,7 +148,12 @@ class Secant:
         """Let both columns fix what a price fixes by the same one, if they still bracket."""
         if self.outside is None:
             return
-        inside = self.pricing.aligned(self.inside, price)
-        outside = self.pricing.aligned(self.outside, price)
+        try:
+            with closing():
+                inside = self.pricing.aligned(self.inside, price)
+                outside = self.pricing.aligned(self.outside, price)
+        except STOPS as stop:
+            heed(stop)
+            return
         if self.row.breaks(outside) and not self.row.breaks(inside):
             self.inside, self.outside = inside, outside

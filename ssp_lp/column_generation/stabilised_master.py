@@ -20,7 +20,6 @@ from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pool import Pool, Rows
 from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
-from ssp_lp.dynamic_programming.deadline import Deadline
 
 _IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
 _SLIGHT = 1e-6  # worth of a row, relative to the objective, that a price in between may neglect
@@ -57,7 +56,7 @@ class StabilisedMaster:
         """Pricing calls so far, those of earlier phases included."""
         return self.pool.calls
 
-    def seek(self, tolerance: float, deadline: Deadline) -> Column | None:
+    def seek(self, tolerance: float) -> Column | None:
         """A best policy at prices in between; None where all rows are kept in phase 1."""
         self.master = self._solved()
         if self.master.value - self.bound <= self._near(tolerance):
@@ -67,7 +66,7 @@ class StabilisedMaster:
             return None
         self.tried = self._between()
         weights = self.rows.weights(self.tried, 0.0 if self.elastic else 1.0)
-        return self.pool.priced(weights, deadline)
+        return self.pool.priced(weights)
 
     def told(self) -> tuple[float, float]:
         """The price of failure, and the objective so far."""

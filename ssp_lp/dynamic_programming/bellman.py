@@ -16,6 +16,7 @@ from ssp_lp.arrays import (
     unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time, pieces
 
 _FEW_ENTRIES = 20_000
 _NONE = np.zeros(0)
@@ -68,6 +69,7 @@ def best_pairs(
         values: [columns].
         held: a pair of each state whose value is wanted beside the least one, [states].
     """
+    check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
     n = len(pair_offsets) - 1
     if not accelerated(transitions.nnz):
@@ -109,6 +111,7 @@ def safe_minima(
     Returns:
         [states], infinite where a state has no pairs.
     """
+    check_time()
     if not accelerated(transitions.nnz):
         growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
         size = (magnitude + growth) + transitions @ np.abs(values)
@@ -179,12 +182,16 @@ class ChosenRows:
         indptr = np.append(0, np.cumsum(lengths)).astype(begin.dtype)
         indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
         data = np.empty(indices.size)
-        run = compiled.extract(indices.size)
-        run(*self._arrays, unsigned(indptr), unsigned(indices), data)
+        run, (choice, *arrays) = compiled.extract(indices.size), self._arrays
+        own = unsigned(indptr)
+        for some in pieces(len(choice), indices.size):
+            ends = own[some.start : some.stop + 1]
+            run(choice[some], *arrays, ends, unsigned(indices), data)
         return sp.csr_array((data, indices, indptr), shape=self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
         """Product with one vector, [columns], or several, [columns, vectors]."""
+        check_time()
         self.products += 1
         if not self._is_compiled:
             return np.asarray(self.matrix @ x)

@@ -154,6 +154,17 @@ def play(
     return _narrow(player, game, minus, plus, responses, accuracy)
 
 
+def unplayed(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
+    """What policies met before say of a game that there is no time to play: nothing from below."""
+    minus, plus = _closest(game, known)
+    if minus is None or plus is None:
+        only = known[0] if minus is None and plus is None else minus or plus
+        minus = plus = known[0] if only is None else only
+    alpha = crossing(game, minus, plus) if minus is not plus else 1.0
+    upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
+    return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(known))
+
+
 def _narrow(
     player: Player,
     game: Game,

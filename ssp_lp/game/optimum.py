@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 from typing import cast
 
 from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.compiled.deadline import STOPS, closing, heed, is_late
 from ssp_lp.errors import SolverError
 from ssp_lp.game.best_responses.best_response import BestResponse, Player, RatioPlayer
 from ssp_lp.game.setting import infeasible
@@ -109,7 +109,12 @@ def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: fl
         below = ratio * (1.0 - share * tolerance)
         if below <= 0.0:
             break
-        surplus = player.surplus(below, 0.1 * tolerance)
+        try:
+            with closing():
+                surplus = player.surplus(below, 0.1 * tolerance)
+        except STOPS as stop:
+            heed(stop)
+            break
         if surplus >= 0.0:
             return max(best, below)
         if budget < 1.0:
@@ -141,9 +146,13 @@ def _least_ratio(
     best = min(hopeful, key=_ratio)
     for _ in range(_MOST_STEPS):
         c = _ratio(best)
-        if time.perf_counter() > patience.deadline:
+        if is_late():
             break
-        response = player.response(1.0, c, 0.1 * tolerance)
+        try:
+            response = player.response(1.0, c, 0.1 * tolerance)
+        except STOPS as stop:
+            heed(stop)
+            break
         if not _is_hopeful(response) or _ratio(response) >= c * (1.0 - 1e-15):
             return best, tuple(responses), True
         responses.append(response)

@@ -7,9 +7,10 @@ from collections.abc import Iterable
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.compiled.deadline import STOPS, closing, heed
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_responses.accumulated_cost import CostPlayer
-from ssp_lp.game.best_responses.best_response import BestResponse
+from ssp_lp.game.best_responses.best_response import BestResponse, Player
 from ssp_lp.game.best_responses.failure_label import LabelPlayer
 from ssp_lp.game.construction import construct
 from ssp_lp.game.models import LabelModels
@@ -64,16 +65,31 @@ def value_function(solution: GameSolution) -> FloatArray:
     Case M: [states of the process]. Case S: infinite, [layers, nodes], which asks ``certify`` for
     the best that it can prove with so many layers.
 
+    Where no time is left the values are infinite throughout.
+
     Raises:
         ModelError: not a solution of ``stationary_game``.
     """
     player, price = solution.player, solution.optimum.price
-    if isinstance(player, LabelPlayer):
-        return player.values(player.response(1.0, price, _TIGHT))
-    if isinstance(player, CostPlayer):
-        best = player.response(1.0, price, _LESS_TIGHT)
-        return np.broadcast_to(np.inf, best.strategy.choice.shape)
+    try:
+        with closing():
+            if isinstance(player, LabelPlayer):
+                return player.values(player.response(1.0, price, _TIGHT))
+            if isinstance(player, CostPlayer):
+                best = player.response(1.0, price, _LESS_TIGHT)
+                return np.broadcast_to(np.inf, best.strategy.choice.shape)
+    except STOPS as stop:
+        heed(stop)
+        return np.broadcast_to(np.inf, _shape(player, solution.optimum.threshold))
     raise ModelError("only the stationary game has a value function of the state")
+
+
+def _shape(player: Player, found: Threshold) -> tuple[int, ...]:
+    """The shape of a value function: [nodes and perhaps the start], or [layers, nodes]."""
+    if isinstance(player, LabelPlayer):
+        models = player.models
+        return (models.discounted_dynamics.n_states + int(models.start_settled > 0.0),)
+    return max(r.strategy.choice.shape for r in found.members)
 
 
 def thresholds(

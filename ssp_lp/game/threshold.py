@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
+from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.game.best_responses.best_response import BestResponse, Player
-from ssp_lp.game.equilibrium import Equilibrium, Game, play
+from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed
 
 _STEEP = (1e3, 1e6, 1e9)
 """Prices of failure at which cheap policies among those of least failure are looked for, as
@@ -40,9 +40,8 @@ _STALLED = 0.75
 
 @dataclass(frozen=True)
 class Patience:
-    """How long a search may take and whom it tells."""
+    """Whom a search tells how far it is."""
 
-    deadline: float = np.inf  # on the clock of time.perf_counter
     progress: Callable[[int, float, float], None] | None = None  # responses, price, upper end
 
 
@@ -124,20 +123,26 @@ def find_threshold(
     width = np.inf  # of the bracket after the last game at its upper end
     while True:
         at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
-        found = play(player, Game(share * at, budget, room), responses, accuracy=accuracy)
+        try:
+            found = play(player, Game(share * at, budget, room), responses, accuracy=accuracy)
+        except STOPS as stop:
+            heed(stop)
+            found = unplayed(Game(share * at, budget, room), responses)
         responses = list(found.responses)
         trials.append(Trial(at, found.alpha, found.upper, share * at))
         low = max(low, _implied(found) / share)
         members, weights, cost = cheapest_mixture(responses, room)
         high = cost / share
-        late = time.perf_counter() > patience.deadline
         answer = Threshold(
             budget, min(low, high), high, found, members, weights, tuple(trials), tuple(responses),
-            not late,
+            not is_late(),
         )  # fmt: skip
-        if patience.progress is not None:
-            patience.progress(len(responses), answer.failure_price, high)
-        late = late or len(trials) >= _MOST_GAMES
+        try:
+            if patience.progress is not None:
+                patience.progress(len(responses), answer.failure_price, high)
+        except STOPS as stop:
+            heed(stop)
+        late = is_late() or len(trials) >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
             return answer
         if len(trials) % 2 == 1:
@@ -149,7 +154,11 @@ def find_threshold(
 def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
     """The policy that fails least and the cheapest one."""
     safest = player.response(0.0, 1.0, min(accuracy, _LEAST_ACCURACY))
-    return safest, player.response(1.0, 0.0, accuracy)
+    try:
+        return safest, player.response(1.0, 0.0, accuracy)
+    except STOPS as stop:
+        heed(stop)
+        return safest, safest
 
 
 def _attainable(responses: Sequence[BestResponse], room: float) -> float:
@@ -171,7 +180,11 @@ def _near_least(
         return
     worth = safest.objective / max(safest.success, 0.0 if safest.origin else _LEAST_SUCCESS)
     for price in _STEEP:
-        response = player.response(1.0, price * (worth or 1.0), accuracy)
+        try:
+            response = player.response(1.0, price * (worth or 1.0), accuracy)
+        except STOPS as stop:
+            heed(stop)
+            return
         yield response
         if response.failing <= safest.failing:
             return

@@ -14,6 +14,7 @@ from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives.archive import ArrayStore, read_archive, write_archive
 from ssp_lp.io.policy_files import policy_header, policy_in
+from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -54,7 +55,7 @@ def save_solution(solution: Solution, path: str | PathLike[str]) -> None:
     header["numbers"] = {name: getattr(solution, name) for name in _NUMBERS}
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
     header["value_function"] = None if values is None else store.add(np.asarray(values))
-    header["run"] = asdict(solution.run)
+    header["run"], header["status"] = asdict(solution.run), solution.status.name
     write_archive(path, "solution", _VERSION, header, store.arrays)
 
 
@@ -82,6 +83,7 @@ def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
         value_function=None if values is None else arrays[values],
         run=Run(**{**run, "work": Work(**run["work"])}),
         prices=header["prices"],
+        status=Status[header["status"]],
         **header["numbers"],
     )
 

@@ -19,7 +19,7 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     compiled = problem.compile()
     if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
         raise ModelError("method='game' chooses its own cap M: leave cost_cap out")
-    patience = Patience(options.deadline, options.progress)
+    patience = Patience(options.progress)
     found = stationary_game(problem, tolerance=options.tolerance, patience=patience)
     optimum = found.optimum
     replies = optimum.threshold.responses

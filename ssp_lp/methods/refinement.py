@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field, replace
 
 from ssp_lp.arrays import LEAST_BUDGET
@@ -15,7 +14,9 @@ from ssp_lp.column_generation.failure_constraint import Row, relative_gap
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
 from ssp_lp.column_generation.secant import Secant
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
 from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.errors import SolverError
 from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.options import SolveOptions
@@ -42,6 +43,11 @@ class Outcome:
     calls: int = 0
     work: Work = field(default_factory=Work)
     program: str = ""  # report of the last linear program
+
+    @property
+    def gap(self) -> float:
+        """Relative gap."""
+        return relative_gap(self.found.objective, self.found.lower_bound)
 
     @property
     def lottery(self) -> MixedPolicy:
@@ -79,31 +85,71 @@ def optimise(compiled: CompiledProblem, budget: float, options: SolveOptions) ->
     Raises:
         InfeasibleError: no policy keeps to the budget.
         SolverError: the linear program's answer fails its check.
+        Stop: the time ended before a policy that keeps to the budget was found.
     """
     gaps: list[float] = []
     compiled = compiled if options.program is None else compiled.for_program()
     row = Row(budget, compiled.ratio, compiled.lowest)
-    outcome = _attempt(compiled, row, None, options, None)
+    try:
+        outcome = _attempt(compiled, row, None, options, None)
+    except STOPS as stop:
+        heed(stop)
+        return _safest(compiled, row, stop)
+    except SolverError as error:  # a linear program that was cut short
+        if options.program is None or not is_late():
+            raise
+        return _safest(compiled, row, error)
     while True:
-        found, here = outcome.found, outcome.compiled
-        gaps.append(relative_gap(found.objective, found.lower_bound))
+        gaps.append(outcome.gap)
         if gaps[-1] <= options.tolerance:
             return outcome
-        if time.perf_counter() > options.deadline:
-            return replace(outcome, found=replace(found, finished=False))
-        if outcome.least is None and found.columns[0].failure >= outcome.row.budget - _NEAR:
-            outcome = _at_the_edge(outcome, options)
-            if outcome.found is not found:
-                continue
-        if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
+        try:
+            refined = outcome if is_late() else _refined(outcome, gaps, options)
+        except STOPS as stop:
+            heed(stop)
+            refined = outcome
+        if is_late():
+            best = refined if refined.gap <= outcome.gap else outcome
+            return replace(best, found=replace(best.found, finished=False))
+        if refined.found is outcome.found:
+            return refined
+        outcome = refined
+
+
+def _refined(outcome: Outcome, gaps: list[float], options: SolveOptions) -> Outcome:
+    """A finer search; with what was found before where refining does not help."""
+    found, here = outcome.found, outcome.compiled
+    if outcome.least is None and found.columns[0].failure >= outcome.row.budget - _NEAR:
+        outcome = _at_the_edge(outcome, options)
+        if outcome.found is not found:
             return outcome
-        finer = here.refined(found.price)
-        if finer is None:
-            return outcome
-        spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
-        guess = DualGuess(found.price, spread, slack=len(found.columns) == 1)
-        later = options.after(outcome.calls)
-        outcome = outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
+    if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
+        return outcome
+    finer = here.refined(found.price)
+    if finer is None:
+        return outcome
+    spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
+    guess = DualGuess(found.price, spread, slack=len(found.columns) == 1)
+    later = options.after(outcome.calls)
+    return outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
+
+
+def _safest(compiled: CompiledProblem, row: Row, stop: BaseException) -> Outcome:
+    """The policy of least failure, where the time ended before any other within the budget.
+
+    Raises:
+        Stop: there is no time for it either.
+    """
+    try:
+        with closing():
+            least = checked_least_failure(compiled, row.budget)
+            rule = columns_at(compiled.pricing(), least, row)
+            found = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
+    except STOPS as again:
+        heed(again)
+        told = stop.told if isinstance(stop, Stop) else ""
+        raise Stop(told=told or "no policy was measured by then") from stop
+    return Outcome(replace(found, finished=False), compiled, rule.row, least)
 
 
 def _at_the_edge(outcome: Outcome, options: SolveOptions) -> Outcome:

@@ -9,11 +9,16 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.policies.cost_layers import CostLayers
 from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import UNDECIDED, Branches, Policy
 
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
+
+
+def _is_uniform(model: SSP) -> bool:
+    return model.costs.strides == (0,)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,6 +60,23 @@ class CostAwarePolicy(Policy, Playable):
     def start_memory(self, states: IntArray) -> IntArray:
         """Nothing is paid yet: layer 0, [episodes]."""
         return self._memory_at(np.zeros(len(states), dtype=np.int64), states)
+
+    def layers(self) -> CostLayers | None:
+        """Decisions by layer; None where a cost is no whole number of layers."""
+        costs = np.unique(self.model.costs[:1] if _is_uniform(self.model) else self.model.costs)
+        steps = np.rint(costs / self.unit)
+        if not (np.abs(costs / self.unit - steps) <= _OFF_LATTICE).all() or self.cap == 0:
+            return None
+        passed, states = steps.astype(np.int64), np.arange(self.model.n_states)
+        return CostLayers(
+            decision=self.decision,
+            tails=self.tails,
+            tail_at=lambda layer: self._memory_at(np.full(len(states), layer), states) - self.cap,
+            costs=costs,
+            leads=lambda layer: passed,
+            unit=self.unit,
+            width=int(passed.max(initial=0)) + 1,
+        )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The one decision of each (state, memory)."""

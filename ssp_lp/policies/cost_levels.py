@@ -9,6 +9,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.policies.cost_layers import CostLayers
 from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import UNDECIDED, Branches, Policy
@@ -51,6 +52,24 @@ class CostLevelPolicy(Policy, Playable):
         """Nothing is paid yet: level 0, [episodes]."""
         return np.zeros(len(states), dtype=np.int64)
 
+    def layers(self) -> CostLayers:
+        """Decisions by level, the last of which is the tail."""
+        costs, last = np.unique(self.model.costs), len(self.levels) - 1
+
+        def leads(level: int) -> IntArray:
+            here = np.full(len(costs), level)
+            return self._moved(here, costs) - level
+
+        return CostLayers(
+            decision=self.decision[:last],
+            tails=self._pairs(self.decision[last], np.arange(self.model.n_states))[None, :],
+            tail_at=lambda level: np.zeros(self.model.n_states, dtype=np.int64),
+            costs=costs,
+            leads=leads,
+            unit=None,
+            width=max(int(leads(level).max(initial=0)) for level in range(last)) + 1,
+        )
+
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The one decision of each (state, memory)."""
         pair = self._pairs(self.decision[memory, states], states)
@@ -60,14 +79,18 @@ class CostLevelPolicy(Policy, Playable):
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """The level nearest to the total; the last one stays."""
+        acting = self.decision[0, successors] != UNDECIDED
+        moving = acting & (memory < len(self.levels) - 1)
+        return np.where(moving, self._moved(memory, costs), memory)
+
+    def _moved(self, memory: IntArray, costs: FloatArray) -> IntArray:
+        """The level after a cost, like ``costs``."""
         last = len(self.levels) - 1
         total = self.levels[memory] + np.where(np.isfinite(costs), costs, 0.0)
         above = np.clip(np.searchsorted(self.levels, total), 1, max(last, 1))
         below = self.levels[above - 1]
         nearest = np.where(total - below <= self.levels[above] - total, above - 1, above)
-        acting = self.decision[0, successors] != UNDECIDED
-        moved = np.maximum(np.minimum(nearest, last), memory)
-        return np.where(acting & (memory < last), moved, memory)
+        return np.maximum(np.minimum(nearest, last), memory)
 
     def _pairs(self, decision: IntArray, states: IntArray) -> IntArray:
         """Pairs of the model in place of positions; codes stay, [k] of [k]."""

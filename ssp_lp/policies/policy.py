@@ -13,6 +13,7 @@ from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.in_short import in_short
+from ssp_lp.policies.cost_layers import CostLayers
 
 
 class Decision(enum.Enum):
@@ -57,6 +58,10 @@ class Policy(ABC):
     @abstractmethod
     def start_memory(self, states: IntArray) -> IntArray:
         """Memory at the start of episodes that begin in these states, [episodes]."""
+
+    def layers(self) -> CostLayers | None:
+        """The policy layer by layer of the cost paid; None where its memory is another one."""
+        return None
 
     @abstractmethod
     def branches(self, states: IntArray, memory: IntArray) -> Branches:

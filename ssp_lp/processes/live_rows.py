@@ -10,6 +10,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, segment_ids
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import pieces
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import segment_chunks
 
@@ -59,13 +60,14 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     if accelerated(rows.model.n_outcomes):
         from ssp_lp.compiled import rows as compiled
 
-        model = rows.model
-        compiled.fill(
-            model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
-            _array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at, _array(rows.home),
-            departs, survival,
-            indptr, indices, data,
-        )  # fmt: skip
+        model, home = rows.model, _array(rows.home)
+        for some in pieces(n_rows, model.n_outcomes):
+            compiled.fill(
+                model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
+                _array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
+                home[some] if home.size else home, departs[some], survival,
+                indptr[some.start : some.stop + 1], indices, data,
+            )  # fmt: skip
     else:
         for some in _row_chunks(rows):
             column, probability, row = _entries(rows, some, counts)
@@ -85,10 +87,13 @@ def _count(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled import rows as compiled
 
-        compiled.count(
-            model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
-            rows.node_of, rows.pair_at, _array(rows.home), counts, departs, leaks,
-        )  # fmt: skip
+        home = _array(rows.home)
+        for some in pieces(len(counts), model.n_outcomes):
+            compiled.count(
+                model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
+                rows.node_of, rows.pair_at[some], home[some] if home.size else home,
+                counts[some], departs[some], leaks[some],
+            )  # fmt: skip
         return counts, departs, leaks
     for some in _row_chunks(rows):
         outcome, row, size = *_outcomes(rows, some), some.stop - some.start

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 
 from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
-from ssp_lp.dynamic_programming.deadline import Deadline, OutOfTimeError
+from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.components import strong_components
 from ssp_lp.dynamic_programming.linear_systems.precise import advantage_bounds
@@ -151,14 +151,8 @@ def test_a_passed_deadline_ends_policy_iteration() -> None:
     rng = np.random.default_rng(0)
     dynamics, cost = random_dynamics(rng, 8)
     plain = Dynamics(dynamics.pair_offsets, dynamics.transitions, dynamics.exits)
-    with pytest.raises(OutOfTimeError, match="time limit"):
-        improve(
-            plain,
-            cost[:, None],
-            np.ones(1),
-            np.asarray(plain.pair_offsets[:-1]),
-            deadline=Deadline(-10.0),
-        )
+    with until(-10.0), pytest.raises(Stop):
+        improve(plain, cost[:, None], np.ones(1), np.asarray(plain.pair_offsets[:-1]))
 
 
 @pytest.mark.usefixtures("compiled")
@@ -176,7 +170,7 @@ def test_passes_along_the_chain_only_improve_and_end_at_the_optimum() -> None:
         choice = np.arange(0, n * actions, actions, dtype=np.int32)
         first = process.chain(choice).solve(cost[choice])
         values = first.copy()
-        assert improve_along_chain(process, cost, choice, values, Deadline())
+        assert improve_along_chain(process, cost, choice, values)
         assert (values <= first * (1.0 + 1e-12)).all()
         measured = process.chain(choice).solve(cost[choice])
         assert np.allclose(values, measured, rtol=1e-11)

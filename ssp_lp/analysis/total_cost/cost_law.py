@@ -12,9 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssp_lp.analysis.chain import Chain, policy_chain
+from ssp_lp.analysis.chain import Chain
 from ssp_lp.analysis.total_cost.arrivals import Arrivals
 from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
+from ssp_lp.analysis.total_cost.spine import chain_of_law
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.mixed import MixedPolicy
@@ -58,7 +59,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
     lottery, problem = on_one_model(policy, problem, "success_costs")
     start = start_distribution(problem.model, problem.start)
     used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
-    chains = [policy_chain(problem.model, p, start) for p, _ in used]
+    chains = [chain_of_law(problem.model, p, start) for p, _ in used]
     return law_of_chains(chains, np.array([w for _, w in used]))
 
 

@@ -24,7 +24,7 @@ import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
-from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
+from ssp_lp.compiled.deadline import Stop
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
 from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
 from ssp_lp.dynamic_programming.policy_iteration.backward import evaluate_policy
@@ -78,6 +78,15 @@ class ExplicitPricing:
         process, nearer = self.process, self.augmented.nearer_goal()
         return leaving_choice(process.dynamics, process.goal, nearer).astype(np.int32)
 
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """[states]."""
+        return (self.process.n_states,)
+
+    def incumbent(self, choice: IntArray | None) -> Column | None:
+        """The policy that policy iteration had come to."""
+        return None if choice is None else self.measure(choice)
+
     def first(self) -> Column:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
         return self._first
@@ -86,9 +95,7 @@ class ExplicitPricing:
     def _first(self) -> Column:
         return self.measure(self._leaving)
 
-    def minimise(
-        self, price: float | FloatArray, *warm: Column | None, deadline: Deadline = NEVER
-    ) -> Column:
+    def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
         """A policy of least priced cost, measured exactly.
 
         What is free at the price is contracted first: rounding would find policies that stay.
@@ -96,7 +103,7 @@ class ExplicitPricing:
         weights = _weights(price)
         choice, guess = self._begun(weights, warm)
         smaller, at = self._contracted(weights), None if isinstance(price, np.ndarray) else price
-        run = partial(improve, precise=self.precise, deadline=deadline)
+        run = partial(improve, precise=self.precise)
         if smaller is None:
             settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
             found = self._column(settled.choice, settled.totals, settled.work)
@@ -104,7 +111,10 @@ class ExplicitPricing:
             choice = smaller.begun(self.process, choice).astype(np.int32)
             priced = weighted(self.rewards, weights)[smaller.pairs, None]
             about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
-            settled = run(smaller.dynamics, priced, _UNIT, choice, about)
+            try:
+                settled = run(smaller.dynamics, priced, _UNIT, choice, about)
+            except Stop as stop:
+                raise Stop(_expanded(smaller, self.process, stop.choice)) from stop
             found = self.measure(smaller.expanded(self.process, settled.choice), settled.work)
         return replace(found, found_at=at)
 
@@ -215,6 +225,13 @@ class ExplicitPricing:
         if column.policy is not None:
             return column.policy
         return self.augmented.policy(required(column.choice))
+
+
+def _expanded(
+    smaller: Contraction, process: ExplicitProcess, choice: IntArray | None
+) -> IntArray | None:
+    """The policy that a stopped improvement had come to, on the whole process, [states]."""
+    return None if choice is None else smaller.expanded(process, choice)
 
 
 def _weights(price: float | FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from ssp_lp.arrays import (
 from ssp_lp.column_generation.pricing.layer_costs import Summands, priced_layers, summed_layers
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
     backup_rounding,
@@ -24,7 +25,6 @@ from ssp_lp.dynamic_programming.bellman import (
     safe_minima,
     unsigned_parts,
 )
-from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.dual_bounds.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.policy_iteration.approach import approach
 from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
@@ -55,6 +55,15 @@ class LayeredPricing:
 
     process: LayeredProcess
 
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """[layers, nodes]."""
+        return self.process.cap, self.process.base.n_nodes
+
+    def incumbent(self, choice: IntArray | None) -> Column | None:
+        """None: half a sweep is no policy."""
+        return None
+
     def first(self) -> Column:
         """The first tail, which goes for the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
@@ -67,9 +76,7 @@ class LayeredPricing:
         policy = DeterministicPolicy(base.quotient.model, tails.decisions[0])
         return Column(cost, failure, goal + base.start_goal, None, policy=policy)
 
-    def minimise(
-        self, failure_price: float, *warm: Column | None, deadline: Deadline = NEVER
-    ) -> Column:
+    def minimise(self, failure_price: float, *warm: Column | None) -> Column:
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         choice = self._blank_choice()
@@ -80,7 +87,7 @@ class LayeredPricing:
         measured = self._measures_beyond(failure_price)
         totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
         for layer in reversed(range(self.process.cap)):
-            deadline.check()
+            check_time()
             cost, charge = priced(layer), self.process.charged(layer)
             if self._acyclic and accelerated(base.later.nnz):
                 values, totals = self._fused(cost, charge, ahead, measured, choice[layer])
@@ -127,6 +134,7 @@ class LayeredPricing:
         base = self.process.base
         measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
+            check_time()
             chosen = base.pair_offsets[:-1] + choice[layer]
             totals = self._measured(chosen, self.process.charged(layer), measured)
             measured.push(totals)
@@ -214,6 +222,7 @@ class LayeredPricing:
         kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else None
         window, inner, lowest = Window(beyond), self._first_choice, np.zeros(base.n_nodes)
         for layer in reversed(range(self.process.cap)):
+            check_time()
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
                 lowest = np.minimum(self._safe_layer(summed(layer), window), given)

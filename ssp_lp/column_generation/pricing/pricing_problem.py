@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.deadline import NEVER, Deadline
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
@@ -83,22 +82,28 @@ class PricingProblem(Protocol):
     be explicit, layered or distributed.
     """
 
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """The shape of the value functions that ``check`` takes."""
+        ...
+
+    def incumbent(self, choice: IntArray | None) -> Column | None:
+        """The policy that a stopped ``minimise`` had come to, measured; None: there is none."""
+        ...
+
     def first(self) -> Column:
         """A policy from which the goal is reached if it can be; cheap to find."""
         ...
 
-    def minimise(
-        self, failure_price: float, *warm: Column | None, deadline: Deadline = NEVER
-    ) -> Column:
+    def minimise(self, failure_price: float, *warm: Column | None) -> Column:
         """A policy of least priced cost, measured exactly.
 
         Args:
             failure_price: price of failure.
             warm: policies to start from, the one that is thought to be nearest first; None: none.
-            deadline: looked at inside every loop.
 
         Raises:
-            OutOfTimeError: the deadline passed.
+            Stop: the time ended, with a policy that may do where one was known.
         """
         ...
 

@@ -10,44 +10,9 @@ import numpy as np
 from numba import njit
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
+from ssp_lp.compiled.deadline import check_time
 
-
-def transposed(
-    n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """Offsets, [states + 1], and pairs, [entries], by a counting sort."""
-    columns = unsigned(successors)
-    counts = np.zeros(n_states, dtype=np.int64)
-    _count(columns, probabilities, counts)
-    offsets = np.concatenate([[0], np.cumsum(counts)])
-    pairs = np.empty(offsets[-1], dtype=np.int32)
-    _place(outcome_offsets, columns, probabilities, offsets[:-1].copy(), pairs)
-    return offsets, pairs
-
-
-@njit(cache=True)
-def _count(successors: IntArray, probabilities: FloatArray, counts: IntArray) -> None:
-    """Count the possible outcomes that go to each state."""
-    for outcome in range(len(successors)):
-        if probabilities[outcome] > 0:
-            counts[successors[outcome]] += 1
-
-
-@njit(cache=True)
-def _place(
-    outcome_offsets: IntArray,
-    successors: IntArray,
-    probabilities: FloatArray,
-    places: IntArray,
-    pairs: IntArray,
-) -> None:
-    """Write each pair to the next place of its successors."""
-    for pair in range(len(outcome_offsets) - 1):
-        for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
-            if probabilities[outcome] > 0:
-                successor = successors[outcome]
-                pairs[places[successor]] = pair
-                places[successor] += 1
+_TURNS = 100_000  # states taken from a queue between two looks at the time
 
 
 def reached(
@@ -70,7 +35,11 @@ def reached(
     mask[start] = True
     queue, filled = _queue(np.flatnonzero(mask), mask.size)
     bounds = outcome_offsets[pair_offsets]
-    _go_on(bounds, unsigned(successors), probabilities, mask, queue, filled)
+    arrays = bounds, unsigned(successors), probabilities, mask, queue
+    head = 0
+    while head < filled:
+        check_time()
+        head, filled = _go_on(*arrays, head, filled, _TURNS)
     return mask
 
 
@@ -81,10 +50,12 @@ def _go_on(
     probabilities: FloatArray,
     mask: BoolArray,
     queue: IntArray,
+    head: int,
     filled: int,
-) -> None:
-    head = 0
-    while head < filled:
+    turns: int,
+) -> tuple[int, int]:
+    past = head + turns
+    while head < min(filled, past):
         state = queue[head]
         head += 1
         for outcome in range(bounds[state], bounds[state + 1]):
@@ -93,6 +64,7 @@ def _go_on(
                 mask[successor] = True
                 queue[filled] = successor
                 filled += 1
+    return head, filled
 
 
 def reaching(
@@ -109,7 +81,11 @@ def reaching(
     mask = np.zeros(len(offsets) - 1, dtype=np.bool_)
     mask[goals] = True
     queue, filled = _queue(goals, mask.size)
-    _go_back(offsets, unsigned(pairs), unsigned(pair_state), mask, queue, filled)
+    arrays = offsets, unsigned(pairs), unsigned(pair_state), mask, queue
+    head = 0
+    while head < filled:
+        check_time()
+        head, filled = _go_back(*arrays, head, filled, _TURNS)
     return mask
 
 
@@ -120,10 +96,12 @@ def _go_back(
     pair_state: IntArray,
     mask: BoolArray,
     queue: IntArray,
+    head: int,
     filled: int,
-) -> None:
-    head = 0
-    while head < filled:
+    turns: int,
+) -> tuple[int, int]:
+    past = head + turns
+    while head < min(filled, past):
         near = queue[head]
         head += 1
         for entry in range(offsets[near], offsets[near + 1]):
@@ -132,6 +110,7 @@ def _go_back(
                 mask[state] = True
                 queue[filled] = state
                 filled += 1
+    return head, filled
 
 
 def drain(
@@ -153,7 +132,11 @@ def drain(
         closed_states: states to begin with.
     """
     queue, filled = _queue(closed_states, open_counts.size)
-    _drain(offsets, unsigned(pairs), unsigned(pair_state), open_pairs, open_counts, queue, filled)
+    arrays = offsets, unsigned(pairs), unsigned(pair_state), open_pairs, open_counts, queue
+    head = 0
+    while head < filled:
+        check_time()
+        head, filled = _drain(*arrays, head, filled, _TURNS)
 
 
 @njit(cache=True)
@@ -164,10 +147,12 @@ def _drain(
     open_pairs: BoolArray,
     open_counts: IntArray,
     queue: IntArray,
+    head: int,
     filled: int,
-) -> None:
-    head = 0
-    while head < filled:
+    turns: int,
+) -> tuple[int, int]:
+    past = head + turns
+    while head < min(filled, past):
         closed = queue[head]
         head += 1
         for entry in range(offsets[closed], offsets[closed + 1]):
@@ -179,6 +164,7 @@ def _drain(
                 if open_counts[state] == 0:
                     queue[filled] = state
                     filled += 1
+    return head, filled
 
 
 def approach(
@@ -202,7 +188,22 @@ def approach(
     distance = np.zeros(choice.size, dtype=np.int32)
     queue = np.empty(choice.size, dtype=np.uint32)
     arrays = offsets, unsigned(pairs), unsigned(pair_state)
-    _approach(*arrays, useful, usable, choice, distance, queue)
+    head, filled = 0, _begin(arrays[2], useful, choice, queue)
+    while head < filled:
+        check_time()
+        head, filled = _approach(*arrays, usable, choice, distance, queue, head, filled, _TURNS)
+
+
+@njit(cache=True)
+def _begin(pair_state: IntArray, useful: IntArray, choice: IntArray, queue: IntArray) -> int:
+    filled = 0
+    for pair in useful:
+        state = pair_state[pair]
+        if choice[state] < 0:
+            choice[state] = pair
+            queue[filled] = state
+            filled += 1
+    return filled
 
 
 @njit(cache=True)
@@ -210,20 +211,16 @@ def _approach(
     offsets: IntArray,
     pairs: IntArray,
     pair_state: IntArray,
-    useful: IntArray,
     usable: BoolArray,
     choice: IntArray,
     distance: IntArray,
     queue: IntArray,
-) -> None:
-    head, filled = 0, 0
-    for pair in useful:
-        state = pair_state[pair]
-        if choice[state] < 0:
-            choice[state] = pair
-            queue[filled] = state
-            filled += 1
-    while head < filled:
+    head: int,
+    filled: int,
+    turns: int,
+) -> tuple[int, int]:
+    past = head + turns
+    while head < min(filled, past):
         near = queue[head]
         head += 1
         for entry in range(offsets[near], offsets[near + 1]):
@@ -238,6 +235,7 @@ def _approach(
                 filled += 1
             elif distance[state] == distance[near] + 1 and pair < choice[state]:
                 choice[state] = pair
+    return head, filled
 
 
 def leading_into(

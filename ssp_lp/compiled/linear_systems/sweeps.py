@@ -127,29 +127,44 @@ def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: A
         miss[s] = x[s] - miss[s]
 
 
+def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
+    """What ``bicgstab`` carries from step to step: shadow, p and v, [members], and rho, [1]."""
+    rho = np.zeros(1)
+    _square(residual, rho)
+    return residual.copy(), residual.copy(), np.zeros_like(residual), rho
+
+
+@njit(cache=True)
+def _square(residual: Array, rho: Array) -> None:
+    """The sum of squares, in order."""
+    for s in range(residual.size):
+        rho[0] += residual[s] * residual[s]
+
+
 @njit(cache=True)
 def bicgstab(
     indptr: Array, indices: Array, data: Array,
     residual: Array, target: float, most_steps: int, x: Array,
-) -> int:  # fmt: skip
+    shadow: Array, p: Array, v: Array, scalar: Array,
+) -> tuple[int, bool]:  # fmt: skip
     """Add to ``x`` until ``residual``, which is overwritten, is at most ``target`` everywhere.
 
     BiCGStab of van der Vorst (1992) on ``x - G x = g``, where G is one sweep: the sweep is the
-    preconditioner and costs no more than a product. ``residual`` is ``g - (x - G x)``. Returns the
-    number of sweeps.
+    preconditioner and costs no more than a product. ``residual`` is ``g - (x - G x)``. What
+    ``start_bicgstab`` made is carried on, so that steps can be taken a few at a time.
+
+    Returns:
+        The number of sweeps, and whether it ended.
     """
     n = residual.size
-    shadow, p, v, t = residual.copy(), residual.copy(), np.zeros(n), np.zeros(n)
-    rho = 0.0
-    for s in range(n):
-        rho += shadow[s] * residual[s]
+    t, rho = np.empty(n), scalar[0]
     for step in range(most_steps):
         _miss_of_sweep(indptr, indices, data, p, v)
         along = 0.0
         for s in range(n):
             along += shadow[s] * v[s]
         if along == 0.0 or not np.isfinite(along):
-            return 2 * step + 1
+            return 2 * step + 1, True
         alpha = rho / along
         for s in range(n):
             residual[s] -= alpha * v[s]
@@ -166,12 +181,12 @@ def bicgstab(
             following += shadow[s] * residual[s]
             size = max(size, abs(residual[s]))
         if size <= target or omega == 0.0 or following == 0.0 or not np.isfinite(following):
-            return 2 * step + 2
+            return 2 * step + 2, True
         beta = following / rho * (alpha / omega)
-        rho = following
+        rho = scalar[0] = following
         for s in range(n):
             p[s] = residual[s] + beta * (p[s] - omega * v[s])
-    return 2 * most_steps
+    return 2 * most_steps, False
 
 
 @njit(cache=True)

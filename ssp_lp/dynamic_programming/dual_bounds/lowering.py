@@ -11,6 +11,7 @@ import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, segment_minima
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import best_pairs, unsigned_parts
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.precise import safe_advantages
@@ -40,6 +41,7 @@ _LEAST_SCALE = 1e-300
 
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
     """How far each state's value exceeds its backup, rounding counted against us, [states]."""
+    check_time()
     rows, exits = dynamics.transitions, dynamics.exits
     if accelerated(rows.nnz):
         from ssp_lp.compiled.linear_systems.precise import shortfalls

@@ -16,6 +16,7 @@ from scipy.sparse import csgraph, linalg
 
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.dynamic_programming.linear_systems.direct import Band, Factors
 from ssp_lp.errors import SolverError
 
@@ -24,6 +25,7 @@ _CONTRACTION = 0.7  # per sweep; slower components are left to other methods
 _SWEEPS = 300
 
 _KRYLOV_STEPS = 400
+_AT_ONCE = 10_000_000  # entries of steps between two looks at the time
 _RESTARTS = 8
 _SWEEPS_BETWEEN = 20  # where a Krylov run broke down
 _LEAST_RESIDUAL = 1e-12
@@ -116,10 +118,12 @@ class LargeComponent:
         indptr = np.append(0, np.cumsum(counts)).astype(np.int32)
         indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
         departs, leaving = np.empty(size), np.empty(size)
-        compiled.gather_inside(
-            *arrays, exits, members, self._place,
-            unsigned(indptr), unsigned(indices), data, departs, leaving,
-        )  # fmt: skip
+        for some in pieces(size, len(indices)):
+            compiled.gather_inside(
+                *arrays, exits, members[some], self._place,
+                unsigned(indptr)[some.start : some.stop + 1], unsigned(indices), data,
+                departs[some], leaving[some],
+            )  # fmt: skip
         return sp.csr_array((data, indices, indptr), shape=(size, size)), departs, leaving
 
     @property
@@ -145,6 +149,7 @@ class LargeComponent:
 
     def _sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
         """One sweep in place: the greatest change and the greatest size."""
+        check_time()
         self._products += 1
         if self._is_compiled:
             from ssp_lp.compiled.linear_systems.sweeps import sweep
@@ -207,10 +212,17 @@ class LargeComponent:
     def _step(self, residual: FloatArray, target: float) -> FloatArray:
         """What BiCGStab adds until the residual is at most the target, [members]."""
         if self._is_compiled:
-            from ssp_lp.compiled.linear_systems.sweeps import bicgstab
+            from ssp_lp.compiled.linear_systems.sweeps import bicgstab, start_bicgstab
 
-            step = np.zeros_like(residual)
-            self._products += bicgstab(*self._own_arrays, residual, target, _KRYLOV_STEPS, step)
+            step, state, most = np.zeros_like(residual), start_bicgstab(residual), _KRYLOV_STEPS
+            at_once = max(_AT_ONCE // max(self.own.nnz, 1), 1)
+            for begin in range(0, most, at_once):
+                check_time()
+                steps = min(at_once, most - begin)
+                taken, ended = bicgstab(*self._own_arrays, residual, target, steps, step, *state)
+                self._products += taken
+                if ended:
+                    break
             return step
 
         def missed(y: FloatArray) -> FloatArray:

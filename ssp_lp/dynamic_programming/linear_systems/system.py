@@ -17,6 +17,7 @@ from scipy.sparse import linalg
 
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.linear_systems.components import Components, strong_components
 from ssp_lp.dynamic_programming.linear_systems.equations import (
     HOLDS_MASS,
@@ -74,6 +75,7 @@ class System:
     @cached_property
     def components(self) -> Components:
         """Strong components of the chain, ends first."""
+        check_time()
         return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
 
     @property
@@ -128,6 +130,7 @@ class System:
             return self._factors(columns).reshape(rewards.shape)
         x = np.zeros(columns.shape) if guess is None else guess.reshape(columns.shape).copy()
         for first, last in self._runs:
+            check_time()
             if last - first == 1 and self.components.sizes[first] > _SMALL:
                 self._solve_large(first, columns, x, accuracy)
             else:

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray, unsigned
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import unsigned_parts
-from ssp_lp.dynamic_programming.deadline import Deadline
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.components import Components, chosen_components
 
@@ -26,7 +26,6 @@ def improve_along_chain(
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
-    deadline: Deadline,
 ) -> int | None:
     """Improve a policy, in place, until a pass there and back changes nothing.
 
@@ -37,7 +36,6 @@ def improve_along_chain(
         pair_cost: [pairs].
         choice: pair of each state of a policy that leaves, [states].
         values: of no better policy, [states].
-        deadline: looked at before each pass.
 
     Returns:
         The number of backups of all states; None where the components are too large.
@@ -47,7 +45,7 @@ def improve_along_chain(
         return None
     run, stale = 0, np.ones(dynamics.n_states, dtype=np.bool_)
     for _ in range(_PASSES):
-        deadline.check()
+        check_time()
         changed = 0
         for is_forward in (True, False):
             changed += _pass(dynamics, found, pair_cost, choice, values, stale, is_forward)

@@ -20,8 +20,8 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed, pieces
 from ssp_lp.dynamic_programming.bellman import Backup, best_pairs, unsigned_parts
-from ssp_lp.dynamic_programming.deadline import NEVER, Deadline, OutOfTimeError
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES, EXACT, System
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
@@ -67,7 +67,6 @@ def improve(
     guess: FloatArray | None = None,
     *,
     precise: bool = False,
-    deadline: Deadline = NEVER,
 ) -> Settled:
     """Minimise the expected total of ``rewards @ weights`` from every state.
 
@@ -83,13 +82,12 @@ def improve(
         choice: pair of the first policy in each state, [states].
         guess: totals to start the first evaluation from, [states, rewards].
         precise: compare pairs in twice the working precision in any case.
-        deadline: looked at before each evaluation and each sweep.
 
     Raises:
-        OutOfTimeError: the deadline passed.
+        Stop: the time ended, with the policy so far.
         SolverError: a policy that never leaves the process, or totals that cannot be verified.
     """
-    deadline.check()
+    check_time()
     choice = np.array(choice, dtype=np.int32)
     pair_cost = weighted(rewards, weights)
     work, left = Work(1, 0), 0.0
@@ -102,17 +100,15 @@ def improve(
             left = _declined(dynamics, pair_cost, values, choice)
             totals = evaluate_policy(dynamics, choice, rewards)
         else:
-            found = _settle(dynamics, rewards, weights, choice, guess, deadline)
+            found = _settle(dynamics, rewards, weights, choice, guess)
             choice, system, solved, left, work = found
             totals = evaluate_chain(system, rewards[choice], solved)
             work = work + Work(0, system.products)
-    except OutOfTimeError:
-        raise
     except SolverError:
-        return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
+        return improve_precisely(dynamics, rewards, weights, choice, work)
     values = weighted(totals.values, weights)
     if precise or _may_hide_more(values, totals.runs, left):
-        return improve_precisely(dynamics, rewards, weights, choice, work, deadline)
+        return improve_precisely(dynamics, rewards, weights, choice, work)
     return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
 
 
@@ -152,9 +148,31 @@ def _settle(
     weights: FloatArray,
     choice: IntArray,
     totals: FloatArray | None,
-    deadline: Deadline,
+) -> _Found:
+    """The same as ``_rounds``; a stop carries the policy that the rounds had come to."""
+    latest = [choice]
+    try:
+        return _rounds(dynamics, rewards, weights, latest, totals)
+    except STOPS as stop:
+        heed(stop)
+        raise Stop(latest[0]) from stop
+
+
+def _rounds(
+    dynamics: Dynamics,
+    rewards: FloatArray,
+    weights: FloatArray,
+    latest: list[IntArray],
+    totals: FloatArray | None,
 ) -> _Found:
     """Policy iteration whose evaluations become exact as the gains shrink.
+
+    Args:
+        dynamics: the process.
+        rewards: [pairs, rewards].
+        weights: [rewards].
+        latest: the policy to begin with; the last one that was evaluated takes its place.
+        totals: about those of the first policy, [states, rewards].
 
     Returns:
         The policy, its equations and totals, the greatest gain that was left to be rounding, and
@@ -162,16 +180,17 @@ def _settle(
     """
     transitions, pair_cost = dynamics.transitions, weighted(rewards, weights)
     accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES else _FINE
-    work, rounds = Work(), 0
+    choice, work, rounds = latest[0], Work(), 0
     changed_before = np.inf
     before: IntArray | None = None
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
-        deadline.check()
+        check_time()
         if dynamics.n_states <= DIRECT_STATES:  # what is wrong with small ones shows in the totals
             system = dynamics.chain(choice)
         else:
             system, choice = leaving_chain(dynamics, choice, before)
+        latest[0] = choice
         totals = system.solve(rewards[choice], totals, accuracy)
         work, rounds = work + Work(1, system.products), rounds + 1
         spent, system.products = system.products, 0
@@ -196,10 +215,10 @@ def _settle(
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
             swept = None
             if system.is_solved_exactly:  # where components were large they hardly become small
-                swept = improve_along_chain(dynamics, pair_cost, choice, values, deadline)
+                swept = improve_along_chain(dynamics, pair_cost, choice, values)
             if swept is None:
                 most = _most_sweeps(dynamics, system, spent)
-                swept = _sweep(dynamics, pair_cost, choice, values, most, deadline)
+                swept = _sweep(dynamics, pair_cost, choice, values, most)
             work = work + Work(swept, 0)
         changed_before = changed
         accuracy = min(_FORCING * gain / scale if gain > _LAST_GAINS * scale else _FINE, accuracy)
@@ -227,7 +246,6 @@ def _sweep(
     choice: IntArray,
     values: FloatArray,
     most_sweeps: int,
-    deadline: Deadline,
 ) -> int:
     """Improve by sweeps, in place, while many states change; return how many there were.
 
@@ -240,9 +258,11 @@ def _sweep(
     order = np.argsort(values, kind="stable").astype(np.uint32)
     backward, most = np.ascontiguousarray(order[::-1]), 0
     for sweep in range(1, most_sweeps + 1):
-        deadline.check()
-        direction = order if sweep % 2 else backward
-        changed, _ = run(*parts, direction, pair_cost, IMPROVEMENT, choice.view(np.uint32), values)
+        direction, changed = order if sweep % 2 else backward, 0
+        for some in pieces(order.size, dynamics.transitions.nnz):
+            changed += run(
+                *parts, direction[some], pair_cost, IMPROVEMENT, choice.view(np.uint32), values
+            )[0]
         most = max(most, changed)
         if changed <= _SETTLED * most and sweep > 1:  # where one way changed nothing, the other may
             return sweep

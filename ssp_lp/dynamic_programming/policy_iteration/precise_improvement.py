@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, first_minimisers, segment_minima, weighted
-from ssp_lp.dynamic_programming.deadline import Deadline
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.precise import precise_advantages
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
@@ -30,7 +30,6 @@ def improve_precisely(
     weights: FloatArray,
     choice: IntArray,
     work: Work,
-    deadline: Deadline,
 ) -> Settled:
     """Policy iteration in twice the working precision.
 
@@ -40,17 +39,16 @@ def improve_precisely(
         weights: [rewards].
         choice: a policy that leaves, [states].
         work: done before.
-        deadline: looked at in each round.
 
     Raises:
-        OutOfTimeError: the deadline passed.
+        Stop: the time ended.
         SolverError: a policy that never leaves, or totals that cannot be verified.
     """
     pair_cost, offsets = weighted(rewards, weights), dynamics.pair_offsets
     before: IntArray | None = None
     last = np.inf
     for _ in range(MOST_ROUNDS):
-        deadline.check()
+        check_time()
         system, choice = leaving_chain(dynamics, choice, before)
         priced = evaluate_chain(system, pair_cost[choice][:, None], accuracy=_PRECISE)
         values, low = priced.values[:, 0], priced.low[:, 0]

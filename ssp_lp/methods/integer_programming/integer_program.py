@@ -24,6 +24,7 @@ from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.compiling import occupation_program
 
 _LEAST_GAP = 1e-10
+_POLL = 0.1  # seconds between two looks at whether HiGHS has ended
 
 _OPTIONS: dict[str, bool | int | float] = {
     "output_flag": False,
@@ -39,6 +40,18 @@ _OVER = {
     highspy.HighsModelStatus.kInfeasible,
     highspy.HighsModelStatus.kUnboundedOrInfeasible,
 }
+
+
+def _run(solver: highspy.Highs) -> None:
+    """Run HiGHS beside this thread, which so hears of Ctrl-C and ends it."""
+    solver.startSolve()
+    try:
+        while not solver.wait(_POLL)[0]:
+            pass
+    except KeyboardInterrupt:
+        solver.cancelSolve()  # type: ignore[no-untyped-call]
+        solver.wait()
+        raise
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +82,7 @@ class IntegerProgram:
         decided = (np.diff(process.pair_offsets) > 1) & (visits > 0.0) & ~free
         self.pairs = np.flatnonzero(decided[process.pair_state])
         self._solver = highspy.Highs()  # type: ignore[no-untyped-call]
+        self._solver.HandleUserInterrupt = True
         for name, value in _OPTIONS.items():
             if self._solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
                 raise SolverError(f"HiGHS refuses the option {name}={value!r}")
@@ -126,7 +140,7 @@ class IntegerProgram:
         solver, n = self._solver, self.process.n_pairs
         solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
         solver.changeColsCost(n, np.arange(n, dtype=np.int32), cost)
-        solver.run()
+        _run(solver)
         status, info = solver.getModelStatus(), solver.getInfo()
         if status in _OVER:
             return IntegerAnswer(None, None, np.inf, finished=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +10,9 @@ from scipy.sparse import linalg
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.failure_constraint import Row, relative_gap
+from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pricing.pricing_problem import Column
+from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.integer_programming.integer_program import IntegerAnswer, IntegerProgram
 from ssp_lp.methods.integer_programming.process_view import ProcessView, process_view
 from ssp_lp.methods.integer_programming.visit_bounds import Limit, most_visits, within_reach
@@ -111,10 +112,24 @@ def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> S
         lower_bound=found.lower_bound,
         finished=len(found.columns) == 1 and found.finished,
     )
-    if len(found.columns) == 1 or time.perf_counter() > deadline:
+    if len(found.columns) == 1 or is_late():
         return start
-    view = process_view(outcome.compiled, found.price)
+    try:
+        view = process_view(outcome.compiled, found.price)
+    except STOPS as stop:
+        heed(stop)
+        return start
     search = _Search(view, row, start, tolerance, deadline)
+    try:
+        return _searched(search, found)
+    except STOPS as stop:
+        heed(stop)
+        return search.best
+
+
+def _searched(search: _Search, found: Generated) -> Single:
+    """The walk and the programs; the best policy so far is kept by the search."""
+    view, tolerance = search.view, search.tolerance
     _walk_between(search, found.price)
     if relative_gap(search.best.objective, found.lower_bound) <= tolerance:
         return replace(search.best, finished=True)
@@ -140,7 +155,7 @@ def _walk_between(search: _Search, price: float) -> None:
     """
     compiled = search.view.compiled
     for spread in _SPREADS:
-        if time.perf_counter() > search.deadline:
+        if is_late():
             return
         safe, risky = (
             compiled.explicit_choice(compiled.pricing().minimise(price * factor))
@@ -164,7 +179,7 @@ def _walk(search: _Search, safe: IntArray, risky: IntArray, order: IntArray) -> 
     here = safe
     for _ in range(_SKIPS):
         kept, broken = 0, order.size + 1  # states changed, and too many
-        while broken - kept > 1 and time.perf_counter() < search.deadline:
+        while broken - kept > 1 and not is_late():
             middle = (kept + broken) // 2
             within = search.offer(_changed(here, risky, order[:middle]))
             kept, broken = (middle, broken) if within else (kept, middle)

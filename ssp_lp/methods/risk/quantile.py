@@ -7,10 +7,9 @@ is the one that keeps to B most often.
 
 from __future__ import annotations
 
-import time
-
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
+from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.options import SolveOptions
@@ -37,14 +36,22 @@ def least_quantile(
     kept: Trial | None = None
     while kept is None or (high - low > 1 and not late):
         middle = high if kept is None else (low + high) // 2
-        trial = question.attempt(Late(cost_of(question, middle)), options)
+        try:
+            trial = question.attempt(Late(cost_of(question, middle)), options)
+        except STOPS as stop:
+            heed(stop)
+            if kept is None:
+                raise Stop(told=_known(question, refuted)) from stop
+            break
         calls += trial.calls
         if trial.value <= allowed(level):
             kept, high = trial, middle
         else:
             low, refuted = middle, middle if is_refuted(trial, level) else refuted
             high = 2 * middle + 1 if kept is None else high
-        late = time.perf_counter() > options.deadline
+        late = is_late()
+        if late and kept is None:
+            raise Stop(told=_known(question, refuted))
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
     found = Found(
@@ -56,6 +63,11 @@ def least_quantile(
     )
     reason = f"bisection over cost bounds, {calls} pricing calls"
     return assembled(problem, found, Run(options.method, reason, calls, 0.0))
+
+
+def _known(question: Question, refuted: int) -> str:
+    """What is known while no bound was found that some policy keeps to."""
+    return f"no policy's quantile lies below {cost_of(question, refuted + 1):g}"
 
 
 def quantile_bound(

@@ -11,11 +11,11 @@ at most level / (1 - level) of it; all that are dearer than the optimum because 
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
+from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
 from ssp_lp.options import SolveOptions
@@ -79,15 +79,15 @@ class _Search:
             best: to begin with.
             bounds: lower bounds of the thresholds tried; those tried here are added.
         """
-        while best.layer not in bounds and self._in_time:
+        while best.layer not in bounds and not is_late():
             layer = best.layer
-            best, trial = self.attempt(layer, best, best.kappa)
+            try:
+                best, trial = self.attempt(layer, best, best.kappa)
+            except STOPS as stop:
+                heed(stop)
+                break
             bounds[layer] = trial.lower_bound
         return best
-
-    @property
-    def _in_time(self) -> bool:
-        return time.perf_counter() < self.options.deadline
 
     def target(self, best: Best) -> float:
         """The value below which no threshold may lie."""
@@ -109,13 +109,18 @@ class _Search:
                     break
                 layer -= 1
                 continue
-            if not self._in_time:
+            if is_late():
                 return best, float("-inf")
             priced = max(kappa, target)
-            here = question.refuted_below(self.charge(layer), priced, prices, slack=kappa <= target)
-            if here < target:
-                best, trial = self.attempt(layer, best, kappa)
-                here, kappa, prices = max(here, trial.lower_bound), trial.kappa, trial.prices
+            slack = kappa <= target
+            try:
+                here = question.refuted_below(self.charge(layer), priced, prices, slack=slack)
+                if here < target:
+                    best, trial = self.attempt(layer, best, kappa)
+                    here, kappa, prices = max(here, trial.lower_bound), trial.kappa, trial.prices
+            except STOPS as stop:
+                heed(stop)
+                return best, float("-inf")
             room = max(here - self.target(best), 0.0)
             skipped = int(room / (slope * question.base.unit))
             least = min(least, here if skipped == 0 else self.target(best))

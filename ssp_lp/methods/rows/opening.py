@@ -12,6 +12,7 @@ from ssp_lp.column_generation.conflict import Conflict, kept_to, proved_conflict
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.pool import Pool, Rows
 from ssp_lp.column_generation.stabilised_master import StabilisedMaster, violation
+from ssp_lp.compiled.deadline import Stop, closing
 from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.options import SolveOptions
 from ssp_lp.processes.failure_semantics import survival_of
@@ -49,12 +50,14 @@ def opening(
     if compiled.budget is None and stated.budget is not None:
         anyhow = replace(stated, budget=1.0)
         opening(anyhow, anyhow, options)  # raises where the limits contradict each other anyhow
-    first = proved_conflict(pool, rows, ended)
+    with closing():
+        first = proved_conflict(pool, rows, ended)
+    if first is None and not ended.finished:
+        raise Stop
     if first is None:
         raise SolverError(
             "no policy within all limits was found, and it was not proved that there is none: "
-            + ("rounding" if ended.finished else "the time limit")
-            + " ended the search"
+            "rounding ended the search"
         )
     conflict = smallest_conflict(pool, rows, first, options)
     raise _refusal(compiled, stated, conflict, rows)

@@ -9,24 +9,24 @@ policy's own value from above; the cap is doubled until they meet.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, read_only
+from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.failure_constraint import least_of, relative_gap
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pool import Rows
 from ssp_lp.column_generation.stabilised_master import StabilisedMaster, without_trifles
+from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import SolverError
 from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
 from ssp_lp.methods.rows.opening import opening
-from ssp_lp.methods.rows.proof import proved_bound
+from ssp_lp.methods.rows.proof import bound_in_time
 from ssp_lp.methods.rows.ratio import generated
 from ssp_lp.methods.rows.rounded import true_lottery
 from ssp_lp.options import LinearProgramming, SolveOptions
@@ -98,8 +98,13 @@ def rows_optimum(
     while True:
         try:
             found = _attempt(stated, options.after(calls), truth, guess)
+        except STOPS as stop:
+            heed(stop)
+            if best is None:
+                raise Stop from stop
+            return _with_value(replace(best, note=best.note or CUT_SHORT))
         except SolverError:
-            if best is None or time.perf_counter() < options.deadline:
+            if best is None or not is_late():
                 raise
             return _with_value(replace(best, note=best.note or CUT_SHORT))
         calls, work = calls + found.calls, work + found.work
@@ -108,7 +113,7 @@ def rows_optimum(
         best = replace(best, calls=calls, work=work)
         if best.gap <= options.tolerance:
             return best
-        if time.perf_counter() > options.deadline:
+        if is_late():
             return _with_value(replace(best, note=best.note or CUT_SHORT))
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck else found.compiled.refined(found.kappa)
@@ -127,6 +132,8 @@ def _with_value(found: RowsOptimum) -> RowsOptimum:
     Raises:
         SolverError: none was found that does so on the model itself.
     """
+    if np.isfinite(found.value) and (found.note or not found.compiled.is_rounded):
+        return found
     levels = f"{found.compiled.layers:,} levels"
     if found.compiled.ladder is not None:
         levels = f"{levels} up to {found.compiled.ladder.rungs[-1]:.6g}"
@@ -135,10 +142,8 @@ def _with_value(found: RowsOptimum) -> RowsOptimum:
             f"no policy on {levels} of accumulated cost keeps to the limits: more cost_levels, or "
             "more time, make them finer"
         )
-    if found.compiled.is_rounded and not found.note:
-        told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
-        return replace(found, note=told)
-    return found
+    told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
+    return replace(found, note=told)
 
 
 def _coarse_guess(stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
@@ -218,7 +223,7 @@ def _concluded(
     if program is not None and found.finished:
         check_agreement(program, value)
     prices = without_trifles(found.prices, pool.sizes(rows), cost + ratio * failure)
-    bound, proof = proved_bound(compiled, rows, prices, ratio, pool)
+    bound, values = bound_in_time(compiled, rows, prices, ratio, pool)
     policy = found.lottery(compiled.pricing)
     if truth is not None and truth.figures is not None and compiled.is_rounded:
         kept = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
@@ -237,7 +242,7 @@ def _concluded(
         failure=failure,
         price=named.get(FAILURE_ROW),
         prices=named,
-        values=read_only(proof.values),
+        values=values,
         calls=pool.calls,
         work=pool.work,
         note=_note(compiled, stated, rows, found.finished),

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.pool import Pool, Rows
 from ssp_lp.column_generation.pricing.pricing_problem import Proof
+from ssp_lp.compiled.deadline import STOPS, closing, heed
 
 _BELOW = 2.5e-10  # relative step below a ratio, where it is strictly best to fail
 
@@ -46,6 +47,27 @@ def proved_bound(
         proof = pool.proved(replace(rows, ratio=priced).weights(prices))
         found.append((rows_bound(compiled, every, bounds, priced, proof), proof))
     return max(found, key=lambda pair: pair[0])
+
+
+def bound_in_time(
+    compiled: CompiledConstrained, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
+) -> tuple[float, FloatArray]:
+    """``proved_bound`` and its values; where no time is left 0, and values that ask for the best.
+
+    Args:
+        compiled: the problem.
+        rows: what is limited.
+        prices: [rows] >= 0.
+        ratio: case S: the value that is to be proved.
+        pool: policies to begin with.
+    """
+    try:
+        with closing():
+            bound, proof = proved_bound(compiled, rows, prices, ratio, pool)
+        return bound, read_only(proof.values)
+    except STOPS as stop:
+        heed(stop)
+        return 0.0, np.broadcast_to(np.inf, compiled.pricing.value_shape)
 
 
 def ratios_below(ratio: float) -> tuple[float, float]:

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model.ssp import SSP
 
 Fact = TypeVar("Fact")
@@ -20,6 +21,7 @@ def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
     def _fact(model: SSP) -> Fact:
         known = model.kept_facts
         if find.__name__ not in known:
+            check_time()
             found = find(model)
             for array in found if isinstance(found, tuple) else (found,):
                 if isinstance(array, np.ndarray):

@@ -57,7 +57,7 @@ def find_predecessors(
         probabilities: [outcomes].
     """
     if accelerated(len(successors)):
-        from ssp_lp.compiled.graphs.searches import transposed
+        from ssp_lp.compiled.graphs.transposing import transposed
 
         offsets, pairs = transposed(n_states, outcome_offsets, successors, probabilities)
     else:

@@ -1,0 +1,160 @@
+"""The end of the time that a call was given, looked at inside its loops; Ctrl-C ends them alike.
+
+The deadline belongs to the call: ``until`` sets it for all that runs within, on the same thread,
+and every pass over a process, compiled or not, looks at it. Loops that have an answer catch
+``STOPS`` and hand that on; where nobody has one, the stop reaches the caller.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.options import Status
+
+_GRACE = 0.25
+"""Seconds beyond the deadline for which a loop goes on: what small models need is soon done."""
+
+_CLOSING = 0.65
+"""Seconds beyond the deadline by which what an answer still needs is done: measures, a proof."""
+
+_LEAST = 0.1  # seconds for each of them in any case
+_CLOSING_SHARE = 0.1  # of what was spent before, where it was Ctrl-C that stopped the search
+_PIECE = 1_000_000  # entries of a compiled loop between two looks: some hundredths of a second
+
+
+class Stop(Exception):  # noqa: N818 (it steers, as StopIteration does)
+    """A loop was told to end. It carries the policy that the loop had come to, if it had one.
+
+    Args:
+        choice: the policy, in the terms of the loop, [states].
+        told: what was known by then, in words.
+    """
+
+    def __init__(self, choice: npt.NDArray[Any] | None = None, told: str = "") -> None:
+        super().__init__(told)
+        self.choice, self.told = choice, told
+
+
+STOPS: Final = (Stop, KeyboardInterrupt)
+
+
+@dataclass(eq=False)
+class Deadline:
+    """When a call has to end, and what ended it."""
+
+    at: float = float("inf")  # on the clock of time.perf_counter
+    grace: float = _GRACE
+    began: float = 0.0
+    is_interrupted: bool = False  # by Ctrl-C
+    closes: float = float("inf")  # what an answer still needs is to be done by then
+    was_met: bool = False  # whether some loop ended because of it
+
+    def is_past(self, grace: float = 0.0) -> bool:
+        """Whether it is time to end, which is remembered."""
+        past = self.is_interrupted or time.perf_counter() > self.at + grace
+        self.was_met = self.was_met or past
+        return past
+
+    def status(self, gap: float, tolerance: float) -> Status:
+        """Why a call ended with an answer of this gap, where a tolerance was asked for."""
+        if gap <= tolerance:
+            return Status.OPTIMAL
+        if self.is_interrupted:
+            return Status.INTERRUPTED
+        return Status.TIME_LIMIT if self.was_met else Status.TOLERANCE_MISSED
+
+
+_running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
+
+
+@contextmanager
+def until(at: float, *, is_closing: bool = False) -> Iterator[Deadline]:
+    """Within it loops end at a point in time, or when Ctrl-C comes.
+
+    Args:
+        at: on the clock of ``time.perf_counter``; infinite: only Ctrl-C ends them.
+        is_closing: there is no grace after that.
+    """
+    grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
+    deadline = Deadline(at, grace, time.perf_counter(), closes=at + more)
+    before = _running.set(deadline)
+    try:
+        yield deadline
+    finally:
+        _running.reset(before)
+
+
+@contextmanager
+def closing() -> Iterator[None]:
+    """Within it there is a little time again, once the deadline is past: to prove what was found.
+
+    Ctrl-C within it ends it at once. Nothing changes where the deadline is not past.
+    """
+    outer = _running.get()
+    if outer is None or not (outer.is_interrupted or time.perf_counter() > outer.at):
+        yield
+        return
+    with until(max(outer.closes, time.perf_counter() + _LEAST), is_closing=True):
+        yield
+
+
+def check_time() -> None:
+    """End the loop that asks, if it is time.
+
+    Raises:
+        Stop: the deadline has passed, with its grace, or Ctrl-C came.
+    """
+    deadline = _running.get()
+    if deadline is not None and deadline.is_past(deadline.grace):
+        raise Stop
+
+
+def is_late() -> bool:
+    """Whether a loop that has an answer is to end with it."""
+    deadline = _running.get()
+    return deadline is not None and deadline.is_past()
+
+
+def is_limited() -> bool:
+    """Whether the call was given a time limit."""
+    deadline = _running.get()
+    return deadline is not None and deadline.at < float("inf")
+
+
+def heed(stop: BaseException) -> None:
+    """Say that a stop was caught by someone who has an answer: all other loops are to end, too.
+
+    Raises:
+        KeyboardInterrupt: nobody said, by ``until``, that an answer so far is wanted.
+    """
+    deadline = _running.get()
+    if isinstance(stop, KeyboardInterrupt):
+        if deadline is None:
+            raise stop
+        deadline.is_interrupted, now = True, time.perf_counter()
+        deadline.closes = now + max(_CLOSING, _CLOSING_SHARE * (now - deadline.began))
+    if deadline is not None:
+        deadline.was_met = True
+
+
+def pieces(length: int, entries: int) -> Iterator[slice]:
+    """A long loop in pieces, with a look at the time, and at Ctrl-C, before each.
+
+    Args:
+        length: turns of the loop.
+        entries: that it passes over in all.
+    """
+    count = max(-(-entries // _PIECE), 1)
+    bounds = np.linspace(0, length, count + 1).astype(np.int64).tolist()
+    for begin, end in pairwise(bounds):
+        check_time()
+        yield slice(begin, end)

@@ -1,0 +1,159 @@
+"""A time limit and Ctrl-C: the best answer so far, its bound, and why the call ended."""
+
+from __future__ import annotations
+
+import _thread
+import threading
+from typing import Any
+
+import pytest
+
+from examples.paper_robot.robot import RobotGrid, grid_model, start_state
+from examples.solver_comparison.instances.models import random_model
+from formulations import MCMP, S3P
+from ssp_lp import SSP, OutOfTimeError, Solution, Status, certify, solve, trace_frontier, visits
+from ssp_lp.compiled import deadline
+
+COARSE = 1e-3
+"""Gap of a frontier of a few points."""
+
+
+@pytest.fixture(name="model", scope="module")
+def robot() -> tuple[SSP, int]:
+    grid = RobotGrid(segments=8, headings=8)
+    return grid_model(grid), start_state(grid)
+
+
+def interrupting(after: int) -> Any:
+    """A progress report at whose k-th call somebody presses Ctrl-C."""
+    calls = iter(range(10**9))
+
+    def progress(*_: float) -> None:
+        if next(calls) >= after:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+@pytest.mark.parametrize("after", [0, 2])
+@pytest.mark.parametrize("method", ["columns", "game", "deterministic"])
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_ctrl_c_hands_back_the_best_answer_so_far(
+    model: tuple[SSP, int], criterion: Any, method: str, after: int
+) -> None:
+    discount, budget = (0.99, 0.6) if method == "game" else (None, 0.3)
+    problem = criterion(*model, failure_budget=budget, discount=discount)
+    best = solve(problem)
+    solution = solve(problem, method, progress=interrupting(after), tolerance=1e-9)
+    assert solution.lower_bound <= solution.objective + 1e-12
+    assert solution.lower_bound <= best.objective * (1.0 + 1e-9)
+    if method != "deterministic":
+        assert best.lower_bound <= solution.objective * (1.0 + 1e-9)
+    assert solution.budget_used <= budget + 1e-12
+    assert (solution.status is Status.OPTIMAL) == (solution.gap <= 1e-9)
+    assert solution.status in (Status.OPTIMAL, Status.INTERRUPTED)
+    if solution.status is Status.INTERRUPTED:
+        assert "interrupted" in solution.summary()
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.lower_bound <= best.objective * (1.0 + 1e-9)
+
+
+def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far(model: tuple[SSP, int]) -> None:
+    timer = threading.Timer(0.05, _thread.interrupt_main)
+    timer.start()
+    try:
+        problem = MCMP(random_model(20_000), 0, failure_budget=0.05)
+        found = solve(problem, tolerance=1e-12)
+        assert found.status in (Status.OPTIMAL, Status.INTERRUPTED, Status.TOLERANCE_MISSED)
+        assert found.lower_bound <= found.objective
+    except KeyboardInterrupt:  # before there was a policy, or while the model was drawn
+        pass
+    finally:
+        timer.cancel()
+
+
+@pytest.fixture(name="hasty")
+def no_grace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Loops end at the deadline itself, however small the model."""
+    monkeypatch.setattr(deadline, "_GRACE", 0.0)
+    monkeypatch.setattr(deadline, "_CLOSING", 0.0)
+    monkeypatch.setattr(deadline, "_LEAST", 0.0)
+
+
+@pytest.mark.usefixtures("hasty")
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("method", ["columns", "game", "deterministic"])
+def test_no_policy_in_time_is_a_named_error(
+    model: tuple[SSP, int], criterion: Any, method: str
+) -> None:
+    discount = 0.99 if method == "game" else None
+    problem = criterion(*model, failure_budget=0.6, discount=discount)
+    with pytest.raises(OutOfTimeError, match="allow more time"):
+        solve(problem, method, time_limit=0.0)
+    with pytest.raises(OutOfTimeError, match="allow more time"):
+        trace_frontier(problem, time_limit=0.0)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_before_the_search_has_a_policy_the_safest_one_comes_back(
+    model: tuple[SSP, int], criterion: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without grace no price is solved for; what is left over is enough for the least failure."""
+    monkeypatch.setattr(deadline, "_GRACE", 0.0)
+    monkeypatch.setattr(deadline, "_CLOSING", 60.0)
+    problem = criterion(*model, failure_budget=0.3)
+    best, solution = solve(problem), solve(problem, time_limit=0.0)
+    assert solution.status in (Status.TIME_LIMIT, Status.OPTIMAL)
+    assert solution.failure_probability <= 0.3 + 1e-12
+    assert best.lower_bound <= solution.objective * (1.0 + 1e-9)
+    assert solution.lower_bound <= best.objective * (1.0 + 1e-9)
+    assert certify(solution).accepted
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("after", [0, 3, 6])
+def test_an_interrupted_frontier_keeps_its_points(
+    model: tuple[SSP, int], criterion: Any, after: int
+) -> None:
+    problem = criterion(*model, failure_budget=0.3)
+    whole = trace_frontier(problem, gap=COARSE)
+    part = trace_frontier(problem, gap=COARSE, progress=interrupting(after))
+    assert part.status is Status.INTERRUPTED
+    assert part.open_segments
+    assert "open: interrupted" in repr(part)
+    assert whole.status is Status.OPTIMAL
+    assert not whole.open_segments
+    for budget in part.failure.tolist():
+        low, high = part.bounds_at(budget)
+        assert low <= whole.objective_at(budget) * (1.0 + 1e-9)
+        assert whole.objective_at(budget) <= high * (1.0 + COARSE)
+    for number in range(len(part.price)):
+        middle = 0.5 * float(part.failure[number] + part.failure[number + 1])
+        depth = part.bounds_at(middle)[1] - whole.objective_at(middle)
+        share = (1.0 - middle) if part.ratio else 1.0
+        assert depth * share <= part.gap * float(part.cost[number]) * (1.0 + 1e-9)
+        if number not in part.open_segments:
+            assert depth * share <= COARSE * float(part.cost[number])
+
+
+def test_limits_on_other_quantities_are_kept_by_what_comes_back(model: tuple[SSP, int]) -> None:
+    robot, start = model
+    limited = MCMP(robot, start, failure_budget=0.3, constraints={"o": visits("obstacle") <= 0.25})
+    best, part = almost_solved(limited)
+    assert part.status is Status.INTERRUPTED
+    assert part.lower_bound <= best.objective * (1.0 + 1e-9)
+    assert best.lower_bound <= part.objective * (1.0 + 1e-9)
+    assert certify(part).accepted
+
+
+def almost_solved(problem: Any) -> tuple[Solution, Solution]:
+    """The solution, and what is known two pricing calls before it is found."""
+    calls: list[float] = []
+    best = solve(problem, progress=lambda call, *_: calls.append(call))
+    return best, solve(problem, progress=interrupting(len(calls) - 2))
+
+
+def test_a_tolerance_that_is_missed_is_no_interruption(model: tuple[SSP, int]) -> None:
+    capped = S3P(*model, failure_budget=0.3, cost_cap=4.0)
+    assert solve(capped).status is Status.TOLERANCE_MISSED

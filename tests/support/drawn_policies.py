@@ -1,0 +1,52 @@
+"""Drawn models, and policies on them that remember the cost paid."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ssp_lp import SSP, CostAwarePolicy
+from ssp_lp.policies.cost_levels import CostLevelPolicy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
+
+CLOSE = 1e-12
+Draw = np.random.Generator
+
+
+def drawn_model(draw: Draw, costs: list[float]) -> SSP:
+    """A few states, some of them dead-ends with and without a label."""
+    n = int(draw.integers(2, 8))
+
+    def outcomes() -> list[tuple[float, Any, float]]:
+        shares = draw.dirichlet(np.ones(int(draw.integers(1, 4)))).tolist()
+        ends = draw.choice(["g", "d", "x"], len(shares), p=[0.25, 0.1, 0.65])
+        names = [int(draw.integers(n)) if end == "x" else str(end) for end in ends]
+        return [(p, name, float(draw.choice(costs))) for p, name in zip(shares, names, strict=True)]
+
+    steps: dict[Any, Any] = {
+        s: {} if draw.random() < 0.1 else {a: outcomes() for a in range(int(draw.integers(1, 4)))}
+        for s in range(n)
+    }
+    labels = {"pit": ["d"]}
+    return SSP.from_transitions(
+        steps | {"d": {}}, {"g"}, state_labels=labels, treat_actionless_as_dead_ends=True
+    )
+
+
+def drawn_decisions(draw: Draw, model: SSP, layers: int) -> Any:
+    counts = np.diff(model.pair_offsets)
+    position = draw.integers(0, np.maximum(counts, 1), (layers, model.n_states))
+    position = np.where(draw.random(position.shape) < 0.1, GIVE_UP_CODE, position)
+    return np.where(counts > 0, position, UNDECIDED)
+
+
+def drawn_policy(draw: Draw, model: SSP, *, on_levels: bool) -> CostAwarePolicy | CostLevelPolicy:
+    layers = int(draw.integers(1, 6))
+    if on_levels:
+        levels = np.append(0.0, np.cumsum(draw.uniform(0.2, 1.5, layers)))
+        return CostLevelPolicy(model, levels, drawn_decisions(draw, model, layers + 1))
+    tails = drawn_decisions(draw, model, 2)
+    tails = np.where(tails < 0, tails, model.pair_offsets[:-1] + tails)
+    threshold = draw.integers(layers, layers + 6, model.n_states).astype(np.float64)
+    return CostAwarePolicy(model, 0.5, drawn_decisions(draw, model, layers), tails, threshold)
