@@ -6,6 +6,7 @@ The lake and the taxi keep their own limits on steps, the cliff has none and is 
 environments are played side by side. What is certified lies in the interval of what is played.
 """
 
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 
 import gymnasium as gym
@@ -60,4 +61,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     main()

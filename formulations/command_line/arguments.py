@@ -64,10 +64,11 @@ PARAMETERS = {
 """The arguments of criteria, by name; which of them one takes and needs, its class says."""
 
 _MODEL_HELP = """\
-MODEL is a file (.json, .drn, .tra, .npz; .json and .drn may be gzip), "-" for JSON from standard
-input, or gym:NAME for an environment of Gymnasium's, gym:NAME,map_name=8x8 with its arguments.
-In JSON a model is {state: {action: [[probability, successor, cost], ...]}}; a state without
-actions that is no goal is a dead-end."""
+MODEL is a file (.json, .drn, .tra, .npz, through Storm .prism, .nm, .pm, .jani, .umb; .json and
+.drn may be gzip), "-" for JSON from standard input, or gym:NAME for an environment of Gymnasium's,
+gym:NAME,map_name=8x8 with its arguments. In JSON a model is
+{state: {action: [[probability, successor, cost], ...]}}; a state without actions that is no goal
+is a dead-end."""
 
 EXAMPLES = {
     "solve": """\
@@ -159,6 +160,7 @@ def _add_model(one: ArgumentParser) -> None:
     )
     model.add_argument("--start", metavar="STATE", help="where an episode begins")
     model.add_argument("--cost", metavar="NAME", help="which of the model's costs counts")
+    model.add_argument("--constants", metavar="N=5,...", help="what a program leaves open")
     model.add_argument(
         "--horizon",
         type=_steps,
@@ -200,7 +202,8 @@ def _add_solve(one: ArgumentParser) -> None:
     answer.add_argument("--json", action="store_true", help="for other programs")
     answer.add_argument(
         "--policy-out", metavar="FILE",
-        help="write the policy: .npz to load again, .json for a controller, .dot, .csv",
+        help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
+        "controller, .dot, .csv",
     )  # fmt: skip
     answer.add_argument("--plot", metavar="FILE", help="draw the law of the total cost")
 

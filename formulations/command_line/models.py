@@ -44,6 +44,12 @@ class Setting:
             raise ModelError("say where an episode begins: --start STATE")
         return self.stated_start
 
+    @property
+    def only_start(self) -> Start | None:
+        """The start; where it is one state for sure, that state, as most formats have it."""
+        start = self.stated_start
+        return next(iter(start)) if isinstance(start, Mapping) and len(start) == 1 else start
+
     def state_named(self, word: str) -> Hashable:
         """The state that prints as a word; the word itself where there is none, to be told of."""
         return _state_named(self.model, word)
@@ -70,7 +76,7 @@ def setting_of(asked: Namespace) -> Setting:
     if asked.model == "-":
         stated = parse_json(_standard_input(), "standard input", asked.goal, asked.cost)
     else:
-        stated = read_any(asked.model, asked.goal, asked.cost)
+        stated = read_any(asked.model, asked.goal, asked.cost, asked.constants)
     model, start = stated
     if asked.start is not None:
         start = _state_named(model, asked.start)

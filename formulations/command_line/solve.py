@@ -20,7 +20,7 @@ from ssp_lp import (
     solve,
     success_costs,
 )
-from ssp_lp.io import policy_table, save_policy, write_controller, write_dot
+from ssp_lp.io import policy_table, save_policy, write_controller, write_dot, write_scheduler
 from ssp_lp.plotting import plot_cost_law
 from ssp_lp.policies.policy import Policy
 
@@ -91,9 +91,10 @@ def _writer(path: str | None) -> Writer | None:
     """
     if path is None:
         return None
-    if Path(path).suffix not in _WRITERS:
-        raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {path!r}")
-    return _WRITERS[Path(path).suffix]
+    for ending, write in _WRITERS.items():
+        if path.endswith(ending):
+            return write
+    raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {path!r}")
 
 
 def _write_table(solution: Solution, setting: Setting, path: str) -> None:
@@ -104,6 +105,9 @@ def _write_table(solution: Solution, setting: Setting, path: str) -> None:
 
 
 _WRITERS: dict[str, Writer] = {
+    ".storm.json": lambda solution, setting, path: write_scheduler(
+        solution.randomised_policy, path, start=setting.only_start
+    ),
     ".npz": lambda solution, setting, path: save_policy(solution.policy, path),
     ".json": lambda solution, setting, path: write_controller(solution.policy, path),
     ".dot": lambda solution, setting, path: write_dot(solution.policy, path, setting.start),

@@ -286,7 +286,7 @@ def test_limits_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--limit", "visits(depto) <= 3"], "depto"),
         (["--penalty", "3"], "mcmp takes no --penalty; its options: --failure-budget"),
         (["--criterion", "cvar"], "cvar needs --level"),
-        (["--policy-out", "policy.txt"], "a policy is written as .npz"),
+        (["--policy-out", "policy.txt"], "a policy is written as .storm.json"),
         (["--horizon", "0"], "steps must be a whole number"),
     ],
 )
@@ -385,6 +385,40 @@ def test_criteria_side_by_side(roads: Path, capsys: pytest.CaptureFixture[str]) 
     assert found["MCMP, failure budget 0.05"] == pytest.approx(20 / 3)
     assert found["CostBoundedReach, cost 4"] == pytest.approx(0.9)
     assert found["MinCost"] is None
+
+
+def test_a_program_through_storm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("stormpy")
+    program = """mdp
+const int N;
+module walker
+    x : [0..N] init 0;
+    broken : bool init false;
+    [run] x < N & !broken -> 0.9 : (x' = x + 1) + 0.1 : (broken' = true);
+    [walk] x < N & !broken -> (x' = x + 1);
+endmodule
+rewards "time"
+    [run] true : 1;
+    [walk] true : 3;
+endrewards
+rewards "fuel"
+    [run] true : 2;
+    [walk] true : 1;
+endrewards
+label "done" = x = N;
+"""
+    (tmp_path / "walker.prism").write_text(program, encoding="utf-8")
+    asked = ("solve", tmp_path / "walker.prism", "--goal", "done", "--cost", "time", "--json")
+    scheduler = tmp_path / "walker.storm.json"
+    code, out, err = run(capsys, *asked, "--constants", "N=1", "--failure-budget", 0.1,
+                         "--limit", "fuel <= 1.5", "--policy-out", scheduler)  # fmt: skip
+    assert (code, err) == (0, "")
+    assert json.loads(out)["objective"] == pytest.approx(0.5 * 1 + 0.5 * 3)
+    assert {choice["labels"][0] for choice in json.loads(scheduler.read_text())[0]["c"]} == {
+        "run",
+        "walk",
+    }
+    assert run(capsys, *asked)[0] == 2
 
 
 def test_environments(capsys: pytest.CaptureFixture[str]) -> None:
