@@ -173,17 +173,28 @@ def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
     return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
 
 
+def _safest(
+    compiled: CompiledProblem, pricing: PricingProblem, steepest_price: float | None
+) -> tuple[Column, int]:
+    """The turning point to begin with, and how many pricing calls it took.
+
+    Raises:
+        ModelError: at the steepest price it is best to fail.
+    """
+    if steepest_price is None:
+        return checked_least_failure(compiled, None).column, 0
+    first, row = pricing.minimise(steepest_price, pricing.first()), Row(1.0, compiled.ratio)
+    if row.ratio and row.objective(first.cost, first.goal) >= steepest_price:
+        raise ModelError(
+            f"at the price {steepest_price:g} of failure it is best to fail: "
+            "steepest_price must lie above the least cost given success"
+        )
+    return first, 1
+
+
 def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
     pricing, row = compiled.pricing(), Row(1.0, compiled.ratio)
-    if limits.steepest_price is None:
-        first, calls = checked_least_failure(compiled, None).column, 0
-    else:
-        first, calls = pricing.minimise(limits.steepest_price, pricing.first()), 1
-        if row.ratio and row.objective(first.cost, first.goal) >= limits.steepest_price:
-            raise ModelError(
-                f"at the price {limits.steepest_price:g} of failure it is best to fail: "
-                "steepest_price must lie above the least cost given success"
-            )
+    first, calls = _safest(compiled, pricing, limits.steepest_price)
     rule = Secant(pricing, row, first, calls=calls, work=first.work)
     free = generate(rule, SolveOptions(limits.gap))
     last, calls, work = free.columns[-1], rule.calls, rule.work

@@ -44,6 +44,14 @@ class Patience:
 
     progress: Callable[[int, float, float], None] | None = None  # responses, price, upper end
 
+    def tell(self, found: Threshold) -> None:
+        """Report what is known; a stop that is asked for there ends the search."""
+        try:
+            if self.progress is not None:
+                self.progress(len(found.responses), found.failure_price, found.high)
+        except STOPS as stop:
+            heed(stop)
+
 
 ENDLESS = Patience()
 
@@ -123,11 +131,7 @@ def find_threshold(
     width = np.inf  # of the bracket after the last game at its upper end
     while True:
         at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
-        try:
-            found = play(player, Game(share * at, budget, room), responses, accuracy=accuracy)
-        except STOPS as stop:
-            heed(stop)
-            found = unplayed(Game(share * at, budget, room), responses)
+        found = _played(player, Game(share * at, budget, room), responses, accuracy)
         responses = list(found.responses)
         trials.append(Trial(at, found.alpha, found.upper, share * at))
         low = max(low, _implied(found) / share)
@@ -137,11 +141,7 @@ def find_threshold(
             budget, min(low, high), high, found, members, weights, tuple(trials), tuple(responses),
             not is_late(),
         )  # fmt: skip
-        try:
-            if patience.progress is not None:
-                patience.progress(len(responses), answer.failure_price, high)
-        except STOPS as stop:
-            heed(stop)
+        patience.tell(answer)
         late = is_late() or len(trials) >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
             return answer
@@ -149,6 +149,17 @@ def find_threshold(
             if high - low > _STALLED * width:
                 return answer
             width = high - low
+
+
+def _played(
+    player: Player, game: Game, responses: Sequence[BestResponse], accuracy: float
+) -> Equilibrium:
+    """The game, or what is known of it where the time runs out."""
+    try:
+        return play(player, game, responses, accuracy=accuracy)
+    except STOPS as stop:
+        heed(stop)
+        return unplayed(game, responses)
 
 
 def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:

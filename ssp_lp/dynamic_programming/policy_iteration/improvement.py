@@ -186,10 +186,7 @@ def _rounds(
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
         check_time()
-        if dynamics.n_states <= DIRECT_STATES:  # what is wrong with small ones shows in the totals
-            system = dynamics.chain(choice)
-        else:
-            system, choice = leaving_chain(dynamics, choice, before)
+        system, choice = _chain_of(dynamics, choice, before)
         latest[0] = choice
         totals = system.solve(rewards[choice], totals, accuracy)
         work, rounds = work + Work(1, system.products), rounds + 1
@@ -199,29 +196,55 @@ def _rounds(
             raise SolverError("a policy that was to improve the last one is worse")
         backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
         better, gain, scale = _gains(backup, values, accuracy)
-        if accuracy > _FINE and system.is_solved_exactly and not better.any():
-            accuracy = _FINE  # the totals are exact already: only noise was thought to be greater
-            better, gain, scale = _gains(backup, values, accuracy)
+        if not better.any() and accuracy > _FINE:
+            accuracy = _FINE
+            if not system.is_solved_exactly:
+                above = None
+                continue
+            better, gain, scale = _gains(backup, values, accuracy)  # only noise was thought greater
         above = values if accuracy <= _FINE else None
         if not better.any():
-            if accuracy <= _FINE:
-                return choice, system, totals, gain, work
-            accuracy = _FINE
-            continue
+            return choice, system, totals, gain, work
         if rounds > MOST_ROUNDS:
             raise SolverError("policy iteration goes round in circles")
         before, changed = choice, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
-            swept = None
-            if system.is_solved_exactly:  # where components were large they hardly become small
-                swept = improve_along_chain(dynamics, pair_cost, choice, values)
-            if swept is None:
-                most = _most_sweeps(dynamics, system, spent)
-                swept = _sweep(dynamics, pair_cost, choice, values, most)
-            work = work + Work(swept, 0)
+            work = work + _swept(dynamics, pair_cost, choice, values, system, spent)
         changed_before = changed
         accuracy = min(_FORCING * gain / scale if gain > _LAST_GAINS * scale else _FINE, accuracy)
+
+
+def _chain_of(
+    dynamics: Dynamics, choice: IntArray, before: IntArray | None
+) -> tuple[System, IntArray]:
+    """The equations of a policy that leaves, which may differ from what was chosen."""
+    if dynamics.n_states <= DIRECT_STATES:  # what is wrong with small ones shows in the totals
+        return dynamics.chain(choice), choice
+    return leaving_chain(dynamics, choice, before)
+
+
+def _swept(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    choice: IntArray,
+    values: FloatArray,
+    system: System,
+    spent: int,
+) -> Work:
+    """Improve in place by passes along the chain or, where components are large, by sweeps.
+
+    Args:
+        system: the equations of the last policy that was evaluated.
+        spent: products that its evaluation took.
+    """
+    swept = None
+    if system.is_solved_exactly:  # where components were large they hardly become small
+        swept = improve_along_chain(dynamics, pair_cost, choice, values)
+    if swept is None:
+        most = _most_sweeps(dynamics, system, spent)
+        swept = _sweep(dynamics, pair_cost, choice, values, most)
+    return Work(swept, 0)
 
 
 def _gains(backup: Backup, values: FloatArray, accuracy: float) -> tuple[BoolArray, float, float]:
