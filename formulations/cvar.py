@@ -50,6 +50,7 @@ class CVaR(Formulation):
         start: a state, or ``{state: probability}``; one budget for the mean.
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
+        cost_levels: tell at most so many totals apart, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
@@ -73,6 +74,7 @@ class CVaR(Formulation):
     start: Start
     level: float
     failure_budget: float | None = None
+    cost_levels: int | None = None
 
     ratio = True  # given success
 

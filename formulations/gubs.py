@@ -50,6 +50,7 @@ class GUBS(Formulation):
         utility: non-increasing function of the total cost, on arrays.
         goal_bonus: K_g >= 0.
         utility_at_infinity: what the utility falls to, and what failing is worth.
+        cost_levels: tell at most so many totals apart, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
 
     Returns:
@@ -78,6 +79,7 @@ class GUBS(Formulation):
     utility: Utility
     goal_bonus: float
     utility_at_infinity: float = 0.0
+    cost_levels: int | None = None
 
     failure_budget = 1.0  # failing is not limited: the utility weighs it
 

@@ -12,7 +12,6 @@ from ssp_lp.formulation import (
     ModelError,
     Start,
     check_setting,
-    is_whole,
     stated_budget,
 )
 
@@ -87,7 +86,4 @@ class S3P(Formulation):
         check_setting(stated_budget(self), self.discount, self.reach_fraction)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
-        levels = self.cost_levels
-        if levels is not None and not (is_whole(levels) and levels >= 1):
-            raise ModelError(f"cost_levels must be a number >= 1 or None, not {self.cost_levels!r}")
         super().__post_init__()

@@ -25,6 +25,7 @@ from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
     Problem,
+    by_sums,
     check_numbers,
     check_penalty,
     check_setting,
@@ -169,6 +170,9 @@ class Formulation(_Inherited):
             name, given = type(self).__name__, in_short(self._asked.model)
             raise ModelError(f"{name} takes an SSP first, then the start, not {given}")
         start_distribution(self._asked.model, self._asked.start)
+        levels = getattr(self, "cost_levels", None)
+        if levels is not None and not (is_whole(levels) and levels >= 1):
+            raise ModelError(f"cost_levels must be a number >= 1 or None, not {levels!r}")
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition
@@ -214,7 +218,8 @@ class Formulation(_Inherited):
         model, semantics = self._asked.model, self.semantics
         start = start_distribution(model, self._asked.start)
         if semantics.measure is not None:
-            return CompiledArrivalCost(model, start, semantics.measure.charge, self.ratio)
+            charge, sums = semantics.measure.charge, by_sums(self._asked)
+            return CompiledArrivalCost(model, start, charge, self.ratio, by_sums=sums)
         if self.ratio:
             cap = self.cost_cap
             return CompiledAccumulatedCost(model, start, self.discount, fixed_cap=cap)

@@ -24,7 +24,7 @@ from ssp_lp.options import (
     options_of,
     parse_method,
 )
-from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, rungs_of
+from ssp_lp.problem import Problem, by_rows, check_problem, has_rows
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.solution import Solution
 
@@ -76,10 +76,10 @@ def solve(
 
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
     """By the driver that knows the problem."""
-    measure, limited = problem.semantics.measure, has_rows(problem)
+    measure = problem.semantics.measure
     if isinstance(method, Game):
         return solve_by_game(problem, options)
-    if (limited and (measure is None or measure.maximised)) or rungs_of(problem) is not None:
+    if by_rows(problem) and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
     if measure is not None and measure.maximised:
         return solve_for_worth(problem, problem.compile(), options)

@@ -33,7 +33,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.layered.process import LayeredProcess
-from ssp_lp.processes.layered.window import Window
+from ssp_lp.processes.totals.window import Window
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
@@ -58,9 +58,7 @@ class LayeredPricing:
     def first(self) -> Column:
         """The first tail, which goes for the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
-        nothing_paid = self.process.charge.beyond(
-            np.zeros(base.n_nodes, int), base.unit, tails.first
-        )
+        nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
         cost, goal = float(base.start @ nothing_paid), float(base.start @ tails.goal[0])
         cost += self.process.start_charge
         failure = float(base.start @ tails.first.failure) + base.start_failure
@@ -76,7 +74,7 @@ class LayeredPricing:
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
         priced = priced_layers(self.process, owed)
-        ahead = Window(self._tail_values(failure_price, failing))
+        ahead = self.process.window(self._tail_values(failure_price, failing))
         measured = self._measures_beyond(failure_price)
         totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
         for layer in reversed(range(self.process.cap)):
@@ -147,7 +145,7 @@ class LayeredPricing:
         return totals
 
     def _measures_beyond(self, tail_price: float) -> Window:
-        return Window(np.stack(self.process.beyond(tail_price), axis=-1))
+        return self.process.window(np.stack(self.process.beyond(tail_price), axis=-1))
 
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
@@ -212,7 +210,8 @@ class LayeredPricing:
         summed = summed_layers(self.process, owed, saved)
         floor = -(success - self.process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
         kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else None
-        window, inner, lowest = Window(beyond), self._first_choice, np.zeros(base.n_nodes)
+        window, inner = self.process.window(beyond), self._first_choice
+        lowest = np.zeros(base.n_nodes)
         for layer in reversed(range(self.process.cap)):
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
@@ -278,6 +277,6 @@ class LayeredPricing:
         return approach(base.instant_dynamics, leaving)
 
     def _tail_values(self, price: float, failing: float) -> FloatArray:
-        """Values of the tails beyond the cap, [width - 1, nodes]."""
+        """Values of the tails beyond the cap, [layers, nodes]."""
         cost, failure, goal = self.process.beyond(price)
         return cost + failing * failure - (price - failing) * goal

@@ -1,23 +1,34 @@
 """The least conditional value at risk of the total cost given success.
 
-For any policy it is the least over z of z + E[(C - z)^+ | goal] / (1 - level) (Rockafellar and
-Uryasev 2000), attained at the quantile, which lies on the lattice of costs. So the optimum is the
-least over z on the lattice of F(z), the least E[charge | goal] with that integrand as the charge:
-S3P with a kink. The search alternates between the best policy at z and that policy's own quantile.
-The proof then refutes every z: most by one backward sweep at the price of failure that was optimal
-nearby; many by their neighbours, since with z the integrand rises by at most the step and falls by
-at most level / (1 - level) of it; all that are dearer than the optimum because F(z) >= z.
+For any policy it is the least over z of z + E[(C - z)^+ | goal] / share, share = 1 - level
+(Rockafellar and Uryasev 2000), attained at the quantile, a total that can occur. So the optimum is
+the least over such z of F(z), the least E[charge | goal] with that integrand as the charge: S3P
+with a kink. The search alternates between the best policy at z and that policy's own quantile.
+
+F is a least of convex functions and need not be convex itself, so that values on both sides of a z
+prove nothing of it. What is proved is proved of whole intervals: for a <= z <= b and every c
+
+    z + (c - z)^+ / share  >=  max(a, min(b, c)) + (c - b)^+ / share.
+
+For c <= z the left side is z, and the right one max(a, min(b, c)) <= z. For z < c <= b the right
+side is c, and the left one z + (c - z) / share >= c. For c > b the left side falls by 1 / share - 1
+where z rises by 1, and at z = b both are equal. The right side is a charge that does not fall as c
+grows: one backward sweep at any price of failure bounds F on all of [a, b] from below. Intervals
+whose bound lies below the best value are split, the weakest first, down to single totals, which are
+searched; beyond the best value none is needed, as F(z) >= z. The bound of the whole is the least of
+what is left: it is what the sweeps say, whenever the search ends.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from heapq import heappop, heappush
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
+from ssp_lp.methods.risk.question import Question, Trial, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
@@ -34,7 +45,7 @@ class Best:
     value: float
     policy: MixedPolicy
     failure: float
-    layer: int  # the policy's quantile
+    threshold: int  # number of the policy's quantile
     kappa: float  # price of failure
     calls: int
     prices: Mapping[str, float]  # of constraints, by name
@@ -46,81 +57,61 @@ class Best:
         return beyond if beyond > _TIED * self.value else 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Search:
-    """What does not change from threshold to threshold."""
+    """A search over thresholds. Mutable: it learns."""
 
     problem: Problem
     question: Question
     level: float
     options: SolveOptions
-
-    def charge(self, layer: int) -> Excess:
-        """The integrand at a threshold."""
-        return Excess(layer, 1.0 - self.level, self.question.base.exact_unit)
-
-    def attempt(self, layer: int, best: Best | None, kappa: float = 0.0) -> tuple[Best, Trial]:
-        """The better of the best so far and the best policy at a threshold, and the trial."""
-        trial = self.question.attempt(self.charge(layer), self.options, kappa)
-        law = success_costs(trial.policy, self.problem)
-        value = law.tail_mean(self.level)
-        quantile = layer_of(self.question, law.quantile(self.level))
-        calls = trial.calls + (0 if best is None else best.calls)
-        tied = _TIED if quantile == layer else -_TIED  # of equals the one whose z is its quantile
-        if best is not None and value > best.value * (1.0 + tied):
-            return replace(best, calls=calls), trial
-        failure = 1.0 - law.goal
-        return Best(value, trial.policy, failure, quantile, trial.kappa, calls, trial.prices), trial
-
-    def alternate(self, best: Best, bounds: dict[int, float]) -> Best:
-        """Go on at the best policy's own quantile until its threshold has been tried.
-
-        Args:
-            best: to begin with.
-            bounds: lower bounds of the thresholds tried; those tried here are added.
-        """
-        while best.layer not in bounds and self._in_time:
-            layer = best.layer
-            best, trial = self.attempt(layer, best, best.kappa)
-            bounds[layer] = trial.lower_bound
-        return best
+    best: Best | None = None
+    tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
+    sweeps: int = 0
 
     @property
-    def _in_time(self) -> bool:
+    def in_time(self) -> bool:
+        """Whether there is time left."""
         return time.perf_counter() < self.options.deadline
 
-    def target(self, best: Best) -> float:
-        """The value below which no threshold may lie."""
-        return best.value * (1.0 - self.options.tolerance)
+    def attempt(self, threshold: int) -> Best:
+        """The better of the best so far and the best policy at a threshold."""
+        best, near = self.best, self._nearest(threshold)
+        charge = Excess(self.question.thresholds.total(threshold), 1.0 - self.level)
+        kappa = 0.0 if near is None else near.kappa
+        trial = self.question.attempt(charge, self.options, kappa)
+        self.tried[threshold] = trial
+        law = success_costs(trial.policy, self.problem)
+        value = law.tail_mean(self.level)
+        quantile = self.question.thresholds.number(law.quantile(self.level))
+        calls = trial.calls + (0 if best is None else best.calls)
+        tied = _TIED if quantile == threshold else -_TIED  # of equals: whose z is its quantile
+        if best is not None and value > best.value * (1.0 + tied):
+            self.best = replace(best, calls=calls)
+        else:
+            found = value, trial.policy, 1.0 - law.goal, quantile, trial.kappa, calls
+            self.best = Best(*found, trial.prices)
+        return self.best
 
-    def refute(self, best: Best, layer: int, step: int) -> tuple[Best, float]:
-        """Bound all thresholds from a layer on, upwards or downwards.
+    def refuted(self, first: int, last: int) -> float:
+        """A lower bound of F on all thresholds between two, and at them, by one sweep."""
+        places, best = self.question.thresholds, self.best
+        near = self._nearest((first + last) // 2)
+        kappa = target = 0.0 if best is None else best.value * (1.0 - self.options.tolerance)
+        prices: Mapping[str, float] = {}
+        if near is not None:
+            kappa, prices = near.kappa, near.prices
+        charge = Excess(places.total(last), 1.0 - self.level, places.total(first))
+        self.sweeps += 1
+        return self.question.refuted_below(
+            charge, max(kappa, target), prices, slack=kappa <= target
+        )
 
-        Returns:
-            The best, which may have been found on the way, and the least bound; minus infinity
-            where time ran out.
-        """
-        question, least = self.question, best.value
-        slope = self.level / (1.0 - self.level) if step > 0 else 1.0
-        kappa, prices = best.kappa, best.prices
-        while layer >= 0:
-            if cost_of(question, layer) >= (target := self.target(best)):  # as F(z) >= z
-                if step > 0:
-                    break
-                layer -= 1
-                continue
-            if not self._in_time:
-                return best, float("-inf")
-            priced = max(kappa, target)
-            here = question.refuted_below(self.charge(layer), priced, prices, slack=kappa <= target)
-            if here < target:
-                best, trial = self.attempt(layer, best, kappa)
-                here, kappa, prices = max(here, trial.lower_bound), trial.kappa, trial.prices
-            room = max(here - self.target(best), 0.0)
-            skipped = int(room / (slope * question.base.unit))
-            least = min(least, here if skipped == 0 else self.target(best))
-            layer += step * (1 + skipped)
-        return best, min(least, self.target(best))
+    def _nearest(self, threshold: int) -> Trial | None:
+        """The trial at the nearest threshold."""
+        if not self.tried:
+            return None
+        return self.tried[min(self.tried, key=lambda number: abs(number - threshold))]
 
 
 def least_tail_mean(
@@ -134,10 +125,12 @@ def least_tail_mean(
         level: in [0, 1).
         options: method, tolerance and limits.
     """
-    best, bound, in_time = _proved(_Search(problem, question, level, options))
-    reason = f"thresholds on the lattice of costs, {best.calls} pricing calls"
+    search = _Search(problem, question, level, options)
+    best, bound = _proved(search)
+    sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
+    reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
-    note = remarks(question, in_time=in_time)
+    note = remarks(question, in_time=search.in_time)
     found = Found(
         best.policy,
         best.value,
@@ -165,22 +158,44 @@ def tail_mean_bound(
     return _proved(_Search(problem, question, level, options))[1]
 
 
-def _proved(search: _Search) -> tuple[Best, float, bool]:
-    """The best policy, a lower bound of every policy's tail mean, and whether time sufficed.
-
-    All thresholds on both sides of the best one are refuted; its own bound is known.
-    """
-    best, first = search.attempt(0, None)
-    bounds = {0: first.lower_bound}
+def _proved(search: _Search) -> tuple[Best, float]:
+    """The best policy, and a lower bound of every policy's tail mean."""
+    places, best = search.question.thresholds, search.attempt(0)
+    whole = search.tried[0].lower_bound
     if search.level == 0.0:
-        return best, first.lower_bound, True  # the whole mean: the least threshold is best
-    best = search.alternate(best, bounds)
-    middle = best.layer
-    own = bounds.get(middle, float("-inf"))
-    best, above = search.refute(best, middle + 1, +1)
-    best, below = search.refute(best, middle - 1, -1)
-    bound = min(own, above, below)
-    in_time = bound > float("-inf")
-    if not in_time:
-        bound = first.lower_bound * (1.0 - search.level)  # no tail's mean is below the whole's
-    return best, max(bound, 0.0), in_time
+        return best, max(whole, 0.0)  # the whole mean: the least threshold is best
+    while best.threshold not in search.tried and search.in_time:
+        best = search.attempt(best.threshold)
+    last = places.number(best.value) + 1
+    least = whole * (1.0 - search.level)  # no tail's mean is below its share of the whole's
+    bounds = [trial.lower_bound for trial in search.tried.values()]
+    known = sorted(number for number in search.tried if number < last)
+    between = 1 if places.sharp else 0  # else every real number has to be covered
+    weakest = [
+        (least, after + between, before - between)
+        for after, before in zip(known, [*known[1:], last + 1], strict=True)
+        if before - after > between
+    ]
+    while weakest and search.in_time:
+        bound, first, final = weakest[0]
+        best = search.best or best
+        target = best.value * (1.0 - search.options.tolerance)
+        if bound >= target:
+            break
+        heappop(weakest)
+        if places.total(first) >= best.value:
+            continue  # as F(z) >= z
+        bound = max(bound, search.refuted(first, final))
+        if bound >= target:
+            heappush(weakest, (bound, first, final))
+        elif first == final:
+            best = search.attempt(first)
+            bounds.append(max(bound, search.tried[first].lower_bound))
+        elif final - first == 1 and not places.sharp:
+            bounds.append(bound)
+        else:
+            middle = (first + final) // 2
+            heappush(weakest, (bound, first, middle))
+            heappush(weakest, (bound, middle + between, final))
+    best = search.best or best
+    return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)

@@ -12,8 +12,8 @@ from ssp_lp.column_generation.constrained_search import Pace, Rows
 from ssp_lp.methods.rows.opening import Opening, opening
 from ssp_lp.methods.rows.ratio import generated
 from ssp_lp.options import SolveOptions
-from ssp_lp.processes.layered.ladder import Rungs
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.processes.totals.ladder import Rungs
 
 _COARSE_RUNGS = 64  # of the grid that a search on totals begins with
 _COARSE_GAP = 1e-4  # and how exactly it is solved

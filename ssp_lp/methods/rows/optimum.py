@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.constrained_search import (
@@ -103,11 +103,17 @@ def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
         failure = found.discounted_failure
         failure = found.failure_probability if failure is None else failure
         cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
-        spent = found.secondary_costs
-        taken = [row.activity(spent[row.condition.name]) for row in stated.side]
-        return np.array([cost, failure, *taken])
+        if not stated.ratio:
+            cost = value(MixedPolicy((policy,), np.ones(1)))
+        return np.array([cost, failure, *taken(stated, found)])
 
     return Truth(value, figures)
+
+
+def taken(stated: CompiledConstrained, found: Evaluation) -> list[float]:
+    """What a policy takes of each row beside failure."""
+    spent = found.secondary_costs
+    return [row.activity(spent[row.condition.name]) for row in stated.side]
 
 
 def rows_optimum(
@@ -128,7 +134,7 @@ def rows_optimum(
     calls, work, gaps, best = 0, Work(), list[float](), None
     guess = None if stated.rungs is None else coarse_guess(stated, options)
     if guess is not None and stated.rungs is not None:
-        stated = replace(stated, rungs=stated.rungs.up_to(guess.kappa))
+        stated = stated.up_to(guess.kappa)
     while True:
         try:
             found = _attempt(stated, options.after(calls), truth, guess)
