@@ -29,13 +29,13 @@ class CVaR(Formulation):
         for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure,
         x> <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the
         program of ``S3P`` with a kink in what an arrival is charged. The least over z, which for
-        any policy is attained at its quantile and so on the lattice of costs.
+        any policy is attained at its quantile and so at a total that can occur.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum. Every threshold is refuted by a checked sub-solution, by a neighbour's, or
-        because no tail mean is below its own threshold: ``lower_bound`` is the least of these
-        bounds.
+        optimum. Every threshold is refuted by a checked sub-solution, its own or that of an
+        interval around it, or because no tail mean is below its own threshold: ``lower_bound`` is
+        the least of these bounds.
 
     Semantics:
         exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. The tail of

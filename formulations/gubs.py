@@ -39,7 +39,7 @@ class GUBS(Formulation):
 
     Semantics:
         exact. Wandering for ever is failure. ``utility`` must not increase, maps arrays to arrays
-        and is evaluated at multiples of the unit of cost only.
+        and is evaluated at totals that are told apart only.
 
     Reference:
         Freire and Delgado, AAMAS 2017 (GUBS). For the exponential utility see ``EGUBS``.

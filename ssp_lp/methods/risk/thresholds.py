@@ -91,5 +91,5 @@ class SumsThatOccur:
             raise ModelError(f"more than {MOST_SUMS:,} sums of costs lie below {self._cap:g}")
         every = np.unique((sums[:, None] + self._last).ravel())
         every = every[every < self._cap]
-        room = room_of(self._steps, self._cap)
+        room = room_of(np.union1d(self._steps, self._last), self._cap)
         return np.asarray(every[np.diff(every, prepend=-np.inf) > room])

@@ -73,6 +73,8 @@ def room_of(steps: FloatArray, cap: float) -> float:
 def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
     """The sums of steps below a cap, increasing; None: there are more than so many."""
     moves, found, room = steps[1:], np.zeros(1), room_of(steps, cap)
+    if moves.size and cap > (most + 1) * float(moves[0]):
+        return None  # the multiples of the cheapest are too many
     fresh, chunk = found, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
     while fresh.size:
         together = found
