@@ -58,7 +58,8 @@ class Ladder:
             The rung below, and the share that goes to the one above that, [rungs, steps] each.
         """
         last, totals = self.size, self.rungs[:, None] + self.steps
-        below = np.searchsorted(self.rungs, totals * (1.0 + _ULPS), side="right") - 1
+        nearly = self._room if self.complete else _ULPS * totals
+        below = np.searchsorted(self.rungs, totals + nearly, side="right") - 1
         below = np.minimum(below, last)
         below[last] = last
         gap = np.diff(self.rungs, append=2.0 * self.rungs[-1] + 1.0)[below]
@@ -106,7 +107,9 @@ class Rungs:
         """
         steps = step_lattice(model)[1]
         if self.fixed is not None:
-            return Ladder(read_only(np.array(self.fixed)), steps)
+            sums = sums_in(model, self.fixed[-1], len(self.fixed))
+            complete = sums is not None and len(sums) == len(self.fixed) - 1
+            return Ladder(read_only(np.array(self.fixed)), steps, complete)
         cap = first if self.cap is None else self.cap
         least = _LEAST_STEPS * float(steps[-1]) if grows else _SHARE * float(steps[1:2].sum())
         cap = max(cap, least) or 1.0
