@@ -26,6 +26,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
 
+import numpy as np
+
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.risk.question import Question, Trial, remarks
@@ -36,6 +38,9 @@ from ssp_lp.processes.layered.arrival_cost import Excess
 from ssp_lp.solution import Run, Solution
 
 _TIED = 1e-12  # relative difference of values that is rounding
+_PRICES = 8  # of failure that are tried at a threshold before it is searched
+_FACTOR = 1.5  # between the first two
+_NEAR = 0.02  # relative distance of prices at which trying others ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +72,7 @@ class _Search:
     options: SolveOptions
     best: Best | None = None
     tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
+    kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
     sweeps: int = 0
 
     @property
@@ -76,11 +82,10 @@ class _Search:
 
     def attempt(self, threshold: int) -> Best:
         """The better of the best so far and the best policy at a threshold."""
-        best, near = self.best, self._nearest(threshold)
+        best = self.best
         charge = Excess(self.question.thresholds.total(threshold), 1.0 - self.level)
-        kappa = 0.0 if near is None else near.kappa
-        trial = self.question.attempt(charge, self.options, kappa)
-        self.tried[threshold] = trial
+        trial = self.question.attempt(charge, self.options, self._kappa(threshold))
+        self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
         law = success_costs(trial.policy, self.problem)
         value = law.tail_mean(self.level)
         quantile = self.question.thresholds.number(law.quantile(self.level))
@@ -94,18 +99,48 @@ class _Search:
         return self.best
 
     def refuted(self, first: int, last: int) -> float:
-        """A lower bound of F on all thresholds between two, and at them, by one sweep."""
-        places, best = self.question.thresholds, self.best
-        near = self._nearest((first + last) // 2)
-        kappa = target = 0.0 if best is None else best.value * (1.0 - self.options.tolerance)
-        prices: Mapping[str, float] = {}
-        if near is not None:
-            kappa, prices = near.kappa, near.prices
+        """A lower bound of F on all thresholds between two, and at them, by one sweep.
+
+        Of a single one the price of failure is sought that proves most: the bound is concave in it.
+        """
+        places, middle = self.question.thresholds, (first + last) // 2
         charge = Excess(places.total(last), 1.0 - self.level, places.total(first))
+        kappa = self._kappa(middle)
+        bound = self._swept(charge, middle, kappa)
+        if first < last or self.question.budget is None or kappa <= 0.0:
+            return bound
+        factor = _FACTOR if bound > 0.0 else 1.0 / _FACTOR
+        for _ in range(_PRICES):
+            if bound >= self.target or abs(factor - 1.0) < _NEAR:
+                break
+            other = self._swept(charge, middle, kappa * factor)
+            if other > bound:
+                bound, kappa = other, kappa * factor
+            else:
+                factor = factor**-0.5
+        self.kappas[middle] = kappa
+        return bound
+
+    @property
+    def target(self) -> float:
+        """The value that thresholds must not fall below."""
+        return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
+
+    def _swept(self, charge: Excess, threshold: int, kappa: float) -> float:
+        """The bound at a guess of what failing is worth."""
+        near, target = self._nearest(threshold), self.target
+        prices: Mapping[str, float] = {} if near is None else near.prices
         self.sweeps += 1
         return self.question.refuted_below(
             charge, max(kappa, target), prices, slack=kappa <= target
         )
+
+    def _kappa(self, threshold: int) -> float:
+        """What failing may be worth at a threshold, between those at which it is known."""
+        known = sorted(self.kappas)
+        if not known:
+            return 0.0
+        return float(np.interp(threshold, known, [self.kappas[number] for number in known]))
 
     def _nearest(self, threshold: int) -> Trial | None:
         """The trial at the nearest threshold."""
@@ -179,14 +214,13 @@ def _proved(search: _Search) -> tuple[Best, float]:
     while weakest and search.in_time:
         bound, first, final = weakest[0]
         best = search.best or best
-        target = best.value * (1.0 - search.options.tolerance)
-        if bound >= target:
+        if bound >= search.target:
             break
         heappop(weakest)
         if places.total(first) >= best.value:
             continue  # as F(z) >= z
         bound = max(bound, search.refuted(first, final))
-        if bound >= target:
+        if bound >= search.target:
             heappush(weakest, (bound, first, final))
         elif first == final:
             best = search.attempt(first)
