@@ -85,7 +85,7 @@ class CostLaw:
     :meth:`exponential` are linear solves on the policy's chain. The rest follows the chain through
     layers of the costs' common unit, or through the sums that occur, as far as a question needs;
     how far it has come is kept within the law for the next question, and changes no answer. Where
-    a question needs too many sums every cost is rounded up by less than a ten-thousandth of the
+    a question needs too many sums every cost is rounded up by less than a two-thousandth of the
     mean, so that no total, quantile, excess or late arrival is understated and no utility
     overstated.
     """

@@ -18,7 +18,7 @@ from ssp_lp.errors import ModelError
 Sweep = Arrivals | Sums
 Answer = TypeVar("Answer")
 
-_FINE = 10_000  # units in the mean of costs that are rounded
+_FINE = 2_000  # units in the mean of costs that are rounded
 _MOST_UNITS = 20_000  # in the dearest step
 _MOST_WAITING = 10_000_000  # masses kept at once
 

@@ -21,6 +21,9 @@ from ssp_lp.processes.totals.lattice import common_unit, exact_cost
 
 _FIRST_STEPS = 8  # of the dearest kind
 _MOST_SUMS = 50_000  # followed one by one, some seconds
+_MOST_KINDS = 64  # of steps by cost
+_EARLY = 2_000  # sums after which some of the runs must have arrived
+_SOME = 0.05  # share of those that succeed
 
 
 class TooManySumsError(ModelError):
@@ -98,10 +101,19 @@ class Sums:
         """
         while self._next and self._next[0] < layers:
             self._followed += 1
-            if self._followed > _MOST_SUMS:
-                raise TooManySumsError(f"more than {_MOST_SUMS:,} sums of costs can occur")
+            if not self._are_few:
+                raise TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
             self._settle_one(heappop(self._next))
         self.settled = max(self.settled, layers)
+
+    @property
+    def _are_few(self) -> bool:
+        """Whether there is hope that the sums come to an end of what is asked."""
+        if self._followed <= _EARLY:
+            return self._followed <= _MOST_SUMS and len(self._steps) <= _MOST_KINDS
+        arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
+        goal = float(self._live.start @ self._live.goal)
+        return self._followed <= _MOST_SUMS and arrived >= _SOME * goal
 
     @property
     def frontier(self) -> float:

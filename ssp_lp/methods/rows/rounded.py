@@ -47,8 +47,11 @@ def true_lottery(
     pricing, order = compiled.pricing, np.argsort(weights @ pool.figures, kind="stable")
     best = pool.points[int(order[0])]
     least = np.where(rows.bounds > 0.0, weights[0] * best.worth(weights) / rows.scales, 0.0)
-    points = [pool.points[k] for k in order[:_MOST].tolist()]
-    for factor in _STEEPER:  # what breaks a limit by rounding needs a policy on the other side
+    # where nothing is limited the best will do; else what breaks a limit by rounding needs a policy
+    # on the other side
+    limited = rows.index.size > 0
+    points = [pool.points[k] for k in order[: _MOST if limited else 1].tolist()]
+    for factor in _STEEPER if limited else ():
         steeper = weights.copy()
         steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
         points.append(pricing.minimise(steeper, best))
