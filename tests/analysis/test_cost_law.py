@@ -324,8 +324,8 @@ def test_too_many_sums_are_rounded_up(monkeypatch):
     rounded = [law.within(4.0), law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
     assert rounded[0] <= exact[0] + 1e-12
     for up, true in zip(rounded[1:], exact[1:], strict=True):
-        assert true - 1e-12 <= up <= true * (1.0 + 1e-3)
-    assert utility * (1.0 - 1e-3) <= law.expectation(lambda cost: np.exp(-cost), 0.0) <= utility
+        assert true - 1e-12 <= up <= true * (1.0 + 2e-3)
+    assert utility * (1.0 - 2e-3) <= law.expectation(lambda cost: np.exp(-cost), 0.0) <= utility
 
 
 def test_a_table_that_would_be_too_large(monkeypatch):

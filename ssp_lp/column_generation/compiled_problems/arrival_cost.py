@@ -261,7 +261,7 @@ class CompiledArrivalCost(CompiledLayered):
         if not self.by_sums:
             return self.charging(self.charge, values.shape[0])
         cap, n_layers = least, values.shape[0]
-        while (ladder := self._ladder(cap)) is not None and ladder.size <= n_layers:
+        while (ladder := self._ladder(cap)) is not None and ladder.size < n_layers:
             cap *= 2.0
         if ladder is None:
             raise ModelError("a value function of fewer layers is needed")

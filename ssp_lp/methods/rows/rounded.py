@@ -49,7 +49,7 @@ def true_lottery(
     least = np.where(rows.bounds > 0.0, weights[0] * best.worth(weights) / rows.scales, 0.0)
     # where nothing is limited the best will do; else what breaks a limit by rounding needs a policy
     # on the other side
-    limited = rows.index.size > 0
+    limited = compiled.ratio or rows.index.size > 0
     points = [pool.points[k] for k in order[: _MOST if limited else 1].tolist()]
     for factor in _STEEPER if limited else ():
         steeper = weights.copy()

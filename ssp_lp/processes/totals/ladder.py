@@ -108,7 +108,8 @@ class Rungs:
         steps = step_lattice(model)[1]
         if self.fixed is not None:
             sums = sums_in(model, self.fixed[-1], len(self.fixed))
-            complete = sums is not None and len(sums) == len(self.fixed) - 1
+            known = np.array(self.fixed[:-1])
+            complete = sums is not None and len(sums) == len(known) and np.allclose(sums, known)
             return Ladder(read_only(np.array(self.fixed)), steps, complete)
         cap = first if self.cap is None else self.cap
         least = _LEAST_STEPS * float(steps[-1]) if grows else _SHARE * float(steps[1:2].sum())
