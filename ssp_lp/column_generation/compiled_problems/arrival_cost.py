@@ -40,6 +40,7 @@ _MOST_LAYERS = 100_000
 """Layers of a charge that does not settle, after which the gap that is left is left."""
 
 _MOST_PLACES = 5_000_000  # nodes times sums
+_DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
 _LOWER = 0.75  # cap, times the one whose sums are too many
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
 _MARGIN = 1.02  # layers beyond what a price asks for: the price still moves a little
@@ -260,9 +261,15 @@ class CompiledArrivalCost(CompiledLayered):
             raise ModelError(f"a value function of {least} or more layers is needed")
         if not self.by_sums:
             return self.charging(self.charge, values.shape[0])
-        cap, n_layers = least, values.shape[0]
-        while (ladder := self._ladder(cap)) is not None and ladder.size < n_layers:
+        cap, n_layers, found = least, values.shape[0], None
+        for _ in range(_DOUBLINGS):
+            if (ladder := self._ladder(cap)) is None:
+                break
+            if ladder.size >= n_layers:  # the greatest cap below which there are so many sums
+                found = float(ladder.rungs[n_layers])
+            if ladder.size > n_layers:
+                break
             cap *= 2.0
-        if ladder is None:
+        if found is None:
             raise ModelError("a value function of fewer layers is needed")
-        return self.charging(self.charge, float(ladder.rungs[n_layers]))
+        return self.charging(self.charge, found)
