@@ -39,7 +39,7 @@ from ssp_lp.processes.failure_semantics import (
     parse_give_up,
     start_distribution,
 )
-from ssp_lp.processes.layered.arrival_cost import Utility
+from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Utility
 from ssp_lp.processes.layered.measures_of_law import (
     CostQuantileOf,
     ExpectedUtility,
@@ -217,8 +217,9 @@ class Formulation(_Inherited):
         """
         model, semantics = self._asked.model, self.semantics
         start = start_distribution(model, self._asked.start)
-        if semantics.measure is not None:
-            charge, sums = semantics.measure.charge, by_sums(self._asked)
+        sums = by_sums(self._asked)
+        if semantics.measure is not None or sums:
+            charge = TOTAL_COST if semantics.measure is None else semantics.measure.charge
             return CompiledArrivalCost(model, start, charge, self.ratio, by_sums=sums)
         if self.ratio:
             cap = self.cost_cap

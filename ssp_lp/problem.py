@@ -94,9 +94,15 @@ def rungs_of(problem: Problem) -> Rungs | None:
 
 def by_sums(problem: Problem) -> bool:
     """Whether totals are the sums that can occur, each a layer of backward sweeps."""
-    if has_rows(problem) or problem.semantics.measure is None:
+    of_law = problem.semantics.measure is not None
+    if has_rows(problem) or (not of_law and _is_cut(problem)):
         return False
     return (rungs := rungs_of(problem)) is not None and rungs.most == MOST_SUMS
+
+
+def _is_cut(problem: Problem) -> bool:
+    """Whether case S is discounted, or its costs are told apart up to a cap of the user's."""
+    return problem.discount is not None or getattr(problem, "cost_cap", None) is not None
 
 
 def by_rows(problem: Problem) -> bool:

@@ -20,6 +20,7 @@ from ssp_lp.processes.goal_reach import (
     GoalReach,
     ReachPolicy,
     cheapest,
+    goal_directed,
     greatest_goal_reach,
     least_goal_reach,
 )
@@ -34,6 +35,7 @@ from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
 _FIRST_LAYERS = 64
 """Layers of a first attempt where nothing says how many are needed."""
 
+_NEARLY = 1.25  # costs given success of a way to the goal: from there on failing may be best
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
 
 _MOST_LAYERS = 100_000
@@ -64,7 +66,12 @@ class CompiledArrivalCost(CompiledLayered):
     cap: float | None = None  # total at which the table ends, in units; None: as the charge asks
     by_sums: bool = False  # totals are the sums of steps that can occur, and a unit is 1
     discount: None = None
-    is_trial: bool = False
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether the cap is a guess, to learn the price from: sums become many as it grows."""
+        grows = self.charge.slope > 0.0 and not self.safest_only
+        return self.by_sums and self.cap is None and grows
 
     @cached_property
     def base(self) -> AccumulatedCost:
@@ -148,6 +155,10 @@ class CompiledArrivalCost(CompiledLayered):
 
     def _first_guess(self) -> float:
         """As many layers as are surely needed, and some more where that is not enough."""
+        if self.is_trial:
+            directed = goal_directed(self.model)
+            cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
+            return self._settled_units() + _NEARLY * cost / max(goal, 1e-300)
         goal = float(self.base.start @ self._tails.goal[0])
         cost = float(self.base.start @ self._tails.first.cost)
         typical = self._units(_TYPICAL * cost / max(goal, 1e-300))
@@ -216,7 +227,8 @@ class CompiledArrivalCost(CompiledLayered):
             return None
         else:
             lossless = self.lossless_units(price)
-            wanted = lossless if here < lossless <= 4 * here else wanted
+            near = self.is_trial or here < lossless
+            wanted = lossless if near and lossless <= 4 * here else wanted
         if self.by_sums:
             return None if self._ladder(wanted) is None else self.charging(charge, wanted)
         too_large = (wanted + self.base.width) * self.base.n_nodes > MOST_ENTRIES
