@@ -52,14 +52,11 @@ def back_up_layer(
 @njit(cache=True)
 def back_up_layers(
     order: Array, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, cost: Array, slope: Array,
-    charge: Array, growth: Array, gain: Array, failure: Array, survival: float,
+    leads: Array, paid: Array, charge: Array, growth: Array, owed: Array,
+    gain: Array, failure: Array, survival: float,
     values: Array, measured: Array, position: Array,
 ) -> None:  # fmt: skip
-    """Several layers of small ones in one pass, the last of them first.
-
-    Values and measures stand layer after layer, those of these layers, which are written, before
-    those of all that they lead to.
+    """All layers of a small process in one pass, the last of them first.
 
     Args:
         order: nodes, each after those that its free steps lead to, [nodes].
@@ -68,34 +65,33 @@ def back_up_layers(
         kinds: which kind of step an entry is; 0: a free one, within the layer, [entries].
         nodes: to where it leads, [entries].
         data: [entries].
-        leads: layer that each kind of step leads to, counted from the first here, [layers, kinds].
+        leads: layer that each kind of step leads to, [layers, kinds].
         paid: total of each layer, [layers].
-        cost: of pairs, [layers or 1, pairs].
-        slope: what a unit of the total adds to it, [pairs] or empty.
         charge: of arriving, [layers or 1, pairs].
         growth: what a unit of the total adds to it, [pairs] or empty.
+        owed: what a pair costs besides, [pairs].
         gain: [pairs].
         failure: [pairs].
         survival: the discount.
-        values: [layers * nodes and more].
-        measured: charge, failure and goal, [layers * nodes and more, 3].
+        values: of all layers, those beyond the cap given, [all layers * nodes].
+        measured: charge, failure and goal, likewise, [all layers * nodes, 3].
         position: written: the choice among each node's pairs, [layers, nodes].
     """
     n = offsets.size - 1
     begin = np.empty(leads.shape[1], dtype=np.int64)
     for layer in range(leads.shape[0] - 1, -1, -1):
         begin[:] = leads[layer] * n
-        row = layer if cost.shape[0] > 1 else 0
-        factor = paid[layer] if slope.size > 0 else 0.0
+        row = layer if charge.shape[0] > 1 else 0
+        factor = paid[layer] if growth.size > 0 else 0.0
         for s in order:
             least, pick = np.inf, offsets[s]
             for pair in range(offsets[s], offsets[s + 1]):
                 total = 0.0
                 for k in range(indptr[pair], indptr[pair + 1]):
                     total += data[k] * values[begin[kinds[k]] + nodes[k]]
-                stage = cost[row, pair]
+                stage = charge[row, pair] + owed[pair]
                 if factor != 0.0:
-                    stage += factor * slope[pair]
+                    stage += factor * growth[pair]
                 total = stage + total
                 if total < least:
                     least, pick = total, pair
@@ -117,25 +113,24 @@ def back_up_layers(
 @njit(cache=True)
 def back_up_layers_safely(
     order: Array, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, cost: Array, slope: Array, magnitude: Array, alone: Array,
-    epsilon: float, given: Array, values: Array,
+    leads: Array, paid: Array, charge: Array, growth: Array, owed: Array,
+    saved: Array, epsilon: float, given: Array, values: Array,
 ) -> None:  # fmt: skip
-    """Lower bounds of the least values of several layers; rounding counts against every pair.
+    """Lower bounds of the least values of all layers; rounding counts against every pair.
 
     Args:
         order: as in ``back_up_layers``, like all that is not listed here.
-        magnitude: sum of the sizes of the parts of the cost, [layers or 1, pairs].
-        alone: size of a sum that is a single number, of which nothing was rounded, [pairs].
+        saved: what a pair earns, [pairs].
         epsilon: of the machine.
         given: values that are not to be exceeded, [layers, nodes].
-        values: [layers * nodes and more].
+        values: of all layers, those beyond the cap given, [all layers * nodes].
     """
     n = offsets.size - 1
     begin = np.empty(leads.shape[1], dtype=np.int64)
     for layer in range(leads.shape[0] - 1, -1, -1):
         begin[:] = leads[layer] * n
-        row = layer if cost.shape[0] > 1 else 0
-        factor = paid[layer] if slope.size > 0 else 0.0
+        row = layer if charge.shape[0] > 1 else 0
+        factor = paid[layer] if growth.size > 0 else 0.0
         for s in order:
             least = np.inf
             for pair in range(offsets[s], offsets[s + 1]):
@@ -144,12 +139,13 @@ def back_up_layers_safely(
                     term = data[k] * values[begin[kinds[k]] + nodes[k]]
                     total += term
                     size += abs(term)
-                stage, whole = cost[row, pair], magnitude[row, pair]
+                stage = charge[row, pair] + owed[pair] - saved[pair]
+                whole = abs(charge[row, pair]) + owed[pair] + saved[pair]
                 if factor != 0.0:
-                    stage += factor * slope[pair]
-                    whole += factor * slope[pair]
+                    stage += factor * growth[pair]
+                    whole += factor * growth[pair]
                 total, size = stage + total, whole + size
-                if size != alone[pair]:
+                if size != owed[pair]:
                     terms = float(indptr[pair + 1] - indptr[pair]) + 4.0
                     total -= (terms * epsilon) * size
                 least = min(least, total)

@@ -14,6 +14,7 @@ from ssp_lp.arrays import (
     least_integer_type,
 )
 from ssp_lp.column_generation.pricing.layer_costs import Summands, priced_layers, summed_layers
+from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.dynamic_programming.bellman import (
@@ -73,6 +74,11 @@ class LayeredPricing:
         choice = self._blank_choice()
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
+        if self._one_pass is not None:
+            beyond = self._tail_values(failure_price, failing)
+            measures = np.stack(self.process.beyond(failure_price), axis=-1)
+            totals = self._one_pass.minimise(owed, beyond, measures, choice)
+            return self._column(totals, choice, failure_price, self.process.cap)
         priced = priced_layers(self.process, owed)
         ahead = self.process.window(self._tail_values(failure_price, failing))
         measured = self._measures_beyond(failure_price)
@@ -169,12 +175,8 @@ class LayeredPricing:
         here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
         return column if np.array_equal(here, there) else self.measure(column.choice, price)
 
-    def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
-        """The best lower bound that a sweep gives; no policy is needed for it."""
-        return self.best_bound(price, slack=slack)
-
-    def best_bound(self, price: float, *, slack: bool = False) -> Proof:
-        """Prove the best lower bound of every policy's value that one sweep gives."""
+    def prove(self, price: float, best: Column | None = None, *, slack: bool = False) -> Proof:
+        """The best lower bound of every policy that a sweep gives; none is needed for it."""
         return self.check(price, self._anything, slack=slack)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -207,9 +209,14 @@ class LayeredPricing:
         """Lower values layer by layer, from what is given beyond the cap."""
         base, success = self.process.base, price - failing
         owed, saved = failing * base.failure, success * base.survival * base.gain
-        summed = summed_layers(self.process, owed, saved)
         floor = -(success - self.process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
-        kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else None
+        if self._one_pass is not None:
+            given = np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
+            checked = self._one_pass.lowest(owed, saved, given, beyond)
+            kept = checked if values.size <= _KEPT_VALUES else self._anything
+            return self._proof(price, failing, checked[0], kept)
+        summed = summed_layers(self.process, owed, saved)
+        kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else self._anything
         window, inner = self.process.window(beyond), self._first_choice
         lowest = np.zeros(base.n_nodes)
         for layer in reversed(range(self.process.cap)):
@@ -218,14 +225,20 @@ class LayeredPricing:
                 lowest = np.minimum(self._safe_layer(summed(layer), window), given)
             else:
                 lowest, inner = self._safe_cycles(summed(layer), window, given, inner, floor)
-            if kept is not None:
+            if kept is not self._anything:
                 kept[layer] = lowest
             window.push(lowest)
-        ended = [failing * base.start_failure, -success * base.start_goal]
+        return self._proof(price, failing, lowest, kept)
+
+    def _proof(
+        self, price: float, failing: float, lowest: FloatArray, checked: FloatArray
+    ) -> Proof:
+        """The bound that values of the first layer give, [nodes]; all of them are kept."""
+        base = self.process.base
+        ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
         parts = np.append(base.start * lowest, [*ended, self.process.start_charge])
         loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
         bound = float(parts.sum()) - max(float(loss), 0.0)
-        checked = self._anything if kept is None else kept
         return Proof(price, failing, bound, checked, Work(self.process.cap, 0))
 
     def _safe_layer(self, sums: Summands, window: Window) -> FloatArray:
@@ -247,6 +260,10 @@ class LayeredPricing:
         settled = improve(base.instant_dynamics, ahead[:, None], _ONE, inner)
         given = np.minimum(settled.values, given)
         return sub_solution(base.instant_dynamics, ahead, given, floor), settled.choice
+
+    @cached_property
+    def _one_pass(self) -> OnePass | None:
+        return one_pass(self.process)
 
     @cached_property
     def _anything(self) -> FloatArray:

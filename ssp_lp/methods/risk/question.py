@@ -148,10 +148,10 @@ class _WithinBudget:
     def _bound(self, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False) -> float:
         """One sweep's bound at a price of failure."""
         if self.budget is None:
-            proof = compiled.pricing().best_bound(0.0)
+            proof = compiled.pricing().prove(0.0)
             return max(proof.bound, 0.0) / min(float(compiled.start @ compiled.greatest.bound), 1.0)
         return Row(self.budget, ratio=True).lower_bound(
-            compiled.pricing().best_bound(kappa, slack=slack)
+            compiled.pricing().prove(kappa, slack=slack)
         )
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.departing import without_self_loops
 from ssp_lp.model import SSP
@@ -82,6 +82,17 @@ class AccumulatedCost:
     def steps(self) -> sp.csr_array:
         """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
         return sp.csr_array(sp.hstack([self.instant, self.later]))
+
+    @cached_property
+    def steps_by_kind(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+        """Rows of all steps, what kind each entry is of (0: free), where it leads, and its share.
+
+        [pairs + 1], and [entries] each.
+        """
+        steps, n = self.steps, max(self.n_nodes, 1)
+        kinds, nodes = np.divmod(unsigned(steps.indices), np.uint32(n))
+        kind_type = np.uint8 if self.width <= 256 else np.uint32
+        return unsigned(steps.indptr), kinds.astype(kind_type), nodes.astype(np.uint32), steps.data
 
 
 def accumulate_cost(
