@@ -20,6 +20,9 @@ from ssp_lp.processes.layered.process import LayeredProcess
 _MOST_CELLS = 2_000_000
 """Nodes times layers held at once, with four numbers each; larger layers are swept one by one."""
 
+_MOST_ENTRIES = 60_000
+"""Entries of a layer beyond which calling a loop for each is nothing beside what it does."""
+
 _MOST_CHARGES = 4_000_000
 """Charges, pairs times layers, where they do not grow evenly."""
 
@@ -94,7 +97,9 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
     """The pass over a process; None where it is too large for one, or its free steps go round."""
     base, cap = process.base, process.cap
     cells = base.n_nodes * len(process.levels.totals)
-    if cells > _MOST_CELLS or not accelerated(base.later.nnz * cap):
+    if cells > _MOST_CELLS or base.later.nnz > _MOST_ENTRIES:
+        return None
+    if not accelerated(base.later.nnz * cap):
         return None
     if not process.grows_evenly and len(base.gain) * cap > _MOST_CHARGES:
         return None
