@@ -50,6 +50,7 @@ class CostBoundedReach(Formulation):
         start: a state, or ``{state: probability}``; one budget for the mean.
         cost_bound: greatest total cost, a number or a fraction, not negative.
         failure_budget: largest failure probability; None: as low as possible.
+        cost_levels: tell at most so many totals apart, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
@@ -77,6 +78,7 @@ class CostBoundedReach(Formulation):
     start: Start
     cost_bound: float | Fraction
     failure_budget: float | None = 1.0
+    cost_levels: int | None = None
 
     def __post_init__(self) -> None:
         check_setting(self.failure_budget, None)

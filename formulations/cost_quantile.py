@@ -29,7 +29,7 @@ class CostQuantile(Formulation):
         for a bound B, minimise <late, x> / <goal, x> subject to flow balance, <failure, x> <=
         failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1), where late
         counts the arrivals beyond B: the program of ``S3P`` with another charge. Its optimum falls
-        as B grows, and B is found by bisection over the lattice of costs.
+        as B grows, and B is found by bisection over the totals that can occur.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
@@ -50,6 +50,7 @@ class CostQuantile(Formulation):
         start: a state, or ``{state: probability}``; one budget for the mean.
         level: strictly between 0 and 1.
         failure_budget: largest failure probability; None: as low as possible.
+        cost_levels: tell at most so many totals apart, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
@@ -75,6 +76,7 @@ class CostQuantile(Formulation):
     start: Start
     level: float
     failure_budget: float | None = None
+    cost_levels: int | None = None
 
     ratio = True  # given success
 

@@ -30,13 +30,13 @@ class CVaR(Formulation):
         for a threshold z, minimise <integrand, x> / <goal, x> subject to flow balance, <failure,
         x> <= failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1): the
         program of ``S3P`` with a kink in what an arrival is charged. The least over z, which for
-        any policy is attained at its quantile and so on the lattice of costs.
+        any policy is attained at its quantile and so at a total that can occur.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the
-        optimum. Every threshold is refuted by a checked sub-solution, by a neighbour's, or
-        because no tail mean is below its own threshold: ``lower_bound`` is the least of these
-        bounds.
+        optimum. Every threshold is refuted by a checked sub-solution, its own or that of an
+        interval around it, or because no tail mean is below its own threshold: ``lower_bound`` is
+        the least of these bounds.
 
     Semantics:
         exact, as in ``S3P``: failing costs nothing and is limited by the budget alone. The tail of
@@ -51,6 +51,7 @@ class CVaR(Formulation):
         start: a state, or ``{state: probability}``; one budget for the mean.
         level: at least 0 and below 1.
         failure_budget: largest failure probability; None: as low as possible.
+        cost_levels: tell at most so many totals apart, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
@@ -75,6 +76,7 @@ class CVaR(Formulation):
     start: Start
     level: float
     failure_budget: float | None = None
+    cost_levels: int | None = None
 
     ratio = True  # given success
 

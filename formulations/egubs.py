@@ -49,6 +49,7 @@ class EGUBS(Formulation):
         start: a state, or ``{state: probability}``.
         risk_factor: lambda < 0, per unit of cost.
         goal_bonus: K_g >= 0.
+        cost_levels: tell at most so many totals apart, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
@@ -73,6 +74,7 @@ class EGUBS(Formulation):
     start: Start
     risk_factor: float
     goal_bonus: float
+    cost_levels: int | None = None
 
     failure_budget = 1.0  # failing is not limited: the utility weighs it
 

@@ -39,7 +39,7 @@ class GUBS(Formulation):
 
     Semantics:
         exact. Wandering for ever is failure. ``utility`` must not increase, maps arrays to arrays
-        and is evaluated at multiples of the unit of cost only.
+        and is evaluated at totals that are told apart only.
 
     Reference:
         Freire and Delgado, AAMAS 2017 (GUBS). For the exponential utility see ``EGUBS``.
@@ -50,6 +50,7 @@ class GUBS(Formulation):
         utility: non-increasing function of the total cost, on arrays.
         goal_bonus: K_g >= 0.
         utility_at_infinity: what the utility falls to, and what failing is worth.
+        cost_levels: tell at most so many totals apart, as in ``S3P``.
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
@@ -79,6 +80,7 @@ class GUBS(Formulation):
     utility: Utility
     goal_bonus: float
     utility_at_infinity: float = 0.0
+    cost_levels: int | None = None
 
     failure_budget = 1.0  # failing is not limited: the utility weighs it
 

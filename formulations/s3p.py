@@ -13,7 +13,6 @@ from ssp_lp.formulation import (
     Start,
     check_numbers,
     check_setting,
-    is_whole,
     stated_budget,
 )
 
@@ -91,7 +90,4 @@ class S3P(Formulation):
             check_numbers(cost_cap=self.cost_cap)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
-        levels = self.cost_levels
-        if levels is not None and not (is_whole(levels) and levels >= 1):
-            raise ModelError(f"cost_levels must be a number >= 1 or None, not {self.cost_levels!r}")
         super().__post_init__()

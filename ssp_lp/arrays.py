@@ -39,6 +39,13 @@ The masses of many total costs add up to 1e-15 .. 1e-13 of what they are: an ato
 at the level must not be missed, for the next one may lie anywhere.
 """
 
+SAME_TOTAL: Final = 5e-13
+"""Relative distance at which a total cost and a bound on it are one, summed in two ways.
+
+Sums of some thousand costs are off by 1e-16 to 1e-13 of themselves; a lattice of so many layers
+would fill no memory.
+"""
+
 RELATIVE_GAP: Final = 1e-9
 """Default relative gap between the objective and its certified lower bound."""
 

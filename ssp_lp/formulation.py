@@ -30,6 +30,7 @@ from ssp_lp.problem import (
     FailureBudget,
     Problem,
     as_stated,
+    by_sums,
     check_numbers,
     is_whole,
     stated_budget,
@@ -44,7 +45,7 @@ from ssp_lp.processes.failure_semantics import (
     parse_give_up,
     start_distribution,
 )
-from ssp_lp.processes.layered.arrival_cost import Utility
+from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Utility
 from ssp_lp.processes.layered.measures_of_law import (
     CostQuantileOf,
     ExpectedUtility,
@@ -194,6 +195,9 @@ class Formulation(_Inherited):
         start_distribution(self._asked.model, self._asked.start)
         if self.horizon is not None:
             check_steps(self.horizon, "horizon")
+        levels = getattr(self, "cost_levels", None)
+        if levels is not None and not (is_whole(levels) and levels >= 1):
+            raise ModelError(f"cost_levels must be a number >= 1 or None, not {levels!r}")
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition
@@ -262,8 +266,10 @@ class Formulation(_Inherited):
         model, semantics = self._asked.model, self.semantics
         start = start_distribution(model, self._asked.start)
         _COMPILING.info("%r", self)
-        if semantics.measure is not None:
-            return CompiledArrivalCost(model, start, semantics.measure.charge, self.ratio)
+        sums = by_sums(self._asked)
+        if semantics.measure is not None or sums:
+            charge = TOTAL_COST if semantics.measure is None else semantics.measure.charge
+            return CompiledArrivalCost(model, start, charge, self.ratio, by_sums=sums)
         if self.ratio:
             cap = self.cost_cap
             return CompiledAccumulatedCost(model, start, self.discount, fixed_cap=cap)

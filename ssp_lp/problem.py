@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Mapping
-from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any, Protocol, TypeGuard, cast, overload
 
@@ -21,8 +20,9 @@ from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribut
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.in_product import on_product
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
-from ssp_lp.processes.layered.ladder import FIRST_RUNGS, Rungs, wanted_rungs
 from ssp_lp.processes.quantities.conditions import Condition
+from ssp_lp.processes.totals.ladder import Rungs, rungs_for
+from ssp_lp.processes.totals.sums import MOST_SUMS
 
 
 class Problem(Protocol):
@@ -96,26 +96,33 @@ def has_rows(problem: Problem) -> bool:
 
 
 def rungs_of(problem: Problem) -> Rungs | None:
-    """What is asked of the totals that are told apart; None where multiples of a unit serve.
-
-    They do not where the costs of case S have no common unit, or one so small that the sums that
-    can occur are far fewer than its multiples.
-    """
-    if not problem.ratio or problem.semantics.measure is not None:
-        return None
-    asked = getattr(problem, "cost_levels", None)
+    """What is asked of the totals that are told apart; None where multiples of a unit serve."""
+    asked: int | None = getattr(problem, "cost_levels", None)
     cap: float | None = getattr(problem, "cost_cap", None)
-    if asked is not None:
-        return Rungs(cap, grid=min(int(asked), FIRST_RUNGS), most=int(asked))
-    if problem.failure_budget is None and not has_rows(problem):
+    of_law = problem.semantics.measure is not None
+    if not of_law and not problem.ratio:
+        return None
+    if not of_law and asked is None and problem.failure_budget is None and not has_rows(problem):
         return None  # at least failure no cost has to be remembered
-    found = wanted_rungs(problem.model)
-    return found if found is None or cap is None else replace(found, cap=cap)
+    return rungs_for(problem.model, asked, cap, of_law=of_law)
+
+
+def by_sums(problem: Problem) -> bool:
+    """Whether totals are the sums that can occur, each a layer of backward sweeps."""
+    of_law = problem.semantics.measure is not None
+    if has_rows(problem) or (not of_law and _is_cut(problem)):
+        return False
+    return (rungs := rungs_of(problem)) is not None and rungs.most == MOST_SUMS
+
+
+def _is_cut(problem: Problem) -> bool:
+    """Whether case S is discounted, or its costs are told apart up to a cap of the user's."""
+    return problem.discount is not None or getattr(problem, "cost_cap", None) is not None
 
 
 def by_rows(problem: Problem) -> bool:
     """Whether the methods for several rows solve a problem."""
-    return has_rows(problem) or rungs_of(problem) is not None
+    return has_rows(problem) or (rungs_of(problem) is not None and not by_sums(problem))
 
 
 def compiled_constrained(problem: Problem) -> CompiledConstrained:

@@ -30,10 +30,10 @@ from ssp_lp.options import (
 from ssp_lp.problem import (
     Problem,
     by_rows,
+    by_sums,
     check_problem,
     has_rows,
     pulled_back,
-    rungs_of,
     unrolled,
 )
 from ssp_lp.processes.failure_semantics import Aim
@@ -127,10 +127,10 @@ def _unanswered(deadline: Deadline, stop: Stop) -> BaseException:
 
 def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
     """By the driver that knows the problem."""
-    measure, limited = problem.semantics.measure, has_rows(problem)
+    measure = problem.semantics.measure
     if isinstance(method, Game):
         return solve_by_game(problem, options)
-    if (limited and (measure is None or measure.maximised)) or rungs_of(problem) is not None:
+    if by_rows(problem) and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
     if measure is not None and measure.maximised:
         return solve_for_worth(problem, problem.compile(), options)
@@ -152,7 +152,7 @@ def _check_method(problem: Problem, method: Method) -> None:
     """
     name, limited = type(problem).__name__, has_rows(problem)
     if isinstance(method, DeterministicPolicies) and (
-        by_rows(problem) or problem.semantics.measure is not None
+        by_rows(problem) or by_sums(problem) or problem.semantics.measure is not None
     ):
         raise ModelError(f"method='deterministic' is not available for {name}")
     if limited and isinstance(method, Game):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import prange
+from numba import njit, prange
 
 from ssp_lp.compiled.loops import one_or_all_cores
 
@@ -47,3 +47,106 @@ def back_up_layer(
         totals[s, 0] = charge[pick] + paid
         totals[s, 1] = failure[pick] + failed
         totals[s, 2] = survival * gain[pick] + reached
+
+
+@njit(cache=True)
+def back_up_layers(
+    order: Array, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
+    leads: Array, paid: Array, charge: Array, growth: Array, owed: Array,
+    gain: Array, failure: Array, survival: float,
+    values: Array, measured: Array, position: Array,
+) -> None:  # fmt: skip
+    """All layers of a small process in one pass, the last of them first.
+
+    Args:
+        order: nodes, each after those that its free steps lead to, [nodes].
+        offsets: pairs of each node, [nodes + 1].
+        indptr: [pairs + 1].
+        kinds: which kind of step an entry is; 0: a free one, within the layer, [entries].
+        nodes: to where it leads, [entries].
+        data: [entries].
+        leads: layer that each kind of step leads to, [layers, kinds].
+        paid: total of each layer, [layers].
+        charge: of arriving, [layers or 1, pairs].
+        growth: what a unit of the total adds to it, [pairs] or empty.
+        owed: what a pair costs besides, [pairs].
+        gain: [pairs].
+        failure: [pairs].
+        survival: the discount.
+        values: of all layers, those beyond the cap given, [all layers * nodes].
+        measured: charge, failure and goal, likewise, [all layers * nodes, 3].
+        position: written: the choice among each node's pairs, [layers, nodes].
+    """
+    n = offsets.size - 1
+    begin = np.empty(leads.shape[1], dtype=np.int64)
+    for layer in range(leads.shape[0] - 1, -1, -1):
+        begin[:] = leads[layer] * n
+        row = layer if charge.shape[0] > 1 else 0
+        factor = paid[layer] if growth.size > 0 else 0.0
+        for s in order:
+            least, pick = np.inf, offsets[s]
+            for pair in range(offsets[s], offsets[s + 1]):
+                total = 0.0
+                for k in range(indptr[pair], indptr[pair + 1]):
+                    total += data[k] * values[begin[kinds[k]] + nodes[k]]
+                stage = charge[row, pair] + owed[pair]
+                if factor != 0.0:
+                    stage += factor * growth[pair]
+                total = stage + total
+                if total < least:
+                    least, pick = total, pair
+            paying, failed, reached = 0.0, 0.0, 0.0
+            for k in range(indptr[pick], indptr[pick + 1]):
+                place = begin[kinds[k]] + nodes[k]
+                paying += data[k] * measured[place, 0]
+                failed += data[k] * measured[place, 1]
+                reached += data[k] * measured[place, 2]
+            if factor != 0.0:
+                paying += factor * growth[pick]
+            here = layer * n + s
+            values[here], position[layer, s] = least, pick - offsets[s]
+            measured[here, 0] = charge[row, pick] + paying
+            measured[here, 1] = failure[pick] + failed
+            measured[here, 2] = survival * gain[pick] + reached
+
+
+@njit(cache=True)
+def back_up_layers_safely(
+    order: Array, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
+    leads: Array, paid: Array, charge: Array, growth: Array, owed: Array,
+    saved: Array, epsilon: float, given: Array, values: Array,
+) -> None:  # fmt: skip
+    """Lower bounds of the least values of all layers; rounding counts against every pair.
+
+    Args:
+        order: as in ``back_up_layers``, like all that is not listed here.
+        saved: what a pair earns, [pairs].
+        epsilon: of the machine.
+        given: values that are not to be exceeded, [layers, nodes].
+        values: of all layers, those beyond the cap given, [all layers * nodes].
+    """
+    n = offsets.size - 1
+    begin = np.empty(leads.shape[1], dtype=np.int64)
+    for layer in range(leads.shape[0] - 1, -1, -1):
+        begin[:] = leads[layer] * n
+        row = layer if charge.shape[0] > 1 else 0
+        factor = paid[layer] if growth.size > 0 else 0.0
+        for s in order:
+            least = np.inf
+            for pair in range(offsets[s], offsets[s + 1]):
+                total, size = 0.0, 0.0
+                for k in range(indptr[pair], indptr[pair + 1]):
+                    term = data[k] * values[begin[kinds[k]] + nodes[k]]
+                    total += term
+                    size += abs(term)
+                stage = charge[row, pair] + owed[pair] - saved[pair]
+                whole = abs(charge[row, pair]) + owed[pair] + saved[pair]
+                if factor != 0.0:
+                    stage += factor * growth[pair]
+                    whole += factor * growth[pair]
+                total, size = stage + total, whole + size
+                if size != owed[pair]:
+                    terms = float(indptr[pair + 1] - indptr[pair]) + 4.0
+                    total -= (terms * epsilon) * size
+                least = min(least, total)
+            values[layer * n + s] = min(least, given[layer, s])

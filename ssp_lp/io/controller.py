@@ -13,8 +13,9 @@ writes the files that it reads:
 
     - "layers": the cost paid in whole numbers of ``unit``; from ``cap`` on one of ``tails`` tails:
       the last one where the layer has reached the state's ``threshold`` (null: never), else the
-      first; or by ``table``, from the cap on, [layer][state];
-    - "levels": the one of ``levels`` nearest to the last level plus the cost of the step;
+      first; or by ``table``, from the cap on, [layer][state]. With ``levels``, totals, the layer is
+      the one nearest to the last level plus the cost of the step, the last of them the cap, and a
+      threshold is a total;
 
     with ``acting``: for each state 1 where the memory moves, else 0;
   - ``decision``: [memory][state], the position of an action, -1 to give up, -2 for none, or a list
@@ -132,7 +133,7 @@ def _label(value: Any) -> Hashable:
 
 
 def _start_memory(memory: dict[str, Any] | None, state: int) -> int:
-    if memory is None or memory["kind"] == "levels":
+    if memory is None or memory["levels"] is not None:
         return 0
     return _at_layer(memory, 0, state)
 
@@ -141,10 +142,10 @@ def _after(memory: dict[str, Any] | None, number: int, successor: int, cost: flo
     """The memory after a step."""
     if memory is None or not memory["acting"][successor]:
         return number
-    if memory["kind"] == "levels":
-        return _nearest_level(memory["levels"], number, cost if isfinite(cost) else 0.0)
     if number >= memory["cap"]:
         return number
+    if memory["levels"] is not None:
+        return _nearest_level(memory, number, successor, cost if isfinite(cost) else 0.0)
     paid = cost / memory["unit"] if isfinite(cost) else -1.0
     steps = round(paid)
     if steps < 0 or abs(paid - steps) > _OFF_LATTICE:
@@ -166,11 +167,13 @@ def _at_layer(memory: dict[str, Any], layer: int, state: int) -> int:
     return cap + (last if layer >= (inf if threshold is None else threshold) else 0)
 
 
-def _nearest_level(levels: list[float], number: int, cost: float) -> int:
-    last = len(levels) - 1
-    if number >= last:
-        return number
+def _nearest_level(memory: dict[str, Any], number: int, state: int, cost: float) -> int:
+    levels, cap = memory["levels"], memory["cap"]
     total = levels[number] + cost
-    above = min(max(bisect_left(levels, total), 1), last)
+    above = min(max(bisect_left(levels, total), 1), cap)
     nearer_below = total - levels[above - 1] <= levels[above] - total
-    return max(above - 1 if nearer_below else above, number)
+    level: int = above - 1 if nearer_below else above
+    if level < cap:
+        return level
+    threshold, last = memory["threshold"][state], int(memory["tails"]) - 1
+    return int(cap) + (last if total >= (inf if threshold is None else threshold) else 0)

@@ -15,7 +15,6 @@ from ssp_lp.io.archives.labels import are_numbers_in_turn, label_value
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD
 from ssp_lp.io.model_fingerprint import fingerprint
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy, StochasticPolicy
-from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.joint_memory import JointMemory
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import UNDECIDED, Policy
@@ -30,7 +29,7 @@ def write_controller(policy: Policy | MixedPolicy, path: str | PathLike[str]) ->
     the standard library and says what the file holds.
 
     Args:
-        policy: deterministic, stochastic, cost-aware, by cost levels, or a lottery over these.
+        policy: deterministic, stochastic, cost-aware, or a lottery over these.
         path: of the file, ``controller.json``.
 
     Raises:
@@ -80,13 +79,8 @@ def _memory(policy: Policy) -> dict[str, Any] | None:
                 "tails": len(policy.tails),
                 "threshold": _thresholds(policy.tail_threshold),
                 "table": None if table is None else table.tolist(),
+                "levels": None if policy.levels is None else policy.levels.tolist(),
                 "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
-            }
-        case CostLevelPolicy():
-            return {
-                "kind": "levels",
-                "levels": policy.levels.tolist(),
-                "acting": (policy.decision[0] != UNDECIDED).astype(np.int64).tolist(),
             }
     raise ModelError(f"a controller cannot run a {type(policy).__name__}")
 
@@ -130,6 +124,4 @@ def _memory_count(policy: Policy) -> int:
             return _memory_count(keeper)
         case CostAwarePolicy():
             return policy.cap + len(policy.tails)
-        case CostLevelPolicy():
-            return len(policy.levels)
     return 1

@@ -18,7 +18,6 @@ from ssp_lp.policies import (
     StochasticPolicy,
     TimedPolicy,
 )
-from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.joint_memory import JointMemory, memory_size
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
@@ -109,9 +108,8 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
             return memories_of(carrier)
         case CostAwarePolicy():
             told = [layer * policy.unit for layer in range(policy.cap)]
+            told = told if policy.levels is None else policy.levels[:-1].tolist()
             return list(enumerate([*told, *(f"tail {k}" for k in range(len(policy.tails)))]))
-        case CostLevelPolicy():
-            return list(enumerate(policy.levels.tolist()))
         case TimedPolicy():
             return _joined(range(len(policy.stages)), memories_of(policy.stages[0]))
         case RememberingPolicy():

@@ -18,7 +18,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
 from ssp_lp.methods.rows.solving import optimum_of
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, by_rows, compiled_constrained, unrolled
+from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, unrolled
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
@@ -61,7 +61,7 @@ def program_of(problem: Problem) -> OccupationProgram:
     if horizon is not None:
         found = program_of(unrolled(problem))
         return replace(found, title=f"{found.title}, within {horizon:,} steps")
-    if by_rows(problem):
+    if by_rows(problem) or by_sums(problem):
         return _constrained(problem)
     compiled, budget = problem.compile(), problem.failure_budget
     rows: tuple[ProgramRow, ...] = ()

@@ -72,9 +72,7 @@ def _note(problem: Problem, outcome: Outcome, options: SolveOptions) -> str:
     """What a reader should know."""
     found, here = outcome.found, outcome.compiled
     told = remarks(problem, outcome.row.budget, found.finished)
-    unsettled = isinstance(here, CompiledArrivalCost) and (
-        here.charge.settled(here.base.exact_unit) is None
-    )
+    unsettled = isinstance(here, CompiledArrivalCost) and here.charge.settled is None
     if unsettled and relative_gap(found.objective, found.lower_bound) > options.tolerance:
         told = f"{told}; {_UNSETTLED}" if told else _UNSETTLED
     return told

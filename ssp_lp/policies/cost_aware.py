@@ -14,6 +14,7 @@ from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import UNDECIDED, Branches, Policy
 
+_MOST_THRESHOLDS = 64  # of tails that are told apart, beyond the last level
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
 
@@ -29,6 +30,14 @@ class CostAwarePolicy(Policy, Playable):
     policy switches for good to one of its stationary tails: to the last one (which fails where it
     can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
     state, else to the first, or as ``tail_table`` says; memory is then ``cap + tail``.
+
+    Where ``levels`` are given the layers are these totals, the last of them the cap: after a step
+    memory is the level nearest to the last one plus the step's cost, so that any observed cost
+    will do. Where the levels are all sums that can occur that is the cost paid; on a grid it is
+    what is left of it after rounding at every step. Thresholds are then totals.
+
+    Raises:
+        ModelError: levels that do not rise from 0, or are not one more than the layers.
     """
 
     model: SSP
@@ -37,8 +46,16 @@ class CostAwarePolicy(Policy, Playable):
     tails: IntArray  # [tails, states] pair, GIVE_UP_CODE or UNDECIDED
     tail_threshold: FloatArray  # [states] layer from which the last tail is followed
     tail_table: IntArray | None = None  # [layers from the cap on, states] tail, for any other rule
+    levels: FloatArray | None = None  # [cap + 1] totals, the first of which is 0; None: multiples
 
     def __post_init__(self) -> None:
+        if self.levels is not None:
+            object.__setattr__(self, "levels", read_only(self.levels))
+            rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())
+            if not (rising and self.levels[0] == 0.0 and np.isfinite(self.levels[-1])):
+                raise ModelError("levels of accumulated cost must rise from 0 and be finite")
+            if len(self.levels) != len(self.decision) + 1:
+                raise ModelError("a policy needs a decision for each level below the last")
         for name in ("decision", "tails", "tail_threshold"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         if self.tail_table is not None:
@@ -59,10 +76,13 @@ class CostAwarePolicy(Policy, Playable):
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Nothing is paid yet: layer 0, [episodes]."""
-        return self._memory_at(np.zeros(len(states), dtype=np.int64), states)
+        nothing = np.zeros(len(states), dtype=np.int64)
+        return nothing if self.levels is not None else self._memory_at(nothing, states)
 
     def layers(self) -> CostLayers | None:
         """Decisions by layer; None where a cost is no whole number of layers."""
+        if self.levels is not None:
+            return self._level_layers(self.levels)
         costs = np.unique(self.model.costs[:1] if _is_uniform(self.model) else self.model.costs)
         steps = np.rint(costs / self.unit)
         if not (np.abs(costs / self.unit - steps) <= _OFF_LATTICE).all() or self.cap == 0:
@@ -93,8 +113,10 @@ class CostAwarePolicy(Policy, Playable):
         """Add the observed cost; switch to a tail when the cap is reached.
 
         Raises:
-            ModelError: a cost is no whole number of layers.
+            ModelError: a cost is no whole number of layers, and there are no levels.
         """
+        if self.levels is not None:
+            return self._nearest(self.levels, memory, successors, costs)
         paid = np.where(np.isfinite(costs), costs / self.unit, -1.0)
         steps = np.rint(paid)
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
@@ -104,6 +126,46 @@ class CostAwarePolicy(Policy, Playable):
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
         layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
         return np.where(acting, self._memory_at(layer, successors), memory)
+
+    def _level_layers(self, levels: FloatArray) -> CostLayers | None:
+        """Decisions by level; beyond the last one a layer for each side of the tails' thresholds.
+
+        None where these are many, or tails are chosen by a table.
+        """
+        threshold, cap = self.tail_threshold, self.cap
+        told_apart = np.unique(threshold[np.isfinite(threshold)])
+        if self.tail_table is not None or len(told_apart) > _MOST_THRESHOLDS:
+            return None
+        costs, last = np.unique(self.model.costs), len(self.tails) - 1
+        rank = np.where(np.isneginf(threshold), -1, np.searchsorted(told_apart, threshold))
+
+        def leads(level: int) -> IntArray:
+            total = levels[level] + costs
+            nearest = _nearest_level(levels, total)
+            beyond = cap + np.searchsorted(told_apart, total, side="right")
+            return np.where(nearest < cap, nearest, beyond) - level
+
+        return CostLayers(
+            decision=self.decision,
+            tails=self.tails,
+            tail_at=lambda layer: np.where(layer - cap > rank, last, 0),
+            costs=costs,
+            leads=leads,
+            unit=None,
+            width=max(int(leads(level).max(initial=0)) for level in range(cap)) + 1,
+        )
+
+    def _nearest(
+        self, levels: FloatArray, memory: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """The level nearest to the total, or the tail from the last one on."""
+        cap = self.cap
+        acting = (self.tails[0, successors] != UNDECIDED) & (memory < cap)
+        total = levels[np.minimum(memory, cap)] + np.where(np.isfinite(costs), costs, 0.0)
+        nearest = _nearest_level(levels, total)
+        late = total >= self.tail_threshold[successors]
+        tail = cap + np.where(late, len(self.tails) - 1, 0)
+        return np.where(acting, np.where(nearest < cap, nearest, tail), memory)
 
     def _pairs(self, decision: IntArray, states: IntArray) -> IntArray:
         """Pairs of the model in place of positions; codes stay, [k] of [k]."""
@@ -120,4 +182,13 @@ class CostAwarePolicy(Policy, Playable):
 
     def __repr__(self) -> str:
         """One line: the cap and the unit."""
+        if self.levels is not None:
+            return f"CostAwarePolicy({self.cap:,} levels below cost {self.levels[-1]:g})"
         return f"CostAwarePolicy({self.cap} layers of cost {self.unit:g})"
+
+
+def _nearest_level(levels: FloatArray, totals: FloatArray) -> IntArray:
+    """The level nearest to each total, the lower one of two, like ``totals``."""
+    above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
+    is_below = totals - levels[above - 1] <= levels[above] - totals
+    return np.where(is_below, above - 1, above)

@@ -10,7 +10,6 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Branches, Policy
@@ -94,8 +93,6 @@ def memory_size(policy: Policy) -> int:
             return len(policy.stages) * memory_size(policy.stages[0])
         case CostAwarePolicy():
             return policy.cap + len(policy.tails)
-        case CostLevelPolicy():
-            return len(policy.levels)
         case JointMemory():
             return prod(memory_size(keeper) for keeper in policy.keepers)
         case StochasticPolicy():
@@ -112,9 +109,8 @@ def meaning_of(policy: Policy) -> tuple[object, ...]:
             return len(policy.stages), *meaning_of(policy.stages[0])
         case CostAwarePolicy():
             rule = policy.tail_threshold if policy.tail_table is None else policy.tail_table
-            return policy.cap, policy.unit, len(policy.tails), rule.tobytes()
-        case CostLevelPolicy():
-            return ("levels", policy.levels.tobytes())
+            levels = b"" if policy.levels is None else policy.levels.tobytes()
+            return policy.cap, policy.unit, len(policy.tails), rule.tobytes(), levels
         case JointMemory():
             return tuple(meaning_of(keeper) for keeper in policy.keepers)
         case StochasticPolicy(carrier=Policy() as carrier):

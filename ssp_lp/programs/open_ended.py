@@ -9,7 +9,6 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import decisions
@@ -54,7 +53,7 @@ class OpenEndedModel:
         layers = np.arange(self.layered.cap + 1)[:, None] * len(base.gain)
         return np.asarray((layers + base.quotient.places_of(pair, state)).ravel())
 
-    def policy(self, choice: IntArray) -> CostAwarePolicy | CostLevelPolicy:
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
         """One decision for each state and accumulated cost."""
         return self.layered.policy(choice)
 

@@ -17,11 +17,11 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
-from ssp_lp.policies.cost_levels import CostLevelPolicy
+from ssp_lp.policies import CostAwarePolicy
 from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
-from ssp_lp.processes.layered.ladder import Rungs
+from ssp_lp.processes.totals.ladder import Rungs
 from ssp_lp.solution import Solution, as_solved
 
 _BUDGET_ROUNDING = 1e-12
@@ -150,7 +150,7 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
         return _certificate(found, failure, 0.0, 0.0, 1.0, reason)
     values = np.asarray(values)
     first = solution.policy.policies[0]
-    if isinstance(first, CostLevelPolicy):
+    if isinstance(first, CostAwarePolicy) and first.levels is not None:
         compiled = replace(compiled, rungs=Rungs(fixed=tuple(first.levels.tolist())))
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0

@@ -34,7 +34,7 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.analysis.chain import policy_chain
-from ssp_lp.analysis.total_cost import arrivals
+from ssp_lp.analysis.total_cost import arrivals, sums
 from ssp_lp.policies.policy import Branches, Policy
 from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.layered.measures_of_law import (
@@ -288,18 +288,48 @@ def test_costs_of_entering_dead_ends_do_not_refine_the_lattice():
     assert law.within(2) == pytest.approx(0.5)
 
 
-def test_without_a_lattice_what_needs_none_still_works():
+def test_without_a_lattice_sums_are_followed_one_by_one():
     law = one_way([(0.5, "G", 1.0), (0.5, "G", 0.123456789012345)])
     assert law.goal == 1.0
     assert law.cost == pytest.approx((1 + 0.123456789012345) / 2)
     assert law.exponential(-1.0) == pytest.approx((exp(-1) + exp(-0.123456789012345)) / 2)
-    for ask in (lambda: law.within(1.0), lambda: law.quantile(0.5), lambda: law.excess(0.5)):
-        with pytest.raises(ModelError, match="round the costs"):
-            ask()
+    assert (law.within(0.99), law.within(1.0)) == (0.5, 1.0)
+    assert (law.quantile(0.5), law.quantile(0.6)) == (0.123456789012345, 1.0)
+    assert law.excess(0.5) == pytest.approx(0.25)
+    assert law.expectation(lambda cost: 1.0 / (1.0 + cost), 0.0) == pytest.approx(
+        0.25 + 0.5 / 1.123456789012345
+    )
+
+
+def test_two_ways_to_one_irrational_sum_are_one_atom():
+    root = 2**0.5
+    law = one_way(
+        [(0.5, "one", 1.0), (0.25, "other", root), (0.25, "G", 3 * root)],
+        one={"go": [(1.0, "G", root)]},
+        other={"go": [(1.0, "G", 1.0)]},
+    )
+    assert law.all_but(1e-9).costs == pytest.approx([1 + root, 3 * root])
+    assert law.within(1 + root) == law.within(root + 1) == 0.75
+    assert law.tail_mean(0.5) == pytest.approx((0.25 * (1 + root) + 0.25 * 3 * root) / 0.5)
+
+
+def test_too_many_sums_are_rounded_up(monkeypatch):
+    """No total is understated, and none overstated by more than the steps' rounding."""
+    steps = [(0.5, "a", 2**0.5), (0.25, "a", 3**0.5), (0.25, "G", 1.0)]
+    law = one_way(steps)
+    exact = [law.within(4.0), law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
+    utility = law.expectation(lambda cost: np.exp(-cost), 0.0)
+    monkeypatch.setattr(sums, "_MOST_SUMS", 3)
+    law = one_way(steps)
+    rounded = [law.within(4.0), law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
+    assert rounded[0] <= exact[0] + 1e-12
+    for up, true in zip(rounded[1:], exact[1:], strict=True):
+        assert true - 1e-12 <= up <= true * (1.0 + 2e-3)
+    assert utility * (1.0 - 2e-3) <= law.expectation(lambda cost: np.exp(-cost), 0.0) <= utility
 
 
 def test_a_table_that_would_be_too_large(monkeypatch):
-    """The atoms of a billion layers one by one, and steps of a million."""
+    """The atoms of a billion layers one by one; steps of a million layers are sums instead."""
     monkeypatch.setattr(arrivals, "_MOST_WORK", 10_000_000)
     slow = one_way([(1e-9, "G", 1), (1 - 1e-9, "a", 1)])
     with pytest.raises(ModelError, match="too large a table"):
@@ -307,8 +337,7 @@ def test_a_table_that_would_be_too_large(monkeypatch):
     wide = {f"s{i}": {"go": [(1.0, f"s{i + 1}", 1.0)]} for i in range(60)}
     wide["s60"] = {"go": [(0.5, "G", 1.0), (0.5, "G", 1e-6)]}
     law = law_of(SSP.from_transitions(wide, goal={"G"}), dict.fromkeys(wide, "go"), "s0")
-    with pytest.raises(ModelError, match="coarser grid"):
-        law.quantile(0.5)
+    assert law.quantile(0.5) == pytest.approx(60 + 1e-6)
     assert law.goal == 1.0
 
 

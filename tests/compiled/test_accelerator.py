@@ -9,8 +9,9 @@ import pytest
 import scipy.sparse as sp
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import MCMP, S3P
+from formulations import MCMP, S3P, MaxProb
 from ssp_lp import ModelError, certify, solve
+from ssp_lp.column_generation.pricing import layered
 from ssp_lp.compiled import accelerator
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
 from ssp_lp.dynamic_programming.linear_systems.system import System
@@ -208,3 +209,35 @@ def test_rows_are_filled_within_their_arrays() -> None:
             *outcomes, none, node_of, 1, pair_at, home, departs, 1.0, numbers, indices, data
         )
         np.testing.assert_array_equal(data, np.ones(n))
+
+
+@pytest.mark.parametrize("costs", [(1.0, 0.0), (1.0, 2.0**0.5), (2.0**0.5, 0.0, 1.0)])
+@pytest.mark.parametrize("budget", [0.3, 0.6])
+def test_all_layers_in_one_pass_are_as_layer_by_layer(
+    accelerate: Switch, monkeypatch: pytest.MonkeyPatch, costs: tuple[float, ...], budget: float
+) -> None:
+    """Sums and multiples of a unit as layers, free steps in order within them: the same numbers."""
+    n = 12
+    choices = {
+        i: {
+            str(k): [(0.7, i + 1, cost), (0.2 - 0.1 * k / 3, max(i - 2, 0), cost + 1.0),
+                     (0.1 + 0.1 * k / 3, "d", 1.0)]
+            for k, cost in enumerate(costs)
+        }
+        for i in range(n)
+    }  # fmt: skip
+    choices["d"] = {"stuck": [(1.0, "d", 1.0)]}
+    model = SSP.from_transitions(choices, goal={n})
+    least = solve(MaxProb(model, start=0)).failure_probability
+    problem = S3P(model, start=0, failure_budget=least + budget * (1.0 - least))
+    accelerate(True)
+    passed = solve(problem)
+    monkeypatch.setattr(layered, "one_pass", lambda process: None)
+    layer_by_layer = solve(problem)
+    accelerate(False)
+    interpreted = solve(problem)
+    for other in (layer_by_layer, interpreted):
+        assert passed.objective == pytest.approx(other.objective, rel=1e-13)
+        assert passed.lower_bound == pytest.approx(other.lower_bound, rel=1e-9)
+        assert passed.failure_probability == pytest.approx(other.failure_probability, rel=1e-12)
+    assert passed.gap <= 1e-9

@@ -6,14 +6,17 @@ dictionaries and one call of scipy: nothing is shared with the library.
 """
 
 from collections.abc import Callable, Mapping
+from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
 
-Choices = Mapping[str, Mapping[str, list[tuple[float, str, int]]]]
-"""State -> action -> [(probability, successor, whole cost)]; states without actions are ends."""
+Number = int | Fraction
+
+Choices = Mapping[str, Mapping[str, list[tuple[float, str, Number]]]]
+"""State -> action -> [(probability, successor, exact cost)]; states without actions are ends."""
 
 STOP = "stop"
 
@@ -78,18 +81,32 @@ class Program(NamedTuple):
     most_end: np.ndarray
     wall: np.ndarray  # steps into the state of that name
     cost: np.ndarray  # of steps
-    arrivals: list[list[tuple[float, int]]]  # per column: probability and total cost at the goal
+    arrivals: list[list[tuple[float, Number]]]  # per column: probability and total cost at the goal
 
 
-def program(task: Task, horizon: int, *, anywhere: bool = False) -> Program:
+def places(task: Task, horizon: float, live: list[str]) -> dict[tuple[str, Number], int]:
+    """The pairs of a state and a cost paid that can occur, numbered."""
+    found = {(state, 0): 0 for state in task.start if state in live}
+    ahead = list(found)
+    while ahead:
+        state, paid = ahead.pop()
+        for outs in task.choices[state].values():
+            for p, successor, cost in outs:
+                there = successor, min(paid + cost, horizon)
+                if p > 0 and successor in live and there not in found:
+                    found[there] = 0
+                    ahead.append(there)
+    return {where: number for number, where in enumerate(found)}
+
+
+def program(task: Task, horizon: float, *, anywhere: bool = False) -> Program:
     """Write the program out, costs told apart below the horizon (0: not at all)."""
     dead, may_stop = dead_ends(task), avoiding(task)
     live = [s for s in task.choices if s not in dead and s not in task.goals]
-    place = {(s, c): i for i, s_c in enumerate((s, c) for s in live for c in range(horizon + 1))
-             for s, c in [s_c]}  # fmt: skip
+    place = places(task, horizon, live)
     rows, columns, entries = [], [], []
     parts: dict[str, list[float]] = {name: [] for name in Program._fields[2:10]}
-    arrivals: list[list[tuple[float, int]]] = []
+    arrivals: list[list[tuple[float, Number]]] = []
     for (state, paid), row in place.items():
         moves = [(a, outs) for a, outs in task.choices[state].items()]
         if anywhere or state in may_stop:
@@ -103,7 +120,7 @@ def program(task: Task, horizon: int, *, anywhere: bool = False) -> Program:
             here = []
             for p, successor, cost in outs:
                 total = min(paid + cost, horizon)
-                taken["cost"] += p * cost
+                taken["cost"] += p * float(cost)
                 taken["visits"] += p * (successor == task.watched)
                 taken["least_end"] += p * (successor == task.least_end[0])
                 taken["most_end"] += p * (successor == task.most_end[0])
@@ -113,7 +130,7 @@ def program(task: Task, horizon: int, *, anywhere: bool = False) -> Program:
                     here.append((p, total))
                 elif successor in dead:
                     taken["failure"] += p
-                else:
+                elif p > 0:
                     rows.append(place[successor, total])
                     columns.append(column), entries.append(-p)
             arrivals.append(here)
@@ -127,9 +144,9 @@ def program(task: Task, horizon: int, *, anywhere: bool = False) -> Program:
     return Program(csr_array((entries, (rows, columns)), shape), start, arrivals=arrivals, **arrays)
 
 
-def charged(written: Program, charge: Callable[[int], float]) -> np.ndarray:
+def charged(written: Program, charge: Callable[[Number], float]) -> np.ndarray:
     """E[charge of the total cost; goal] of each column."""
-    return np.array([sum(p * charge(c) for p, c in here) for here in written.arrivals])
+    return np.array([sum(p * charge(c) for p, c in here) for here in written.arrivals], float)
 
 
 def least(task: Task, written: Program, objective: np.ndarray, *, ratio: bool) -> float | None:

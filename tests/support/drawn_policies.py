@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from ssp_lp import SSP, CostAwarePolicy
-from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 
 CLOSE = 1e-12
@@ -41,12 +40,15 @@ def drawn_decisions(draw: Draw, model: SSP, layers: int) -> Any:
     return np.where(counts > 0, position, UNDECIDED)
 
 
-def drawn_policy(draw: Draw, model: SSP, *, on_levels: bool) -> CostAwarePolicy | CostLevelPolicy:
+def drawn_policy(draw: Draw, model: SSP, *, on_levels: bool) -> CostAwarePolicy:
     layers = int(draw.integers(1, 6))
-    if on_levels:
-        levels = np.append(0.0, np.cumsum(draw.uniform(0.2, 1.5, layers)))
-        return CostLevelPolicy(model, levels, drawn_decisions(draw, model, layers + 1))
     tails = drawn_decisions(draw, model, 2)
     tails = np.where(tails < 0, tails, model.pair_offsets[:-1] + tails)
+    decisions = drawn_decisions(draw, model, layers)
+    if on_levels:
+        levels = np.append(0.0, np.cumsum(draw.uniform(0.2, 1.5, layers)))
+        beyond = draw.uniform(0.5, 2.0, model.n_states) * levels[-1]
+        threshold = np.where(draw.random(model.n_states) < 0.4, -np.inf, beyond)
+        return CostAwarePolicy(model, 1.0, decisions, tails, threshold, levels=levels)
     threshold = draw.integers(layers, layers + 6, model.n_states).astype(np.float64)
-    return CostAwarePolicy(model, 0.5, drawn_decisions(draw, model, layers), tails, threshold)
+    return CostAwarePolicy(model, 0.5, decisions, tails, threshold)

@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from fractions import Fraction
 from functools import cached_property
+from numbers import Rational
 
 import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.analysis.total_cost.layer_powers import LayerPowers, Places
 from ssp_lp.analysis.total_cost.live_chain import FreeMoves, Live
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.processes.layered.lattice import common_unit, layers_of
+from ssp_lp.processes.totals.lattice import common_unit, last_layer, layers_of, totals_of
 
 _FIRST_LAYERS = 64
+_LAST_LAYER = 2**62  # as good as infinitely many
 _MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
 _MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
 _WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
@@ -39,20 +41,32 @@ class Arrivals:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
 
-    def __init__(self, live: Live, exact_costs: Mapping[float, Fraction]) -> None:
-        """Begin at total cost 0, nothing settled."""
+    def __init__(
+        self, live: Live, exact_costs: Mapping[float, Fraction], unit: Fraction | None = None
+    ) -> None:
+        """Begin at total cost 0, nothing settled.
+
+        Args:
+            live: the chain.
+            exact_costs: float cost -> the fraction meant.
+            unit: of which every cost is rounded up to a multiple; None: their common unit.
+        """
         self.settled = 0  # layers 0 .. settled - 1 are
         self._work = 0
         paid = live.paid
         flat = paid.size > 0 and float(paid.min()) == float(paid.max())
         distinct = paid[:1] if flat else np.unique(paid)
-        self.unit = common_unit(distinct, exact_costs)
-        self._steps = layers_of(distinct, self.unit, exact_costs)
+        if unit is None:
+            self.unit = common_unit(distinct, exact_costs)
+            self._steps = layers_of(distinct, self.unit, exact_costs)
+        else:
+            self.unit = unit
+            self._steps = np.ceil(distinct / float(unit) * (1.0 - SAME_TOTAL)).astype(np.int64)
         self._width = int(self._steps.max(initial=0)) + 1
         self._live, self._size = live, len(live.start)
         if self._width * self._size > _MOST_WAITING:
             raise ModelError(self._too_large("one step passes too many layers"))
-        step = np.rint(paid / float(self.unit)).astype(np.int64)
+        step = self._steps[np.searchsorted(distinct, paid)]
         goal = self._size - 1
         free = (step == 0) & (live.target != goal)
         self._free = FreeMoves(live, free) if free.any() else None
@@ -72,7 +86,14 @@ class Arrivals:
 
     def cost_of(self, layers: IntArray) -> FloatArray:
         """Total cost of whole layers, rounded once, like ``layers``."""
-        return np.asarray(layers * float(self.unit.numerator) / float(self.unit.denominator))
+        return totals_of(layers, self.unit)
+
+    def last_layer(self, bound: float | Fraction) -> int:
+        """The last layer of a total cost of at most a finite bound, decided in whole numbers."""
+        far = float(_LAST_LAYER * self.unit)
+        if not isinstance(bound, Rational) and not 0.0 < bound < far:
+            return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
+        return min(max(last_layer(bound, self.unit), -1), _LAST_LAYER)
 
     def atoms(self) -> tuple[IntArray, FloatArray]:
         """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
 from math import inf, isfinite, isnan, nan
-from numbers import Rational
 from typing import NamedTuple
 
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain
-from ssp_lp.analysis.total_cost.arrivals import Arrivals
+from ssp_lp.analysis.total_cost.followed import Followed, Sweep, cost_of
 from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
 from ssp_lp.analysis.total_cost.spine import chain_of_law
 from ssp_lp.arrays import QUANTILE, FloatArray
@@ -23,10 +22,8 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import as_percentage, start_distribution
 from ssp_lp.processes.layered.arrival_cost import Utility, utilities
-from ssp_lp.processes.layered.lattice import last_layer
 from ssp_lp.processes.layered.measures_of_law import TailMeanOf
 
-_LAST_LAYER = 2**62  # as good as infinitely many
 _NOTHING = 1e-17  # of a sum: less than its rounding
 _UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
 
@@ -86,9 +83,11 @@ class CostLaw:
 
     What is missing from mass 1 is the failure probability. :attr:`goal`, :attr:`cost` and
     :meth:`exponential` are linear solves on the policy's chain. The rest follows the chain through
-    layers of the costs' common unit, as far as a question needs; how far it has come is kept
-    within the law for the next question, and changes no answer. It raises :class:`ModelError` where
-    the costs have no common unit that gives a sane number of layers.
+    layers of the costs' common unit, or through the sums that occur, as far as a question needs;
+    how far it has come is kept within the law for the next question, and changes no answer. Where
+    a question needs too many sums every cost is rounded up by less than a two-thousandth of the
+    mean, so that no total, quantile, excess or late arrival is understated and no utility
+    overstated.
     """
 
     _prospects: tuple[Prospect, ...]  # of the members of the lottery
@@ -117,34 +116,41 @@ class CostLaw:
         """
         if bound == inf:
             return self.goal
-        last = self._last_layer(bound)
-        for settled in self._arrivals.followed(last + 1):
-            if settled > last or self._arrivals.remaining()[0] <= _NOTHING * self.goal:
-                break
-            if self._arrivals.leaps:
-                break
-        return min(self._arrivals.arrived(last + 1), self.goal)
+        _check_number(bound, "bound")
+
+        def arrived(arrivals: Sweep) -> float:
+            last = arrivals.last_layer(bound)
+            for settled in arrivals.followed(last + 1):
+                if settled > last or arrivals.leaps:
+                    break
+                if arrivals.remaining()[0] <= _NOTHING * self.goal:
+                    break
+            return arrivals.arrived(last + 1)
+
+        return min(self._followed.asked(arrived), self.goal)
 
     def excess(self, threshold: float) -> float:
         """E[(C - threshold)^+; goal]; what lies far out is not lost to cancellation."""
-        if isnan(threshold):
-            raise ModelError("the threshold must be a number")
+        _check_number(threshold, "threshold")
         if threshold == inf:
             return 0.0
-        last = self._last_layer(float(threshold))
-        for settled in self._arrivals.followed(last + 1):
-            if settled > last:
-                break
-            if self._arrivals.remaining()[1] <= _NOTHING * self.cost:
-                return 0.0
-            if self._arrivals.leaps:
-                goal, cost = self._arrivals.remaining(last + 1)
-                return (self._cost_of(last + 1) - threshold) * goal + cost
-        arrivals = self._arrivals
-        layers, masses = arrivals.atoms()
-        known = float(masses @ np.maximum(arrivals.cost_of(layers) - threshold, 0.0))
-        goal, cost = arrivals.remaining()
-        return known + (self._arrivals.frontier - threshold) * goal + cost
+
+        def beyond(arrivals: Sweep) -> float:
+            last = arrivals.last_layer(float(threshold))
+            for settled in arrivals.followed(last + 1):
+                if settled > last:
+                    break
+                if arrivals.remaining()[1] <= _NOTHING * self.cost:
+                    return 0.0
+                if arrivals.leaps:
+                    goal, cost = arrivals.remaining(last + 1)
+                    return (cost_of(arrivals, last + 1) - threshold) * goal + cost
+            layers, masses = arrivals.atoms()
+            known = float(masses @ np.maximum(arrivals.cost_of(layers) - threshold, 0.0))
+            goal, cost = arrivals.remaining()
+            return known + (arrivals.frontier - threshold) * goal + cost
+
+        return self._followed.asked(beyond)
 
     def quantile(self, level: float) -> float:
         """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached.
@@ -159,16 +165,20 @@ class CostLaw:
         if self.goal == 0.0:
             return nan
         needed = level * self.goal * (1.0 - QUANTILE)
-        for _ in self._arrivals.followed():
-            layers, masses = self._arrivals.atoms()
-            total = np.cumsum(masses)
-            if total.size and total[-1] >= needed:
-                return float(self._arrivals.cost_of(layers[np.searchsorted(total, needed)]))
-            if self._arrivals.remaining()[0] <= 1e-3 * QUANTILE * self.goal:
-                break
-            if self._arrivals.leaps:
-                return self._cost_of(self._arrivals.first_reaching(needed))
-        return float(self._arrivals.cost_of(self._arrivals.atoms()[0][-1]))
+
+        def reached(arrivals: Sweep) -> float:
+            for _ in arrivals.followed():
+                layers, masses = arrivals.atoms()
+                total = np.cumsum(masses)
+                if total.size and total[-1] >= needed:
+                    return cost_of(arrivals, layers[np.searchsorted(total, needed)])
+                if arrivals.remaining()[0] <= 1e-3 * QUANTILE * self.goal:
+                    break
+                if arrivals.leaps:
+                    return cost_of(arrivals, arrivals.first_reaching(needed))
+            return cost_of(arrivals, arrivals.atoms()[0][-1])
+
+        return self._followed.asked(reached)
 
     def tail_mean(self, level: float) -> float:
         """The mean of the costliest ``1 - level`` of the runs that succeed; level 0: of them all.
@@ -190,7 +200,7 @@ class CostLaw:
         """
         if not -inf < rate <= 0.0:
             raise ModelError(f"rate must be a number of at most 0, not {rate!r}")
-        return self._mean(lambda p: _exponential(p, rate))
+        return self._mean(lambda p: p.exponential(rate))
 
     def expectation(self, utility: Utility, at_infinity: float) -> float:
         """E[utility(C); goal], followed until the rest cannot matter.
@@ -206,24 +216,34 @@ class CostLaw:
         gain = _gain(utility, at_infinity)
         if self.goal == 0.0:
             return 0.0
-        for _ in self._arrivals.followed():
-            layers, masses = self._arrivals.atoms()
-            known = float(masses @ gain(self._arrivals.cost_of(layers)))
-            there = abs(float(gain(np.array([self._arrivals.frontier]))[0]))
-            if self._arrivals.remaining()[0] * there <= _UTILITY_LEFT * abs(known):
-                break
-        return at_infinity * self.goal + known
+
+        def gained(arrivals: Sweep) -> float:
+            for _ in arrivals.followed():
+                layers, masses = arrivals.atoms()
+                known = float(masses @ gain(arrivals.cost_of(layers)))
+                there = abs(float(gain(np.array([arrivals.frontier]))[0]))
+                if arrivals.remaining()[0] * there <= _UTILITY_LEFT * abs(known):
+                    break
+            return known
+
+        return at_infinity * self.goal + self._followed.asked(gained)
 
     def upto(self, bound: float | Fraction) -> Atoms:
         """All atoms of a total cost of at most ``bound``, as :meth:`within` compares."""
         if bound == inf:
             raise ModelError("give a finite bound, or all_but(mass)")
-        last = self._last_layer(bound)
-        for settled in self._arrivals.followed(last + 1):
-            if settled > last:
-                break
-        layers, masses = self._arrivals.atoms()
-        return Atoms(self._arrivals.cost_of(layers[layers <= last]), masses[layers <= last])
+        _check_number(bound, "bound")
+
+        def atoms(arrivals: Sweep) -> Atoms:
+            last = arrivals.last_layer(bound)
+            for settled in arrivals.followed(last + 1):
+                if settled > last:
+                    break
+            layers, masses = arrivals.atoms()
+            within = np.asarray(layers <= last, dtype=np.bool_)
+            return Atoms(arrivals.cost_of(layers[within]), masses[within])
+
+        return self._followed.asked(atoms)
 
     def all_but(self, mass: float) -> Atoms:
         """The least costs that leave out a mass of at most ``mass`` of the runs that succeed.
@@ -233,53 +253,31 @@ class CostLaw:
         """
         if not mass > 0.0:
             raise ModelError(f"mass must be above 0, not {mass!r}: the support may be infinite")
-        for _ in self._arrivals.followed():
-            if self._arrivals.remaining()[0] <= mass:
-                break
-        layers, masses = self._arrivals.atoms()
-        beyond = np.append(np.cumsum(masses[::-1])[::-1], 0.0) + self._arrivals.remaining()[0]
-        kept = int(np.argmax(beyond <= mass))
-        return Atoms(self._arrivals.cost_of(layers[:kept]), masses[:kept])
+
+        def atoms(arrivals: Sweep) -> Atoms:
+            for _ in arrivals.followed():
+                if arrivals.remaining()[0] <= mass:
+                    break
+            layers, masses = arrivals.atoms()
+            beyond = np.append(np.cumsum(masses[::-1])[::-1], 0.0) + arrivals.remaining()[0]
+            kept = int(np.argmax(beyond <= mass))
+            return Atoms(arrivals.cost_of(layers[:kept]), masses[:kept])
+
+        return self._followed.asked(atoms)
 
     def _mean(self, of: Callable[[Prospect], float]) -> float:
         """The lottery's mean of a number of each member."""
         numbers = zip(self._prospects, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
 
-    def _cost_of(self, layer: int) -> float:
-        """Total cost of a layer."""
-        return float(self._arrivals.cost_of(np.array(layer)))
-
     @cached_property
-    def _arrivals(self) -> Arrivals:
+    def _followed(self) -> Followed:
         exact = self._prospects[0].chain.model.exact_costs
-        return Arrivals(Live.of(self._prospects, self._weights), exact)
-
-    def _last_layer(self, bound: float | Fraction) -> int:
-        """The last layer of a total cost of at most ``bound``; -1 where there is none."""
-        if isnan(bound):
-            raise ModelError("the bound must be a number")
-        unit = self._arrivals.unit
-        if not isinstance(bound, Rational) and (bound <= 0.0 or bound >= float(_LAST_LAYER * unit)):
-            return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
-        return min(max(last_layer(bound, unit), -1), _LAST_LAYER)
+        return Followed(Live.of(self._prospects, self._weights), exact, self.conditional_mean)
 
     def __repr__(self) -> str:
         """One line: the goal probability and the mean."""
         return f"CostLaw(goal {self.goal:.6g}, mean cost given success {self.conditional_mean:.6g})"
-
-
-def _exponential(prospect: Prospect, rate: float) -> float:
-    """E[exp(rate * C); goal] on one chain: what a step's factor takes away counts as given up."""
-    chain = prospect.chain
-    lost = chain.per_node(-np.expm1(rate * chain.cost))
-    tilted = replace(
-        chain,
-        probability=chain.probability * np.exp(rate * chain.cost),
-        give_up=chain.give_up + lost,
-    )
-    arriving = tilted.per_node(chain.goal[chain.target])
-    return float(chain.start @ (tilted.accumulate(arriving, prospect.alive) + chain.goal))
 
 
 def _gain(utility: Utility, at_infinity: float) -> Utility:
@@ -287,6 +285,11 @@ def _gain(utility: Utility, at_infinity: float) -> Utility:
     if not isfinite(at_infinity):
         raise ModelError(f"at_infinity must be a finite number, not {at_infinity!r}")
     return lambda costs: utilities(utility, costs) - at_infinity
+
+
+def _check_number(value: float | Fraction, name: str) -> None:
+    if isnan(value):
+        raise ModelError(f"the {name} must be a number")
 
 
 def _check_level(level: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +33,18 @@ class Prospect:
         goal = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive) + chain.goal
         paid = chain.per_node(goal[chain.target] * chain.cost)
         return cls(chain, alive, read_only(goal), read_only(chain.accumulate(paid, alive)))
+
+    def exponential(self, rate: float) -> float:
+        """E[exp(rate * C); goal], rate <= 0: what a step's factor takes away counts as given up."""
+        chain = self.chain
+        lost = chain.per_node(-np.expm1(rate * chain.cost))
+        tilted = replace(
+            chain,
+            probability=chain.probability * np.exp(rate * chain.cost),
+            give_up=chain.give_up + lost,
+        )
+        arriving = tilted.per_node(chain.goal[chain.target])
+        return float(chain.start @ (tilted.accumulate(arriving, self.alive) + chain.goal))
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from ssp_lp.model import SSP
 from ssp_lp.policies.cost_layers import CostLayers
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import UNDECIDED, Policy
-from ssp_lp.processes.layered.lattice import exact_cost
+from ssp_lp.processes.totals.lattice import exact_cost
 
 _NOTHING = np.zeros(0, dtype=np.int64)
 

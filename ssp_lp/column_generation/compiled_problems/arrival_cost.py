@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFailure
 from ssp_lp.column_generation.compiled_problems.layered import (
     MOST_ENTRIES,
@@ -20,6 +20,7 @@ from ssp_lp.processes.goal_reach import (
     GoalReach,
     ReachPolicy,
     cheapest,
+    goal_directed,
     greatest_goal_reach,
     least_goal_reach,
 )
@@ -27,15 +28,23 @@ from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulat
 from ssp_lp.processes.layered.arrival_cost import Charge, ExponentialReward, TailValues
 from ssp_lp.processes.layered.exponential_utility import MomentReach, cost_horizon, greatest_moment
 from ssp_lp.processes.layered.process import LayeredProcess, Tails
+from ssp_lp.processes.totals.ladder import Ladder
+from ssp_lp.processes.totals.lattice import layers_within
+from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
 
 _FIRST_LAYERS = 64
 """Layers of a first attempt where nothing says how many are needed."""
 
+_NEARLY = 1.25  # costs given success of a way to the goal: from there on failing may be best
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
 
 _MOST_LAYERS = 100_000
 """Layers of a charge that does not settle, after which the gap that is left is left."""
 
+_MOST_PLACES = 5_000_000  # nodes times sums
+_DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
+_LOWER = 0.75  # cap, times the one whose sums are too many
+_BEYOND = 1e-9  # relative distance of a total that lies beyond another
 _MARGIN = 1.02  # layers beyond what a price asks for: the price still moves a little
 _LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
 
@@ -54,15 +63,23 @@ class CompiledArrivalCost(CompiledLayered):
     charge: Charge
     ratio: bool = False
     safest_only: bool = False  # only policies of least failure
-    cap: int | None = None  # layers; None: as the charge asks
+    cap: float | None = None  # total at which the table ends, in units; None: as the charge asks
+    by_sums: bool = False  # totals are the sums of steps that can occur, and a unit is 1
     discount: None = None
-    is_trial: bool = False
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether the cap is a guess, to learn the price from: sums become many as it grows."""
+        grows = self.charge.slope > 0.0 and not self.safest_only
+        return self.by_sums and self.cap is None and grows
 
     @cached_property
     def base(self) -> AccumulatedCost:
         """One layer of the process."""
         usable = self.greatest.usable if self.safest_only else None
-        return accumulate_cost(self.model, self.start, None, arrivals=True, usable=usable)
+        return accumulate_cost(
+            self.model, self.start, None, arrivals=True, usable=usable, by_steps=self.by_sums
+        )
 
     @cached_property
     def greatest(self) -> GoalReach:
@@ -100,26 +117,57 @@ class CompiledArrivalCost(CompiledLayered):
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
         cap = self._first_guess() if self.cap is None else self.cap
-        check_table(cap, self.base, "bound on them")
-        return LayeredProcess(self.base, cap, self._tails, self.charge)
+        if self.by_sums:
+            ladder = self._ladder(cap)
+            while ladder is None:  # as far as there is room: the gap will tell
+                cap *= _LOWER
+                ladder = self._ladder(cap)
+            return LayeredProcess(self.base, ladder.size, self._tails, self.charge, ladder)
+        check_table(int(cap), self.base, "bound on them")
+        return LayeredProcess(self.base, int(cap), self._tails, self.charge)
 
-    def _settled_layers(self) -> int:
-        """Layers after which the charge is affine, or the tail optimal; 1 where it never is."""
-        settled = self.charge.settled(self.base.exact_unit) or 0
+    def _ladder(self, cap: float) -> Ladder | None:
+        """The sums of steps below a cap; None: there are too many."""
+        steps = step_lattice(self.model)[1]
+        room = min(MOST_SUMS, _MOST_PLACES // max(self.base.n_nodes, 1))
+        sums = sums_in(self.model, cap, room)
+        return (
+            None if sums is None else Ladder(read_only(np.append(sums, cap)), steps, complete=True)
+        )
+
+    def _units(self, total: float) -> float:
+        """A total in units, whole ones where layers are their multiples."""
+        return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
+
+    def _settled_units(self) -> float:
+        """Where the charge has become affine, or the tail optimal; small where it never does."""
+        settled = self.charge.settled or 0.0
         if isinstance(self.charge, ExponentialReward):
-            settled = int(min(np.ceil(self.cost_horizon / self.base.unit), 1e15))
-        return max(settled, 1)
+            return max(self._units(self.cost_horizon), self._least_units)
+        if not self.by_sums:
+            return max(layers_within(settled, self.base.exact_unit), 1)
+        return max(settled * (1.0 + _BEYOND), self._least_units)
 
-    def _first_guess(self) -> int:
+    @property
+    def _least_units(self) -> float:
+        """One layer; of sums, a table without any but that of nothing."""
+        return _BEYOND * float(step_lattice(self.model)[1].max()) or 1.0 if self.by_sums else 1
+
+    def _first_guess(self) -> float:
         """As many layers as are surely needed, and some more where that is not enough."""
-        if self.charge.settled(self.base.exact_unit) is None:
-            return _FIRST_LAYERS + self.base.width
-        if self.charge.slope == 0.0 or self.safest_only:
-            return self._settled_layers()
+        if self.is_trial:
+            directed = goal_directed(self.model)
+            cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
+            return self._settled_units() + _NEARLY * cost / max(goal, 1e-300)
         goal = float(self.base.start @ self._tails.goal[0])
         cost = float(self.base.start @ self._tails.first.cost)
-        typical = cost / max(goal, 1e-300) / self.base.unit
-        return self._settled_layers() + int(min(_TYPICAL * typical, 1e15)) + self.base.width
+        typical = self._units(_TYPICAL * cost / max(goal, 1e-300))
+        width = float(step_lattice(self.model)[1][-1]) if self.by_sums else self.base.width
+        if self.charge.settled is None:
+            return typical + width if self.by_sums else _FIRST_LAYERS + width
+        if self.charge.slope == 0.0 or self.safest_only:
+            return self._settled_units()
+        return self._settled_units() + typical + width
 
     @cached_property
     def _tails(self) -> Tails:
@@ -158,35 +206,37 @@ class CompiledArrivalCost(CompiledLayered):
             bound = bound / greatest if greatest > 0.0 else 0.0
         return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
 
-    def lossless_layers(self, price: float) -> int:
-        """Layers beyond which it is best to fail at this price of failure, with some room.
+    def lossless_units(self, price: float) -> float:
+        """Where it is best to fail from then on at this price of failure, with some room.
 
-        As many as the charge needs to settle where it grows no more from there.
+        As many units as the charge needs to settle where it grows no more from there.
         """
-        charge, unit = self.charge, self.base.exact_unit
-        settled = self._settled_layers()
+        charge, settled = self.charge, self._settled_units()
         if charge.slope == 0.0:
             return settled
-        failing_pays = (price - charge.offset) / charge.slope / float(unit)
-        return max(settled, int(min(np.ceil(_MARGIN * failing_pays), 1e15)) + 1)
+        room = 0 if self.by_sums else 1
+        return max(settled, self._units(_MARGIN * charge.lossless(price)) + room)
 
     def refined(self, price: float) -> CompiledArrivalCost | None:
         """More layers: as the price asks where the charge grows, else twice as many."""
-        here, charge = self.process.cap, self.charge
+        here, charge = self.process.end, self.charge
         wanted = 2 * here
-        if charge.settled(self.base.exact_unit) is None:
-            wanted = min(wanted, _MOST_LAYERS)
+        if charge.settled is None:
+            wanted = wanted if self.by_sums else min(wanted, _MOST_LAYERS)
         elif charge.slope == 0.0 or self.safest_only:
             return None
         else:
-            lossless = self.lossless_layers(price)
-            wanted = lossless if here < lossless <= 4 * here else wanted
+            lossless = self.lossless_units(price)
+            near = self.is_trial or here < lossless
+            wanted = lossless if near and lossless <= 4 * here else wanted
+        if self.by_sums:
+            return None if self._ladder(wanted) is None else self.charging(charge, wanted)
         too_large = (wanted + self.base.width) * self.base.n_nodes > MOST_ENTRIES
         if too_large or wanted <= here:
             return None
         return self.charging(charge, wanted)
 
-    def charging(self, charge: Charge, cap: int | None = None) -> CompiledArrivalCost:
+    def charging(self, charge: Charge, cap: float | None = None) -> CompiledArrivalCost:
         """The same process with another charge and cap; what charges share is worked out once.
 
         An exponential reward has tails of its own.
@@ -218,7 +268,20 @@ class CompiledArrivalCost(CompiledLayered):
         Raises:
             ModelError: the array has fewer layers than the charge needs to settle.
         """
-        least = self._settled_layers()
-        if values.ndim != 2 or values.shape[0] < least:
+        least = self._settled_units()
+        if values.ndim != 2 or values.shape[0] < (1 if self.by_sums else least):
             raise ModelError(f"a value function of {least} or more layers is needed")
-        return self.charging(self.charge, values.shape[0])
+        if not self.by_sums:
+            return self.charging(self.charge, values.shape[0])
+        cap, n_layers, found = least, values.shape[0], None
+        for _ in range(_DOUBLINGS):
+            if (ladder := self._ladder(cap)) is None:
+                break
+            if ladder.size >= n_layers:  # the greatest cap below which there are so many sums
+                found = float(ladder.rungs[n_layers])
+            if ladder.size > n_layers:
+                break
+            cap *= 2.0
+        if found is None:
+            raise ModelError("a value function of fewer layers is needed")
+        return self.charging(self.charge, found)

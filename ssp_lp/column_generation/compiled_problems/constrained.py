@@ -20,16 +20,12 @@ from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
-from ssp_lp.processes.goal_reach import (
-    cheapest,
-    greatest_goal_reach,
-    least_goal_reach,
-)
+from ssp_lp.processes.goal_reach import cheapest, greatest_goal_reach, least_goal_reach
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.arrival_cost import Charge
-from ssp_lp.processes.layered.ladder import Ladder, Rungs, step_lattice
-from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, truncates
+from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, first_total, truncates
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
+from ssp_lp.processes.totals.ladder import Ladder, Rungs
 
 ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""
@@ -179,9 +175,10 @@ class CompiledConstrained:
     @cached_property
     def ladder(self) -> Ladder | None:
         """The totals that are told apart, where they are no multiples of a unit."""
-        if self.rungs is None:
+        if self.rungs is None or self.charge is None:
             return None
-        return self.rungs.ladder(self.model, self._typical_cost, self._room)
+        first = first_total(self.charge, self.typical_cost)
+        return self.rungs.ladder(self.model, first, self._room, grows=self.charge.slope > 0.0)
 
     @property
     def _room(self) -> int:
@@ -223,11 +220,11 @@ class CompiledConstrained:
             arrivals=self.semantics.measure is not None,
             usable=self._usable,
             also_free=self._shared,
-            lattice=None if self.rungs is None else step_lattice(self.model)[0],
+            by_steps=self.rungs is not None,
         )
 
     @cached_property
-    def _typical_cost(self) -> float:
+    def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
         survival = survival_of(self.discount)
         safest = cheapest(self.model, greatest_goal_reach(self.model, survival), survival)
@@ -238,7 +235,7 @@ class CompiledConstrained:
         """Layers of accumulated cost that are told apart; ModelError: too many to write out."""
         layers = self.cap if self.ladder is None else self.ladder.size
         if layers is None:
-            layers = first_cap(self.base, self.charge, self._typical_cost, self.fixed_cap)
+            layers = first_cap(self.base, self.charge, self.typical_cost, self.fixed_cap)
         n_pairs = (layers + 1) * len(self.base.gain)
         if n_pairs > _MOST_PAIRS:
             raise ModelError(
@@ -253,16 +250,26 @@ class CompiledConstrained:
         Args:
             price: what failing is worth, from which accumulated cost on it is best to fail.
         """
-        fixed = self.charge is None or self.fixed_cap is not None
-        if fixed or not truncates(self.base, self.charge, self.layers):
+        if self.charge is None or self.fixed_cap is not None:
             return None
+        end = self.layers * self.base.unit if self.ladder is None else float(self.ladder.rungs[-1])
+        cut = truncates(self.charge, end)
         if self.rungs is not None and self.ladder is not None:
-            finer = self.rungs.finer(self.ladder, price, self._room)
+            enough = self.charge.lossless(price) if cut else None
+            finer = self.rungs.finer(self.ladder, enough, self._room)
             return None if finer is None else self._handing_on(replace(self, rungs=finer))
+        if not cut:
+            return None
         wanted = 2 * self.layers
         if (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
             return None
         return self.with_layers(wanted)
+
+    def up_to(self, price: float) -> CompiledConstrained:
+        """The same with totals up to where failing is best, at a price that is about right."""
+        if self.rungs is None or self.charge is None:
+            return self
+        return replace(self, rungs=self.rungs.up_to(self.charge.lossless(price)))
 
     def with_layers(self, cap: int) -> CompiledConstrained:
         """The same with another cap."""
@@ -270,9 +277,7 @@ class CompiledConstrained:
 
     def matching(self, values: FloatArray) -> CompiledConstrained:
         """The same with as many layers as a value function has, [process states]; or ModelError."""
-        if self.charge is None:
-            return self
-        if self.rungs is not None:
+        if self.charge is None or self.rungs is not None:
             return self
         layers, odd = divmod(values.size - 1, max(self.base.n_nodes, 1))
         if values.ndim != 1 or odd or layers < 2:

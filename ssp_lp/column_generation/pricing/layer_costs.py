@@ -30,9 +30,9 @@ def priced_layers(process: LayeredProcess, owed: FloatArray) -> Callable[[int], 
     """
     if not process.grows_evenly:
         return lambda layer: PairCost(process.charged(layer).fixed + owed)
-    even = process.charged(0)
+    even, totals = process.charged(0), process.levels.totals
     paid = PairCost(even.fixed + owed, even.slope)
-    return lambda layer: replace(paid, factor=float(layer))
+    return lambda layer: replace(paid, factor=float(totals[layer]))
 
 
 def summed_layers(
@@ -46,10 +46,10 @@ def summed_layers(
         saved: non-negative, [pairs].
     """
     if process.grows_evenly:
-        even = process.charged(0)
+        even, totals = process.charged(0), process.levels.totals
         paid = even.fixed + owed
         sums = Summands(PairCost(paid - saved, even.slope), paid + saved, owed)
-        return lambda layer: replace(sums, cost=replace(sums.cost, factor=float(layer)))
+        return lambda layer: replace(sums, cost=replace(sums.cost, factor=float(totals[layer])))
 
     def summed(layer: int) -> Summands:
         fixed = process.charged(layer).fixed

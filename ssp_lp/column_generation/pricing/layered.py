@@ -14,6 +14,7 @@ from ssp_lp.arrays import (
     least_integer_type,
 )
 from ssp_lp.column_generation.pricing.layer_costs import Summands, priced_layers, summed_layers
+from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
@@ -33,7 +34,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.layered.process import LayeredProcess
-from ssp_lp.processes.layered.window import Window
+from ssp_lp.processes.totals.window import Window
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
@@ -67,9 +68,7 @@ class LayeredPricing:
     def first(self) -> Column:
         """The first tail, which goes for the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
-        nothing_paid = self.process.charge.beyond(
-            np.zeros(base.n_nodes, int), base.unit, tails.first
-        )
+        nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
         cost, goal = float(base.start @ nothing_paid), float(base.start @ tails.goal[0])
         cost += self.process.start_charge
         failure = float(base.start @ tails.first.failure) + base.start_failure
@@ -82,8 +81,13 @@ class LayeredPricing:
         choice = self._blank_choice()
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
+        if self._one_pass is not None:
+            beyond = self._tail_values(failure_price, failing)
+            measures = np.stack(self.process.beyond(failure_price), axis=-1)
+            totals = self._one_pass.minimise(owed, beyond, measures, choice)
+            return self._column(totals, choice, failure_price, self.process.cap)
         priced = priced_layers(self.process, owed)
-        ahead = Window(self._tail_values(failure_price, failing))
+        ahead = self.process.window(self._tail_values(failure_price, failing))
         measured = self._measures_beyond(failure_price)
         totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
         for layer in reversed(range(self.process.cap)):
@@ -155,7 +159,7 @@ class LayeredPricing:
         return totals
 
     def _measures_beyond(self, tail_price: float) -> Window:
-        return Window(np.stack(self.process.beyond(tail_price), axis=-1))
+        return self.process.window(np.stack(self.process.beyond(tail_price), axis=-1))
 
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
@@ -169,8 +173,7 @@ class LayeredPricing:
 
     def _blank_choice(self) -> IntArray:
         most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
-        shape = (self.process.cap, self.process.base.n_nodes)
-        return np.empty(shape, dtype=least_integer_type(most))
+        return np.empty(self.value_shape, dtype=least_integer_type(most))
 
     def aligned(self, column: Column, price: float) -> Column:
         """The column with its tails chosen by this price, measured again."""
@@ -179,12 +182,8 @@ class LayeredPricing:
         here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
         return column if np.array_equal(here, there) else self.measure(column.choice, price)
 
-    def prove(self, price: float, best: Column, *, slack: bool = False) -> Proof:
-        """The best lower bound that a sweep gives; no policy is needed for it."""
-        return self.best_bound(price, slack=slack)
-
-    def best_bound(self, price: float, *, slack: bool = False) -> Proof:
-        """Prove the best lower bound of every policy's value that one sweep gives."""
+    def prove(self, price: float, best: Column | None = None, *, slack: bool = False) -> Proof:
+        """The best lower bound of every policy that a sweep gives; none is needed for it."""
         return self.check(price, self._anything, slack=slack)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -197,9 +196,8 @@ class LayeredPricing:
             ModelError: values of another shape.
         """
         failing = 0.0 if slack else price
-        shape = (self.process.cap, self.process.base.n_nodes)
-        if values.shape != shape:
-            raise ModelError(f"a value function of shape {shape} is needed")
+        if values.shape != self.value_shape:
+            raise ModelError(f"a value function of shape {self.value_shape} is needed")
         return self._swept(price, failing, values, self.process.beyond_bound(price, failing))
 
     def tail_loss(self, price: float, *, slack: bool = False) -> float:
@@ -217,33 +215,40 @@ class LayeredPricing:
         """Lower values layer by layer, from what is given beyond the cap."""
         base, success = self.process.base, price - failing
         owed, saved = failing * base.failure, success * base.survival * base.gain
-        summed = summed_layers(self.process, owed, saved)
         floor = -(success - self.process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
-        kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else None
-        window, inner, lowest = Window(beyond), self._first_choice, np.zeros(base.n_nodes)
+        if self._one_pass is not None:
+            given = np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
+            checked = self._one_pass.lowest(owed, saved, given, beyond)
+            kept = checked if values.size <= _KEPT_VALUES else self._anything
+            return self._proof(price, failing, checked[0], kept)
+        summed = summed_layers(self.process, owed, saved)
+        kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else self._anything
+        window, inner = self.process.window(beyond), self._first_choice
+        lowest = np.zeros(base.n_nodes)
         for layer in reversed(range(self.process.cap)):
             check_time()
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
-                lowest = np.minimum(self._safe_layer(summed(layer), window), given)
+                parts, sums = (base.pair_offsets, base.later), summed(layer)
+                weighed = sums.cost, sums.magnitude, sums.alone
+                lowest = np.minimum(safe_minima(*parts, *weighed, window.flat), given)
             else:
                 lowest, inner = self._safe_cycles(summed(layer), window, given, inner, floor)
-            if kept is not None:
+            if kept is not self._anything:
                 kept[layer] = lowest
             window.push(lowest)
-        ended = [failing * base.start_failure, -success * base.start_goal]
+        return self._proof(price, failing, lowest, kept)
+
+    def _proof(
+        self, price: float, failing: float, lowest: FloatArray, checked: FloatArray
+    ) -> Proof:
+        """The bound that values of the first layer give, [nodes]; all of them are kept."""
+        base = self.process.base
+        ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
         parts = np.append(base.start * lowest, [*ended, self.process.start_charge])
         loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
         bound = float(parts.sum()) - max(float(loss), 0.0)
-        checked = self._anything if kept is None else kept
         return Proof(price, failing, bound, checked, Work(self.process.cap, 0))
-
-    def _safe_layer(self, sums: Summands, window: Window) -> FloatArray:
-        """Checked values of a layer whose steps all lead on to later ones, [nodes]."""
-        base = self.process.base
-        return safe_minima(
-            base.pair_offsets, base.later, sums.cost, sums.magnitude, sums.alone, window.flat
-        )
 
     def _safe_cycles(
         self, sums: Summands, window: Window, given: FloatArray, inner: IntArray, floor: float
@@ -259,9 +264,13 @@ class LayeredPricing:
         return sub_solution(base.instant_dynamics, ahead, given, floor), settled.choice
 
     @cached_property
+    def _one_pass(self) -> OnePass | None:
+        return one_pass(self.process)
+
+    @cached_property
     def _anything(self) -> FloatArray:
         """Values that ask for the best that can be proved, [cap, nodes]."""
-        return np.broadcast_to(np.inf, (self.process.cap, self.process.base.n_nodes))
+        return np.broadcast_to(np.inf, self.value_shape)
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""
@@ -287,6 +296,6 @@ class LayeredPricing:
         return approach(base.instant_dynamics, leaving)
 
     def _tail_values(self, price: float, failing: float) -> FloatArray:
-        """Values of the tails beyond the cap, [width - 1, nodes]."""
+        """Values of the tails beyond the cap, [layers, nodes]."""
         cost, failure, goal = self.process.beyond(price)
         return cost + failing * failure - (price - failing) * goal

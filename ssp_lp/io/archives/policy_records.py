@@ -16,7 +16,6 @@ from ssp_lp.policies import (
     StochasticPolicy,
     TimedPolicy,
 )
-from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.policies.joint_memory import JointMemory
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import RememberingPolicy
@@ -48,9 +47,8 @@ _KINDS: Mapping[str, _Kind] = {
         CostAwarePolicy,
         on_model=True,
         numbers=("unit",),
-        arrays=("decision", "tails", "tail_threshold", "tail_table"),
+        arrays=("decision", "tails", "tail_threshold", "tail_table", "levels"),
     ),
-    "cost levels": _Kind(CostLevelPolicy, on_model=True, arrays=("levels", "decision")),
     "timed": _Kind(TimedPolicy, lists=("stages",)),
     "mixed": _Kind(MixedPolicy, arrays=("weights",), lists=("policies",)),
     "remembering": _Kind(RememberingPolicy, policies=("inner",)),

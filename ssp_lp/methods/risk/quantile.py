@@ -11,7 +11,7 @@ from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
 from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
+from ssp_lp.methods.risk.question import Question, Trial, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.arrival_cost import Late
@@ -23,6 +23,9 @@ def least_quantile(
 ) -> Solution:
     """Gallop up to a bound that some policy keeps, then bisect.
 
+    Where totals are rounded a trial may neither keep to its bound nor refute it; then the greatest
+    bound that is refuted is sought as well.
+
     Args:
         problem: the problem.
         question: the policies that count.
@@ -32,12 +35,13 @@ def least_quantile(
     Raises:
         ModelError: the quantile lies beyond the largest table of costs.
     """
-    low, refuted, high, calls, late = -1, -1, 0, 0, False  # layers: too low, proved so, kept
+    places = question.thresholds
+    low, refuted, high, calls, late = -1, -1, 0, 0, False  # numbers: too low, proved so, kept
     kept: Trial | None = None
     while kept is None or (high - low > 1 and not late):
         middle = high if kept is None else (low + high) // 2
         try:
-            trial = question.attempt(Late(cost_of(question, middle)), options)
+            trial = question.attempt(Late(places.total(middle)), options)
         except STOPS as stop:
             heed(stop)
             if kept is None:
@@ -52,12 +56,22 @@ def least_quantile(
         late = is_late()
         if late and kept is None:
             raise Stop(told=_known(question, refuted))
+    while low - refuted > 1 and not (places.sharp or late):
+        middle = (low + refuted) // 2
+        try:
+            trial = question.attempt(Late(places.total(middle)), options)
+        except STOPS as stop:
+            heed(stop)
+            break
+        calls, is_low = calls + trial.calls, is_refuted(trial, level)
+        low, refuted = (low, middle) if is_low else (middle, refuted)
+        late = is_late()
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
     found = Found(
         policy=kept.policy,
         value=objective,
-        bound=min(cost_of(question, refuted + 1), objective),
+        bound=min(_beyond(question, refuted), objective),
         failure=1.0 - law.goal,
         note=remarks(question, in_time=high - low <= 1),
     )
@@ -67,19 +81,34 @@ def least_quantile(
 
 def _known(question: Question, refuted: int) -> str:
     """What is known while no bound was found that some policy keeps to."""
-    return f"no policy's quantile lies below {cost_of(question, refuted + 1):g}"
+    return f"no policy's quantile lies below {_beyond(question, refuted):g}"
 
 
 def quantile_bound(
     question: Question, level: float, quantile: float, options: SolveOptions
 ) -> float:
-    """Prove afresh that no policy has a lower quantile than this one; 0 if that fails."""
-    below = layer_of(question, quantile) - 1
+    """Prove afresh that no policy has a lower quantile than this one; 0 if that fails.
+
+    Args:
+        question: the policies that count.
+        level: in (0, 1).
+        quantile: what no policy undercuts.
+        options: tolerance and limits.
+    """
+    below = question.thresholds.number(quantile) - 1
     if below < 0 or not is_refuted(
-        question.attempt(Late(cost_of(question, below)), options), level
+        question.attempt(Late(question.thresholds.total(below)), options), level
     ):
         return 0.0
-    return cost_of(question, below + 1)
+    return _beyond(question, below)
+
+
+def _beyond(question: Question, refuted: int) -> float:
+    """The least total that can occur beyond one that is refuted; -1: none is."""
+    places = question.thresholds
+    if places.sharp:
+        return places.total(refuted + 1)
+    return places.total(refuted) if refuted >= 0 else 0.0
 
 
 def allowed(level: float) -> float:

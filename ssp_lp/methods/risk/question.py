@@ -5,27 +5,34 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
+from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.analysis.total_cost.cost_law import CostLaw, success_costs
+from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
+from ssp_lp.methods.risk.thresholds import Multiples, SumsThatOccur, Thresholds
 from ssp_lp.methods.rows.optimum import Truth, rows_optimum
 from ssp_lp.methods.rows.proof import bound_at
+from ssp_lp.methods.rows.solving import taken
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem, compiled_constrained, conditions_of
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem, by_rows, compiled_constrained
 from ssp_lp.processes.layered.arrival_cost import Charge, Excess, Late, TotalCost
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
+_AHEAD = 8.0  # typical costs up to which all sums must be few to be told apart
+_FINE = 500  # thresholds in a typical cost, where totals are rounded
 _ROUNDING = 1e-14
 """A budget above the least failure by this share of the success is meant to be equal to it."""
 
@@ -46,8 +53,8 @@ class Question(Protocol):
     """The policies among which the least risk is sought."""
 
     @property
-    def base(self) -> AccumulatedCost:
-        """One layer of the process."""
+    def thresholds(self) -> Thresholds:
+        """The totals that can occur, or that are tried."""
         ...
 
     @property
@@ -99,10 +106,12 @@ class _WithinBudget:
     least: float  # the least failure
     note: str = ""
 
-    @property
-    def base(self) -> AccumulatedCost:
-        """One layer of the process."""
-        return self.compiled.base
+    @cached_property
+    def thresholds(self) -> Thresholds:
+        """The totals that can occur."""
+        if self.compiled.by_sums:
+            return SumsThatOccur(self.compiled.model)
+        return Multiples(self.compiled.base.exact_unit)
 
     @property
     def allowed(self) -> float:
@@ -135,15 +144,15 @@ class _WithinBudget:
         compiled = self.compiled.charging(charge)
         if kappa <= 0.0 or self.budget is None:
             return compiled
-        return self.compiled.charging(charge, compiled.lossless_layers(kappa))
+        return self.compiled.charging(charge, compiled.lossless_units(kappa))
 
     def _bound(self, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False) -> float:
         """One sweep's bound at a price of failure."""
         if self.budget is None:
-            proof = compiled.pricing().best_bound(0.0)
+            proof = compiled.pricing().prove(0.0)
             return max(proof.bound, 0.0) / min(float(compiled.start @ compiled.greatest.bound), 1.0)
         return Row(self.budget, ratio=True).lower_bound(
-            compiled.pricing().best_bound(kappa, slack=slack)
+            compiled.pricing().prove(kappa, slack=slack)
         )
 
 
@@ -154,10 +163,17 @@ class _WithinRows:
     problem: Problem
     compiled: CompiledConstrained  # of the total cost
 
-    @property
-    def base(self) -> AccumulatedCost:
-        """One layer of the process."""
-        return self.compiled.base
+    @cached_property
+    def thresholds(self) -> Thresholds:
+        """The totals that can occur, or those of a grid."""
+        if self.compiled.rungs is None:
+            return Multiples(self.compiled.base.exact_unit)
+        try:
+            found = SumsThatOccur(self.compiled.model)
+            found.number(_AHEAD * self.compiled.typical_cost)
+        except ModelError:
+            return Multiples(Fraction(self.compiled.typical_cost / _FINE), sharp=False)
+        return found
 
     @property
     def budget(self) -> float | None:
@@ -196,12 +212,17 @@ class _WithinRows:
 
         def value(policy: MixedPolicy) -> float:
             law = success_costs(policy, self.problem)
-            return _expected(charge, law, self.base.exact_unit) / law.goal
+            return _expected(charge, law) / law.goal
 
-        return Truth(value)
+        def figures(policy: Policy) -> FloatArray:
+            law, found = success_costs(policy, self.problem), evaluate(policy, self.problem)
+            spent = taken(self.compiled, found)
+            return np.array([_expected(charge, law), found.failure_probability, *spent])
+
+        return Truth(value, figures)
 
 
-def _expected(charge: Charge, law: CostLaw, unit: Fraction) -> float:
+def _expected(charge: Charge, law: CostLaw) -> float:
     """E[charge; goal].
 
     Raises:
@@ -213,8 +234,7 @@ def _expected(charge: Charge, law: CostLaw, unit: Fraction) -> float:
         case Late(bound):
             return law.goal - law.within(bound)
         case Excess(threshold, share):
-            value = float(threshold * unit)
-            return value * law.goal + law.excess(value) / share
+            return threshold * law.goal + law.excess(threshold) / share
     raise ModelError(f"{charge!r} is no charge of a risk")
 
 
@@ -230,7 +250,7 @@ def pose(problem: Problem) -> Question:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
         ModelError: the problem is not compiled to accumulated costs.
     """
-    if conditions_of(problem):
+    if by_rows(problem):
         return _WithinRows(problem, compiled_constrained(problem).settled())
     compiled, budget = problem.compile(), problem.failure_budget
     if not isinstance(compiled, CompiledArrivalCost):
@@ -245,16 +265,6 @@ def pose(problem: Problem) -> Question:
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
     return _WithinBudget(compiled.safest(), None, least, note)
-
-
-def cost_of(question: Question, layer: int) -> float:
-    """The total cost of so many layers, as the nearest float."""
-    return float(layer * question.base.exact_unit)
-
-
-def layer_of(question: Question, cost: float) -> int:
-    """The layer of a total cost."""
-    return round(cost / question.base.unit)
 
 
 def remarks(question: Question, *, in_time: bool) -> str:

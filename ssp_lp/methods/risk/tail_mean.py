@@ -1,23 +1,36 @@
 """The least conditional value at risk of the total cost given success.
 
-For any policy it is the least over z of z + E[(C - z)^+ | goal] / (1 - level) (Rockafellar and
-Uryasev 2000), attained at the quantile, which lies on the lattice of costs. So the optimum is the
-least over z on the lattice of F(z), the least E[charge | goal] with that integrand as the charge:
-S3P with a kink. The search alternates between the best policy at z and that policy's own quantile.
-The proof then refutes every z: most by one backward sweep at the price of failure that was optimal
-nearby; many by their neighbours, since with z the integrand rises by at most the step and falls by
-at most level / (1 - level) of it; all that are dearer than the optimum because F(z) >= z.
+For any policy it is the least over z of z + E[(C - z)^+ | goal] / share, share = 1 - level
+(Rockafellar and Uryasev 2000), attained at the quantile, a total that can occur. So the optimum is
+the least over such z of F(z), the least E[charge | goal] with that integrand as the charge: S3P
+with a kink. The search alternates between the best policy at z and that policy's own quantile.
+
+F is a least of convex functions and need not be convex itself, so that values on both sides of a z
+prove nothing of it. What is proved is proved of whole intervals: for a <= z <= b and every c
+
+    z + (c - z)^+ / share  >=  max(a, min(b, c)) + (c - b)^+ / share.
+
+For c <= z the left side is z, and the right one max(a, min(b, c)) <= z. For z < c <= b the right
+side is c, and the left one z + (c - z) / share >= c. For c > b the left side falls by 1 / share - 1
+where z rises by 1, and at z = b both are equal. The right side is a charge that does not fall as c
+grows: one backward sweep at any price of failure bounds F on all of [a, b] from below. Intervals
+whose bound lies below the best value are split, the weakest first, down to single totals, which are
+searched; beyond the best value none is needed, as F(z) >= z. The bound of the whole is the least of
+what is left: it is what the sweeps say, whenever the search ends.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from heapq import heappop, heappush, heapreplace
+
+import numpy as np
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.risk.question import Question, Trial, cost_of, layer_of, remarks
+from ssp_lp.methods.risk.question import Question, Trial, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
@@ -25,6 +38,9 @@ from ssp_lp.processes.layered.arrival_cost import Excess
 from ssp_lp.solution import Run, Solution
 
 _TIED = 1e-12  # relative difference of values that is rounding
+_PRICES = 8  # of failure that are tried at a threshold before it is searched
+_FACTOR = 1.5  # between the first two
+_NEAR = 0.02  # relative distance of prices at which trying others ends
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +50,7 @@ class Best:
     value: float
     policy: MixedPolicy
     failure: float
-    layer: int  # the policy's quantile
+    threshold: int  # number of the policy's quantile
     kappa: float  # price of failure
     calls: int
     prices: Mapping[str, float]  # of constraints, by name
@@ -46,86 +62,91 @@ class Best:
         return beyond if beyond > _TIED * self.value else 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Search:
-    """What does not change from threshold to threshold."""
+    """A search over thresholds. Mutable: it learns."""
 
     problem: Problem
     question: Question
     level: float
     options: SolveOptions
+    best: Best | None = None
+    tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
+    kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
+    sweeps: int = 0
 
-    def charge(self, layer: int) -> Excess:
-        """The integrand at a threshold."""
-        return Excess(layer, 1.0 - self.level, self.question.base.exact_unit)
+    @property
+    def in_time(self) -> bool:
+        """Whether there is time left."""
+        return not is_late()
 
-    def attempt(self, layer: int, best: Best | None, kappa: float = 0.0) -> tuple[Best, Trial]:
-        """The better of the best so far and the best policy at a threshold, and the trial."""
-        trial = self.question.attempt(self.charge(layer), self.options, kappa)
+    def attempt(self, threshold: int) -> Best:
+        """The better of the best so far and the best policy at a threshold."""
+        best = self.best
+        charge = Excess(self.question.thresholds.total(threshold), 1.0 - self.level)
+        trial = self.question.attempt(charge, self.options, self._kappa(threshold))
+        self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
         law = success_costs(trial.policy, self.problem)
         value = law.tail_mean(self.level)
-        quantile = layer_of(self.question, law.quantile(self.level))
+        quantile = self.question.thresholds.number(law.quantile(self.level))
         calls = trial.calls + (0 if best is None else best.calls)
-        tied = _TIED if quantile == layer else -_TIED  # of equals the one whose z is its quantile
+        tied = _TIED if quantile == threshold else -_TIED  # of equals: whose z is its quantile
         if best is not None and value > best.value * (1.0 + tied):
-            return replace(best, calls=calls), trial
-        failure = 1.0 - law.goal
-        return Best(value, trial.policy, failure, quantile, trial.kappa, calls, trial.prices), trial
+            self.best = replace(best, calls=calls)
+        else:
+            found = value, trial.policy, 1.0 - law.goal, quantile, trial.kappa, calls
+            self.best = Best(*found, trial.prices)
+        return self.best
 
-    def alternate(self, best: Best, bounds: dict[int, float]) -> Best:
-        """Go on at the best policy's own quantile until its threshold has been tried.
+    def refuted(self, first: int, last: int) -> float:
+        """A lower bound of F on all thresholds between two, and at them, by one sweep.
 
-        Args:
-            best: to begin with.
-            bounds: lower bounds of the thresholds tried; those tried here are added.
+        Of a single one the price of failure is sought that proves most: the bound is concave in it.
         """
-        while best.layer not in bounds and not is_late():
-            layer = best.layer
-            try:
-                best, trial = self.attempt(layer, best, best.kappa)
-            except STOPS as stop:
-                heed(stop)
+        places, middle = self.question.thresholds, (first + last) // 2
+        charge = Excess(places.total(last), 1.0 - self.level, places.total(first))
+        kappa = self._kappa(middle)
+        bound = self._swept(charge, middle, kappa)
+        if first < last or self.question.budget is None or kappa <= 0.0:
+            return bound
+        factor = _FACTOR if bound > 0.0 else 1.0 / _FACTOR
+        for _ in range(_PRICES):
+            if bound >= self.target or abs(factor - 1.0) < _NEAR:
                 break
-            bounds[layer] = trial.lower_bound
-        return best
+            other = self._swept(charge, middle, kappa * factor)
+            if other > bound:
+                bound, kappa = other, kappa * factor
+            else:
+                factor = factor**-0.5
+        self.kappas[middle] = kappa
+        return bound
 
-    def target(self, best: Best) -> float:
-        """The value below which no threshold may lie."""
-        return best.value * (1.0 - self.options.tolerance)
+    @property
+    def target(self) -> float:
+        """The value that thresholds must not fall below."""
+        return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
 
-    def refute(self, best: Best, layer: int, step: int) -> tuple[Best, float]:
-        """Bound all thresholds from a layer on, upwards or downwards.
+    def _swept(self, charge: Excess, threshold: int, kappa: float) -> float:
+        """The bound at a guess of what failing is worth."""
+        near, target = self._nearest(threshold), self.target
+        prices: Mapping[str, float] = {} if near is None else near.prices
+        self.sweeps += 1
+        return self.question.refuted_below(
+            charge, max(kappa, target), prices, slack=kappa <= target
+        )
 
-        Returns:
-            The best, which may have been found on the way, and the least bound; minus infinity
-            where time ran out.
-        """
-        question, least = self.question, best.value
-        slope = self.level / (1.0 - self.level) if step > 0 else 1.0
-        kappa, prices = best.kappa, best.prices
-        while layer >= 0:
-            if cost_of(question, layer) >= (target := self.target(best)):  # as F(z) >= z
-                if step > 0:
-                    break
-                layer -= 1
-                continue
-            if is_late():
-                return best, float("-inf")
-            priced = max(kappa, target)
-            slack = kappa <= target
-            try:
-                here = question.refuted_below(self.charge(layer), priced, prices, slack=slack)
-                if here < target:
-                    best, trial = self.attempt(layer, best, kappa)
-                    here, kappa, prices = max(here, trial.lower_bound), trial.kappa, trial.prices
-            except STOPS as stop:
-                heed(stop)
-                return best, float("-inf")
-            room = max(here - self.target(best), 0.0)
-            skipped = int(room / (slope * question.base.unit))
-            least = min(least, here if skipped == 0 else self.target(best))
-            layer += step * (1 + skipped)
-        return best, min(least, self.target(best))
+    def _kappa(self, threshold: int) -> float:
+        """What failing may be worth at a threshold, between those at which it is known."""
+        known = sorted(self.kappas)
+        if not known:
+            return 0.0
+        return float(np.interp(threshold, known, [self.kappas[number] for number in known]))
+
+    def _nearest(self, threshold: int) -> Trial | None:
+        """The trial at the nearest threshold."""
+        if not self.tried:
+            return None
+        return self.tried[min(self.tried, key=lambda number: abs(number - threshold))]
 
 
 def least_tail_mean(
@@ -139,10 +160,12 @@ def least_tail_mean(
         level: in [0, 1).
         options: method, tolerance and limits.
     """
-    best, bound, in_time = _proved(_Search(problem, question, level, options))
-    reason = f"thresholds on the lattice of costs, {best.calls} pricing calls"
+    search = _Search(problem, question, level, options)
+    best, bound = _proved(search)
+    sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
+    reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
-    note = remarks(question, in_time=in_time)
+    note = remarks(question, in_time=search.in_time)
     found = Found(
         best.policy,
         best.value,
@@ -170,22 +193,60 @@ def tail_mean_bound(
     return _proved(_Search(problem, question, level, options))[1]
 
 
-def _proved(search: _Search) -> tuple[Best, float, bool]:
-    """The best policy, a lower bound of every policy's tail mean, and whether time sufficed.
-
-    All thresholds on both sides of the best one are refuted; its own bound is known.
-    """
-    best, first = search.attempt(0, None)
-    bounds = {0: first.lower_bound}
+def _proved(search: _Search) -> tuple[Best, float]:
+    """The best policy, and a lower bound of every policy's tail mean."""
+    places, best = search.question.thresholds, search.attempt(0)
+    whole = search.tried[0].lower_bound
     if search.level == 0.0:
-        return best, first.lower_bound, True  # the whole mean: the least threshold is best
-    best = search.alternate(best, bounds)
-    middle = best.layer
-    own = bounds.get(middle, float("-inf"))
-    best, above = search.refute(best, middle + 1, +1)
-    best, below = search.refute(best, middle - 1, -1)
-    bound = min(own, above, below)
-    in_time = bound > float("-inf")
-    if not in_time:
-        bound = first.lower_bound * (1.0 - search.level)  # no tail's mean is below the whole's
-    return best, max(bound, 0.0), in_time
+        return best, max(whole, 0.0)  # the whole mean: the least threshold is best
+    try:
+        while best.threshold not in search.tried and search.in_time:
+            best = search.attempt(best.threshold)
+    except STOPS as stop:
+        heed(stop)
+    last = places.number(best.value) + 1
+    least = whole * (1.0 - search.level)  # no tail's mean is below its share of the whole's
+    bounds = [trial.lower_bound for trial in search.tried.values()]
+    known = sorted(number for number in search.tried if number < last)
+    between = 1 if places.sharp else 0  # else every real number has to be covered
+    weakest = [
+        (least, after + between, before - between)
+        for after, before in zip(known, [*known[1:], last + 1], strict=True)
+        if before - after > between
+    ]
+    while weakest and search.in_time and weakest[0][0] < search.target:
+        try:
+            _split(search, weakest, bounds)
+        except STOPS as stop:
+            heed(stop)
+    best = search.best or best
+    return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
+
+
+def _split(search: _Search, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
+    """Refute the interval of the least bound, or halve it; of one threshold a policy is found.
+
+    Args:
+        search: what is known.
+        weakest: bound, first and last threshold of each interval, a heap; changed.
+        bounds: of what will not be looked at again; added to.
+    """
+    places = search.question.thresholds
+    bound, first, final = weakest[0]
+    if search.best is not None and places.total(first) >= search.best.value:
+        heappop(weakest)
+        return  # as F(z) >= z
+    bound = max(bound, search.refuted(first, final))
+    if bound >= search.target:
+        heapreplace(weakest, (bound, first, final))
+    elif first == final:
+        search.attempt(first)
+        bounds.append(max(bound, search.tried[first].lower_bound))
+        heappop(weakest)
+    elif final - first == 1 and not places.sharp:
+        bounds.append(bound)
+        heappop(weakest)
+    else:
+        middle, between = (first + final) // 2, 1 if places.sharp else 0
+        heapreplace(weakest, (bound, first, middle))
+        heappush(weakest, (bound, middle + between, final))

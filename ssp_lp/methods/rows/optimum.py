@@ -32,8 +32,8 @@ from ssp_lp.methods.rows.rounded import true_lottery
 from ssp_lp.options import LinearProgramming, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.processes.layered.ladder import Rungs
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.processes.totals.ladder import Rungs
 from ssp_lp.solution import CUT_SHORT
 
 _PATIENCE = 6  # refinements that need not even halve the gap
@@ -56,7 +56,8 @@ class RowsOptimum(Found):
     @property
     def kappa(self) -> float:
         """What failing is worth."""
-        return self.value + self.prices.get(FAILURE_ROW, 0.0)
+        ratio = self.value if self.compiled.ratio else 0.0
+        return ratio + self.prices.get(FAILURE_ROW, 0.0)
 
     @property
     def gap(self) -> float:
@@ -94,7 +95,7 @@ def rows_optimum(
     guess: RowsOptimum | None = None
     if stated.rungs is not None:
         guess = _coarse_guess(stated, options)
-        stated = replace(stated, rungs=stated.rungs.up_to(guess.kappa))
+        stated = stated.up_to(guess.kappa)
     while True:
         try:
             found = _attempt(stated, options.after(calls), truth, guess)
@@ -177,7 +178,8 @@ def _guessed(
     compiled: CompiledConstrained, opened: StabilisedMaster, guess: RowsOptimum
 ) -> StabilisedMaster:
     """The same search, begun at the ratio and the prices of another one."""
-    rows = replace(opened.rows, ratio=guess.value or opened.rows.ratio)
+    ratio = guess.value if compiled.ratio else 0.0
+    rows = replace(opened.rows, ratio=ratio or opened.rows.ratio)
     named = by_name(compiled, rows, np.zeros(len(rows.index)))
     prices = np.array([guess.prices.get(name, 0.0) for name in named])
     return replace(opened, rows=rows, prices=prices, bound=0.0)

@@ -31,7 +31,7 @@ def true_lottery(
     weights: FloatArray,
     figures: Callable[[Policy], FloatArray],
 ) -> tuple[MixedPolicy, float] | None:
-    """The best lottery of case S within the rows, by true figures, and its failure.
+    """The best lottery within the rows, by true figures, and its failure.
 
     Args:
         compiled: the problem.
@@ -48,8 +48,11 @@ def true_lottery(
     least = np.where(
         rows.bounds > 0.0, weights[0] * float(best.figures @ weights) / rows.scales, 0.0
     )
-    points = [pool.columns[k] for k in order[:_MOST].tolist()]
-    for factor in _STEEPER:  # what breaks a limit by rounding needs a policy on the other side
+    # where nothing is limited the best will do; else what breaks a limit by rounding needs a policy
+    # on the other side
+    limited = compiled.ratio or rows.index.size > 0
+    points = [pool.columns[k] for k in order[: _MOST if limited else 1].tolist()]
+    for factor in _STEEPER if limited else ():
         steeper = weights.copy()
         steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
         points.append(pricing.minimise(steeper, best))
@@ -60,7 +63,11 @@ def true_lottery(
     nearest = solve_master(cost, taken, *limits, elastic=True)
     if (taken @ nearest.weights > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
         return None
-    chosen, ratio = nearest.weights, _ratio(cost, failure, nearest.weights)
+    chosen = nearest.weights
+    if not compiled.ratio:
+        chosen = solve_master(cost, taken, *limits, elastic=False).weights
+        return _lottery(policies, chosen), float(failure @ chosen)
+    ratio = _ratio(cost, failure, chosen)
     if not np.isfinite(ratio):
         ratio = float((cost / np.maximum(1.0 - failure, 1e-300)).max()) + 1.0
     for _ in range(_RATIOS):
@@ -69,9 +76,12 @@ def true_lottery(
         if not attained < ratio * (1.0 - _SETTLED):
             break
         chosen, ratio = found.weights, attained
-    used = np.flatnonzero(chosen > 0.0)
-    lottery = MixedPolicy(tuple(policies[k] for k in used.tolist()), chosen[used])
-    return lottery, float(failure @ chosen)
+    return _lottery(policies, chosen), float(failure @ chosen)
+
+
+def _lottery(policies: list[Policy], weights: FloatArray) -> MixedPolicy:
+    used = np.flatnonzero(weights > 0.0)
+    return MixedPolicy(tuple(policies[k] for k in used.tolist()), weights[used])
 
 
 def _ratio(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:

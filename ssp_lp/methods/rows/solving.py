@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.methods.assembling import assembled
@@ -62,8 +62,14 @@ def _truth(problem: Problem, stated: CompiledConstrained) -> Truth | None:
         failure = found.discounted_failure
         failure = found.failure_probability if failure is None else failure
         cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
-        spent = found.secondary_costs
-        taken = [row.activity(spent[row.condition.name]) for row in stated.side]
-        return np.array([cost, failure, *taken])
+        if not stated.ratio:
+            cost = value(MixedPolicy((policy,), np.ones(1)))
+        return np.array([cost, failure, *taken(stated, found)])
 
     return Truth(value, figures)
+
+
+def taken(stated: CompiledConstrained, found: Evaluation) -> list[float]:
+    """What a policy takes of each row beside failure."""
+    spent = found.secondary_costs
+    return [row.activity(spent[row.condition.name]) for row in stated.side]

@@ -14,16 +14,17 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.departing import without_self_loops
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
 from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means, uniform_cost
 from ssp_lp.processes.failure_semantics import survival_of
-from ssp_lp.processes.layered.lattice import Lattice, lattice_of
 from ssp_lp.processes.live_rows import RowChoice, live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
+from ssp_lp.processes.totals.lattice import Lattice, lattice_of
+from ssp_lp.processes.totals.sums import last_steps, step_lattice
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +44,7 @@ class AccumulatedCost:
     start_failure: float  # start mass on dead-ends
     departs: FloatArray  # [pairs] what rows were divided by: they count departures from a node
     arrivals: sp.csr_array | None = None  # [pairs, width] steps into the goal by layers ahead
+    last_steps: FloatArray | None = None  # [width] their costs, where layers are kinds of steps
 
     @property
     def exact_unit(self) -> Fraction:
@@ -81,6 +83,17 @@ class AccumulatedCost:
         """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
         return sp.csr_array(sp.hstack([self.instant, self.later]))
 
+    @cached_property
+    def steps_by_kind(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+        """Rows of all steps, what kind each entry is of (0: free), where it leads, and its share.
+
+        [pairs + 1], and [entries] each.
+        """
+        steps, n = self.steps, max(self.n_nodes, 1)
+        kinds, nodes = np.divmod(unsigned(steps.indices), np.uint32(n))
+        kind_type = np.uint8 if self.width <= 256 else np.uint32
+        return unsigned(steps.indptr), kinds.astype(kind_type), nodes.astype(np.uint32), steps.data
+
 
 def accumulate_cost(
     model: SSP,
@@ -90,7 +103,7 @@ def accumulate_cost(
     arrivals: bool = False,
     usable: BoolArray | None = None,
     also_free: BoolArray | None = None,
-    lattice: Lattice | None = None,
+    by_steps: bool = False,
 ) -> AccumulatedCost:
     """Build the process of case S.
 
@@ -103,7 +116,7 @@ def accumulate_cost(
         usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
             the second stage of a least-failure problem (mathematics, section 4).
         also_free: pairs that are free in everything else that counts, [model pairs]; None: all.
-        lattice: what "layers" are, if not those of the common unit of the costs.
+        by_steps: "layers" are distinct costs of a step, in place of multiples of a common unit.
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
@@ -115,8 +128,11 @@ def accumulate_cost(
     exits = attention_states(model) if usable is None else None
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
-    if lattice is None:
+    if by_steps:
+        (lattice, _), (arriving, last) = step_lattice(model), last_steps(model)
+    else:
         lattice = lattice_of(model, going_on | model.goal_mask if arrivals else going_on)
+        arriving, last = lattice, None
     instant, later = _steps(quotient, lattice, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     acting = quotient.pair_at >= 0
@@ -133,7 +149,8 @@ def accumulate_cost(
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[quotient.dead].sum()),
         departs=np.ones(len(quotient.pair_at)),
-        arrivals=_arrivals(quotient, lattice) if arrivals else None,
+        arrivals=_arrivals(quotient, arriving) if arrivals else None,
+        last_steps=last,
     )
     return base if discount is not None or instant.nnz == 0 else _departing(base)
 

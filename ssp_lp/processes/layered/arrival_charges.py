@@ -12,6 +12,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.arrival_cost import Charge, TotalCost
+from ssp_lp.processes.totals.lattice import totals_of
 
 _TABLE = 1_000_000
 """Charges, layers x pairs or x layers of a step, that are worked out together."""
@@ -23,7 +24,7 @@ class ArrivalCharges:
 
     base: AccumulatedCost
     charge: Charge
-    n_layers: int  # how many will be asked for
+    totals: FloatArray  # [layers] what has been paid there
 
     @property
     def grow_evenly(self) -> bool:
@@ -34,27 +35,29 @@ class ArrivalCharges:
         """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
         base = self.base
         if self.grow_evenly or base.arrivals is None:
-            return PairCost(base.gain_cost, self._growth, float(layer))
+            return PairCost(base.gain_cost, base.gain, float(self.totals[layer]))
         size = max(_TABLE // max(*base.arrivals.shape, 1), 1)
         block, place = divmod(layer, size)
         if block not in self._blocks:
-            width, layers = base.arrivals.shape[1], min(size, self.n_layers)
-            ahead = block * size + np.arange(layers + width - 1)
-            windows = sliding_window_view(self.charge.at(ahead, base.exact_unit), width)
+            charged = self._charged(block * size, min(size, len(self.totals)))
             self._blocks.clear()
-            self._blocks[block] = np.ascontiguousarray((base.arrivals @ windows.T).T)
+            self._blocks[block] = np.ascontiguousarray((base.arrivals @ charged.T).T)
         return PairCost(self._blocks[block][place])
+
+    def _charged(self, first: int, n_layers: int) -> FloatArray:
+        """Charge of arriving from some layers by each kind of step, [layers, kinds]."""
+        base = self.base
+        if base.last_steps is not None:
+            paid = self.totals[first : first + n_layers, None]
+            return self.charge.at(paid + base.last_steps)
+        width = base.lattice.width
+        ahead = first + np.arange(n_layers + width - 1)
+        return sliding_window_view(self.charge.at(totals_of(ahead, base.exact_unit)), width)
 
     @property
     def at_start(self) -> float:
         """Charge of the start mass that lies on goals."""
-        at_once = self.charge.at(np.zeros(1, dtype=np.int64), self.base.exact_unit)
-        return self.base.start_goal * float(at_once[0])
-
-    @cached_property
-    def _growth(self) -> FloatArray:
-        """What a layer adds to the charge of each pair in case S, [pairs]."""
-        return np.asarray(self.base.gain * self.base.unit)
+        return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
 
     @cached_property
     def _blocks(self) -> dict[int, FloatArray]:

@@ -16,9 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import ModelError
-from ssp_lp.processes.layered.lattice import last_layer
 
 Utility = Callable[[FloatArray], FloatArray]
 """A non-increasing function of the total cost, on arrays."""
@@ -102,22 +101,31 @@ class Charge(ABC):
         """No charge is less; at most 0."""
         return 0.0
 
+    @property
+    def is_concave(self) -> bool:
+        """Whether interpolating the charge never exceeds it."""
+        return False
+
     @abstractmethod
-    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
-        """The charge of total costs ``layers * unit``, like ``layers``."""
+    def at(self, totals: FloatArray) -> FloatArray:
+        """The charge of total costs, like ``totals``."""
 
-    def settled(self, unit: Fraction) -> int | None:
-        """Layer from which the charge is affine; None: never."""
-        return 0
+    @property
+    def settled(self) -> float | None:
+        """Total beyond which the charge is affine; None: never."""
+        return 0.0
 
-    def is_affine_from(self, layer: int, unit: Fraction) -> bool:
-        """Whether the charge is its line at a layer already; exponentials only come near theirs."""
-        line = self.offset + self.slope * float(layer * unit)
-        return bool(np.isclose(float(self.at(np.array([layer]), unit)[0]), line, rtol=1e-9))
+    def is_affine_beyond(self, total: float) -> bool:
+        """Whether the charge is its line at a total already; exponentials only come near theirs."""
+        line = self.offset + self.slope * total
+        return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
 
-    def beyond(self, layers: IntArray, unit: float, tail: TailValues) -> FloatArray:
-        """E[charge; goal] of following a tail after ``layers * unit`` has been paid."""
-        paid = layers * unit
+    def lossless(self, price: float) -> float:
+        """Total from which on failing is best at a price of it; 0 where the charge is settled."""
+        return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
+
+    def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
+        """E[charge; goal] of following a tail after so much has been paid."""
         linear = self.slope * (tail.cost + paid * tail.early)
         return np.asarray(linear + self.offset * tail.goal if self.offset else linear)
 
@@ -127,13 +135,18 @@ class TotalCost(Charge):
     """The total cost itself: case S."""
 
     @property
+    def is_concave(self) -> bool:
+        """It is a line."""
+        return True
+
+    @property
     def slope(self) -> float:
         """1."""
         return 1.0
 
-    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+    def at(self, totals: FloatArray) -> FloatArray:
         """The cost."""
-        return np.asarray(layers * float(unit))
+        return np.asarray(totals)
 
 
 TOTAL_COST: Final = TotalCost()
@@ -141,7 +154,11 @@ TOTAL_COST: Final = TotalCost()
 
 @dataclass(frozen=True)
 class Late(Charge):
-    """1 for arriving at a cost beyond the bound, 0 else; less 1 for every arrival if rewarded."""
+    """1 for arriving at a cost beyond the bound, 0 else; less 1 for every arrival if rewarded.
+
+    A total within :data:`~ssp_lp.arrays.SAME_TOTAL` of the bound is the bound, summed in another
+    way.
+    """
 
     bound: float | Fraction
     rewarded: bool = False
@@ -156,39 +173,46 @@ class Late(Charge):
         """What an arrival in time is charged."""
         return self.offset - 1.0
 
-    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
-        """Whether ``layers * unit`` exceeds the bound, decided in whole numbers."""
-        return np.where(np.asarray(layers) < self.settled(unit), self.lowest, self.offset)
+    def at(self, totals: FloatArray) -> FloatArray:
+        """Whether the total exceeds the bound."""
+        return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
 
-    def settled(self, unit: Fraction) -> int:
-        """The first layer beyond the bound."""
-        return last_layer(self.bound, unit) + 1
+    @property
+    def settled(self) -> float:
+        """The bound, with room for rounding."""
+        return float(self.bound) * (1.0 + SAME_TOTAL)
 
 
 @dataclass(frozen=True)
 class Excess(Charge):
-    """``z + max(cost - z, 0) / share``: the integrand of Rockafellar and Uryasev's formula."""
+    """``z + max(cost - z, 0) / share``: the integrand of Rockafellar and Uryasev's formula.
 
-    threshold: int  # z in layers
+    With a ``first`` it is the least of the integrands for first <= z <= threshold, or less:
+    ``max(first, min(cost, threshold)) + max(cost - threshold, 0) / share``.
+    """
+
+    threshold: float  # z
     share: float  # 1 - level
-    unit: Fraction
+    first: float | None = None  # None: the threshold
 
     @property
     def offset(self) -> float:
         """Of the line beyond z."""
-        return float(self.threshold * self.unit) * (1.0 - self.slope)
+        return self.threshold * (1.0 - self.slope)
 
     @property
     def slope(self) -> float:
         """Of the line beyond z."""
         return 1.0 / self.share
 
-    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+    def at(self, totals: FloatArray) -> FloatArray:
         """The integrand."""
-        late = np.maximum(np.asarray(layers) - self.threshold, 0)
-        return np.asarray((self.threshold + late * self.slope) * float(unit))
+        late = np.maximum(np.asarray(totals) - self.threshold, 0.0)
+        first = self.threshold if self.first is None else self.first
+        return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
 
-    def settled(self, unit: Fraction) -> int:
+    @property
+    def settled(self) -> float:
         """The threshold."""
         return self.threshold
 
@@ -212,15 +236,15 @@ class UtilityReward(Charge):
     @property
     def lowest(self) -> float:
         """Minus what arriving at no cost is worth."""
-        return float(self.at(np.zeros(1, dtype=np.int64), Fraction(1))[0])
+        return float(self.at(np.zeros(1))[0])
 
-    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+    def at(self, totals: FloatArray) -> FloatArray:
         """Minus (utility + bonus - utility of failing).
 
         Raises:
             ModelError: the utility is no non-increasing function with this limit.
         """
-        cost = np.asarray(np.ravel(layers) * float(unit), dtype=np.float64)
+        cost, back = np.unique(totals, return_inverse=True)
         worth = utilities(self.utility, cost) - self.at_infinity
         wrong = (worth < 0.0) | np.append(np.diff(worth) > 0.0, False)
         if wrong.any():
@@ -229,9 +253,10 @@ class UtilityReward(Charge):
                 f"utility must not increase with the cost nor fall below utility_at_infinity = "
                 f"{self.at_infinity:g}: it does at cost {where:g}"
             )
-        return np.asarray(-(worth + self.bonus)).reshape(np.shape(layers))
+        return np.asarray(-(worth + self.bonus))[back].reshape(np.shape(totals))
 
-    def settled(self, unit: Fraction) -> None:
+    @property
+    def settled(self) -> None:
         """Never, as far as is known."""
         return
 
@@ -244,6 +269,11 @@ class ExponentialReward(Charge):
     bonus: float
 
     @property
+    def is_concave(self) -> bool:
+        """As exponentials are convex."""
+        return True
+
+    @property
     def offset(self) -> float:
         """Minus the bonus, which is what is left in the limit."""
         return -self.bonus
@@ -253,12 +283,10 @@ class ExponentialReward(Charge):
         """Minus what arriving at no cost is worth."""
         return -(1.0 + self.bonus)
 
-    def at(self, layers: IntArray, unit: Fraction) -> FloatArray:
+    def at(self, totals: FloatArray) -> FloatArray:
         """Minus utility and bonus."""
-        return np.asarray(-(np.exp(self.rate * float(unit) * np.asarray(layers)) + self.bonus))
+        return np.asarray(-(np.exp(self.rate * np.asarray(totals)) + self.bonus))
 
-    def beyond(self, layers: IntArray, unit: float, tail: TailValues) -> FloatArray:
+    def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
         """``-(exp(rate * paid) * E[exp(rate * cost); goal] + bonus * goal)``."""
-        return np.asarray(
-            -(np.exp(self.rate * unit * layers) * tail.moment + self.bonus * tail.goal)
-        )
+        return np.asarray(-(np.exp(self.rate * paid) * tail.moment + self.bonus * tail.goal))

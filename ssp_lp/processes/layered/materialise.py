@@ -21,7 +21,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
         process: the layered process.
     """
     base, n, cap = process.base, process.base.n_nodes, process.cap
-    n_beyond = (base.width - 1) * n
+    n_beyond = (len(process.levels.totals) - cap) * n
     n_states = cap * n + n_beyond + 1
     tails_cost, tails_failure, tails_goal = _tail_pairs(process)
     steps = _layer_steps(process, n_states)
@@ -59,8 +59,7 @@ def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -
     """
     base, cap, n_tails = process.base, process.cap, len(process.tails.goal)
     within = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1] + choice
-    layer = cap + np.arange(base.width - 1)[:, None]
-    last = (layer >= process.threshold(tail_price)).ravel()
+    last = (process.beyond_units >= process.threshold(tail_price)).ravel()
     beyond = cap * len(base.gain) + np.arange(last.size) * n_tails + last * (n_tails - 1)
     source = cap * len(base.gain) + last.size * n_tails
     return np.concatenate([within.ravel(), beyond, [source]])
@@ -70,8 +69,8 @@ def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
     """Transitions of the pairs of all layers, [cap * pairs, states]."""
     base, n, cap = process.base, process.base.n_nodes, process.cap
     n_pairs, per_layer = len(base.gain), base.steps.nnz
-    shift = np.repeat(np.arange(cap, dtype=np.int64) * n, per_layer)
-    columns = np.tile(base.steps.indices.astype(np.int64), cap) + shift
+    ahead, node = np.divmod(base.steps.indices.astype(np.int64), max(n, 1))
+    columns = (process.levels.leads(base.width)[:, ahead] * n + node).ravel()
     row_ends = np.tile(base.steps.indptr[1:].astype(np.int64), cap)
     row_ends += np.repeat(np.arange(cap, dtype=np.int64) * per_layer, n_pairs)
     index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
@@ -88,13 +87,12 @@ def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatA
     Returns:
         3 x [layers * nodes, tails].
     """
-    base, tails = process.base, process.tails
-    layer = process.cap + np.arange(base.width - 1)
+    tails = process.tails
     values = tails.values
     each = TailValues(
         values.goal.T, values.failure.T, values.early.T, values.cost.T, values.moment.T
     )
-    cost = process.charge.beyond(layer[:, None, None], base.unit, each)
+    cost = process.charge.beyond(process.levels.totals[process.cap :, None, None], each)
     all_three = (cost, *(np.broadcast_to(v[None], cost.shape) for v in (each.failure, each.goal)))
     failed, reached = (v.reshape(-1, cost.shape[-1]) for v in all_three[1:])
     return cost.reshape(-1, cost.shape[-1]), failed, reached

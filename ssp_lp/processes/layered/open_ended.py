@@ -18,7 +18,6 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.cost_levels import CostLevelPolicy
 from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -26,10 +25,12 @@ from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.arrival_charges import ArrivalCharges
 from ssp_lp.processes.layered.arrival_cost import Charge
-from ssp_lp.processes.layered.ladder import Ladder
+from ssp_lp.processes.totals.ladder import Ladder
+from ssp_lp.processes.totals.lattice import layers_within, totals_of
 
 _FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+_BEYOND = 1e-9  # relative distance of a total that lies beyond another
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +89,9 @@ class OpenEnded:
         """The total that each layer stands for, the last for all beyond it as well, [layers]."""
         if self.ladder is not None:
             return self.ladder.rungs
-        unit = self.base.exact_unit
-        return np.array([float(layer * unit) for layer in range(self.cap + 1)])
+        return totals_of(np.arange(self.cap + 1), self.base.exact_unit)
 
-    def policy(self, choice: IntArray) -> CostAwarePolicy | CostLevelPolicy:
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
         """One decision for each state and accumulated cost, the last for all beyond the cap.
 
         Args:
@@ -105,10 +105,9 @@ class OpenEnded:
         decision = np.empty((self.cap + 1, model.n_states), dtype=least_integer_type(most))
         for layer, pair in enumerate(pairs):
             decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
-        if self.ladder is not None:
-            return CostLevelPolicy(model, self.ladder.rungs, decision)
-        never = np.full(model.n_states, np.inf)
-        return CostAwarePolicy(model, base.unit, decision[:-1], pairs[-1][None, :], never)
+        never, beyond = np.full(model.n_states, np.inf), pairs[-1][None, :]
+        levels = None if self.ladder is None else self.ladder.rungs
+        return CostAwarePolicy(model, base.unit, decision[:-1], beyond, never, levels=levels)
 
     def nearer_goal(self) -> None:
         """Has to be found on the process itself."""
@@ -117,13 +116,9 @@ class OpenEnded:
     @cached_property
     def own_cost(self) -> FloatArray:
         """Charges of arriving, [process pairs]."""
-        if self.ladder is not None:  # the total cost alone, which starts at nothing
-            layers = self.base.gain_cost + self.ladder.rungs[:, None] * self.base.gain
-            layers[-1] += self._beyond()
-            return np.append(layers.ravel(), 0.0)
-        charges = ArrivalCharges(self.base, self.charge, self.cap + 1)
+        charges = ArrivalCharges(self.base, self.charge, self.totals)
         each = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
-        if self.charge.slope > 0.0 and self.cap >= (self.charge.settled(self.base.exact_unit) or 0):
+        if self.charge.slope > 0.0 and self.totals[-1] >= (self.charge.settled or 0.0):
             each[-1] = each[-1] + self.charge.slope * self._beyond()
         return np.append(np.concatenate(each), charges.at_start)
 
@@ -169,9 +164,14 @@ class OpenEnded:
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:
-        """The layer that each step leads to, and the share of the next one, [layers, steps]."""
+        """The layer that each step leads to, and the share of the next one, [layers, steps].
+
+        On a grid a total goes down to a rung, whence no charge is more; where interpolating the
+        charge does not exceed it either, it goes to both its neighbours.
+        """
         if self.ladder is not None:
-            return self.ladder.leads
+            below, share = self.ladder.leads
+            return below, share if self.charge.is_concave else np.zeros_like(share)
         layers, ahead = np.arange(self.cap + 1)[:, None], np.arange(self.base.width)
         below = np.minimum(layers + ahead, self.cap)
         return below, np.zeros(below.shape)
@@ -192,19 +192,33 @@ def first_cap(
         return 1
     if fixed is not None:
         return max(int(np.ceil(fixed / base.unit)), 1)
-    settled = charge.settled(base.exact_unit)
-    if settled is None or not charge.is_affine_from(settled, base.exact_unit):
+    if (settled := _settled(charge)) is None:
         return _FIRST_LAYERS + base.width
+    needed = max(layers_within(settled, base.exact_unit), 1)
     if charge.slope == 0.0:
-        return max(settled, 1)
-    return max(settled, 1) + int(min(_TYPICAL * typical / base.unit, 1e15)) + base.width
+        return needed
+    return needed + int(min(_TYPICAL * typical / base.unit, 1e15)) + base.width
 
 
-def truncates(base: AccumulatedCost, charge: Charge | None, layers: int) -> bool:
-    """Whether a cap may lose something: the charge still changes beyond it."""
+def first_total(charge: Charge, typical: float) -> float:
+    """The same as a total, where layers are no multiples of a unit."""
+    settled = _settled(charge)
+    if settled is not None and charge.slope == 0.0:
+        return settled * (1.0 + _BEYOND)
+    return (settled or 0.0) + _TYPICAL * typical
+
+
+def truncates(charge: Charge | None, total: float) -> bool:
+    """Whether a cap at a total may lose something: the charge still changes beyond it."""
     if charge is None or charge.slope > 0.0:
         return charge is not None
-    settled = charge.settled(base.exact_unit)
-    if settled is None or layers < settled:
-        return True
-    return not charge.is_affine_from(settled, base.exact_unit)
+    settled = charge.settled
+    return settled is None or total <= settled or not charge.is_affine_beyond(total)
+
+
+def _settled(charge: Charge) -> float | None:
+    """Beyond which total the charge is its line; None: it only comes near it."""
+    settled = charge.settled
+    if settled is None or not charge.is_affine_beyond(settled * (1.0 + _BEYOND)):
+        return None
+    return settled

@@ -13,6 +13,9 @@ from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.arrival_charges import ArrivalCharges
 from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Charge, TailValues
+from ssp_lp.processes.totals.ladder import Ladder
+from ssp_lp.processes.totals.levels import Levels
+from ssp_lp.processes.totals.window import Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +50,8 @@ class Tails:
         """The values of row 0, [nodes] each."""
         return self.values.row(0)
 
-    def threshold(self, unit: float, failure_price: float, charge: Charge) -> FloatArray:
-        """Layer from which the last tail is no worse than the first at this price, [nodes].
+    def threshold(self, failure_price: float, charge: Charge) -> FloatArray:
+        """Total from which the last tail is no worse than the first at this price, [nodes].
 
         The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
         cost_k) + offset * goal_k.
@@ -58,8 +61,8 @@ class Tails:
         owed = (failure_price - charge.offset) * (first.goal - last.goal)
         owed = owed + charge.slope * (last.cost - first.cost)
         with np.errstate(divide="ignore", invalid="ignore"):
-            layer = np.ceil(owed / (saved * unit) - 1e-9)
-        return np.where(saved > 0, layer, np.where(owed < 0, -np.inf, np.inf))
+            total = owed / saved
+        return np.where(saved > 0, total, np.where(owed < 0, -np.inf, np.inf))
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +73,28 @@ class LayeredProcess:
     cap: int
     tails: Tails
     charge: Charge = TOTAL_COST
+    ladder: Ladder | None = None  # the totals, where they are no multiples of a unit
+
+    @cached_property
+    def levels(self) -> Levels:
+        """The totals that layers stand for, and which step leads where."""
+        if self.ladder is not None:
+            return Levels.of_sums(self.ladder)
+        return Levels.of_lattice(self.base.exact_unit, self.cap, self.base.width)
+
+    @property
+    def end(self) -> float:
+        """The total at which the table ends, in units."""
+        return self.cap if self.ladder is None else float(self.ladder.rungs[-1])
+
+    def window(self, beyond: FloatArray) -> Window:
+        """Values of the layers ahead, beginning with those beyond the cap, [layers, ...]."""
+        return Window(beyond, self.levels)
 
     @cached_property
     def _charges(self) -> ArrivalCharges:
         """What arriving is charged from each layer."""
-        return ArrivalCharges(self.base, self.charge, self.cap)
+        return ArrivalCharges(self.base, self.charge, self.levels.totals[: self.cap])
 
     @property
     def grows_evenly(self) -> bool:
@@ -90,27 +110,34 @@ class LayeredProcess:
         """Charge of the start mass that lies on goals."""
         return self._charges.at_start
 
+    @property
+    def beyond_units(self) -> FloatArray:
+        """The totals at which tails take over, in units, [layers, 1]."""
+        if self.ladder is None:
+            return self.cap + np.arange(self.base.width - 1.0)[:, None]
+        return self.levels.totals[self.cap :, None]
+
     def threshold(self, price: float) -> FloatArray:
-        """Layer from which the last tail is followed at a price of failure, [nodes].
+        """Total, in units, from which the last tail is followed at a price of failure, [nodes].
 
         -infinity where it is followed from the cap on, so that equal rules compare equal.
         """
-        layer = self.tails.threshold(self.base.unit, price, self.charge)
-        return np.where(layer <= self.cap, -np.inf, layer)
+        total = self.tails.threshold(price, self.charge) / self.base.unit
+        total = np.ceil(total - 1e-9) if self.ladder is None else total
+        return np.where(total <= self.end, -np.inf, total)
 
     def beyond(self, price: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(charge, failure, goal) of the tails that a price chooses at (node, cap + i).
+        """(charge, failure, goal) of the tails that a price chooses beyond the cap.
 
         Returns:
-            3 x [i, nodes].
+            3 x [layers, nodes].
         """
-        layer = self.cap + np.arange(self.base.width - 1)[:, None]
-        last = layer >= self.threshold(price)[None, :]
-        chosen = self.tails.values.chosen(last)
-        return self.charge.beyond(layer, self.base.unit, chosen), chosen.failure, chosen.goal
+        last = self.beyond_units >= self.threshold(price)[None, :]
+        chosen, paid = self.tails.values.chosen(last), self.beyond_units * self.base.unit
+        return self.charge.beyond(paid, chosen), chosen.failure, chosen.goal
 
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
-        """Lower bound of every policy's value at (node, cap + i), [width - 1, nodes].
+        """Lower bound of every policy's value beyond the cap, [layers, nodes].
 
         Every success is charged at least what it would be if it came at once: charge(r) * early +
         price * (1 - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). It
@@ -120,14 +147,13 @@ class LayeredProcess:
             failure_price: kappa.
             failing: what failing counts: kappa, or 0 with -kappa for success.
         """
-        layer = self.cap + np.arange(self.base.width - 1)[:, None]
-        tails, unit = self.tails, self.base.exact_unit
-        paid = self.charge.at(layer, unit) / self.base.survival
+        tails, totals = self.tails, self.levels.totals[self.cap :, None]
+        paid = self.charge.at(totals) / self.base.survival
         goal = np.where(paid < failure_price, tails.greatest_goal, tails.least_goal)
         rest = failing * (1.0 - goal) - (failure_price - failing) * goal
         least = paid * goal
         if tails.greatest_moment is not None:
-            least = self.charge.beyond(layer, self.base.unit, tails.bounding(goal))
+            least = self.charge.beyond(totals, tails.bounding(goal))
         if tails.least_cost is not None:
             least = least + self.charge.slope * tails.least_cost
         size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)
@@ -155,4 +181,5 @@ class LayeredProcess:
             decision=decision,
             tails=self.tails.decisions,
             tail_threshold=threshold,
+            levels=None if self.ladder is None else self.ladder.rungs,
         )

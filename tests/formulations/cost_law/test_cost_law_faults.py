@@ -51,15 +51,21 @@ def test_cvar_refutes_thresholds_at_least_failure_without_a_price(failing, level
     assert optimum(CVaR(model, "x", level, failing)) == pytest.approx(2.0, rel=2e-8)
 
 
-def test_cvar_refutes_all_thresholds_below_the_best_value():
-    """Going down from a threshold above the best value must not end the search there."""
+def test_cvar_bounds_all_thresholds_of_an_interval():
+    """One sweep bounds the least integrand at every threshold in it, and is sharp at one."""
     problem = CVaR(model_of({"x": LAWS}), "x", 0.5)
-    question = pose(problem)
-    search = tail_mean._Search(problem, question, 0.5, CERTIFYING)
-    sixty = tail_mean.Best(60.042, always(problem.model, "sixty"), 0.0, 60, 0.0, 0, {})
-    best, bound = search.refute(sixty, 79, -1)
-    assert best.value == pytest.approx(50.124)
-    assert bound <= 50.124
+    search = tail_mean._Search(problem, pose(problem), 0.5, CERTIFYING)
+    least, count = {}, 6  # 0, 50, 60, 80, 81, 85
+    for threshold in range(count):
+        search.attempt(threshold)
+        least[threshold] = search.tried[threshold].lower_bound
+    assert search.best is not None
+    assert search.best.value == pytest.approx(50.124) == pytest.approx(min(least.values()))
+    for first in range(count):
+        assert search.refuted(first, first) == pytest.approx(least[first], rel=1e-8)
+        for last in range(first, count):
+            inside = min(least[threshold] for threshold in range(first, last + 1))
+            assert search.refuted(first, last) <= inside * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("action", list(LAWS))

@@ -37,6 +37,16 @@ def last_layer(bound: float | Fraction, unit: Fraction) -> int:
     return int(exact_cost(bound) // unit)
 
 
+def layers_within(total: float | Fraction, unit: Fraction) -> int:
+    """How many layers cost at most so much: the first one beyond the total."""
+    return max(last_layer(total, unit) + 1, 0)
+
+
+def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
+    """Total cost of whole layers, rounded once, like ``layers``."""
+    return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
+
+
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     """The greatest number of which every cost is a whole multiple, found exactly.
 

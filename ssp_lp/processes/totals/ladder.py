@@ -11,7 +11,6 @@ optimum of case S from below (paper, section 3.1.1).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from fractions import Fraction
 from functools import cached_property
 
 import numpy as np
@@ -19,16 +18,14 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.chunks import chunks
 from ssp_lp.model.graph.kept import kept
-from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.processes.expectations import uniform_cost
-from ssp_lp.processes.layered.lattice import Lattice, common_unit, layers_of
+from ssp_lp.processes.totals.lattice import common_unit, layers_of
+from ssp_lp.processes.totals.sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
 
 _SUMS_PER_RUNG = 5  # sums told apart rather than so many rungs of a grid
 _ULPS = 1e-15  # relative: the rounding of one sum
-_SAME = 1e-11
-"""Totals this near to each other, relative to the cap, are one summed in two ways."""
+_SHARE = 1e-3  # of the cheapest step: less than that is none
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +34,7 @@ class Ladder:
 
     rungs: FloatArray  # [rungs] increasing, the first is 0
     steps: FloatArray  # [steps] distinct costs of a step, increasing, the first is 0
+    complete: bool = False  # known to be all sums that can occur
 
     @property
     def size(self) -> int:
@@ -46,6 +44,8 @@ class Ladder:
     @cached_property
     def exact(self) -> bool:
         """Whether every sum of steps up to the last rung is a rung."""
+        if self.complete:
+            return True
         below, share = self.leads
         gap = np.diff(self.rungs, append=np.inf)[below]
         return bool(((share == 0.0) | ((1.0 - share) * gap <= self._room)).all())
@@ -58,7 +58,8 @@ class Ladder:
             The rung below, and the share that goes to the one above that, [rungs, steps] each.
         """
         last, totals = self.size, self.rungs[:, None] + self.steps
-        below = np.searchsorted(self.rungs, totals * (1.0 + _ULPS), side="right") - 1
+        nearly = self._room if self.complete else _ULPS * totals
+        below = np.searchsorted(self.rungs, totals + nearly, side="right") - 1
         below = np.minimum(below, last)
         below[last] = last
         gap = np.diff(self.rungs, append=2.0 * self.rungs[-1] + 1.0)[below]
@@ -68,17 +69,14 @@ class Ladder:
     @property
     def _room(self) -> float:
         """Totals that differ by so little are one."""
-        return float(_SAME * self.rungs[-1])
+        return room_of(self.steps, float(self.rungs[-1]))
 
 
 _MOST_RUNGS = 1600  # of a grid, unless more are asked for
 FIRST_RUNGS = 200
 """Rungs of a first grid."""
 
-_MOST_SUMS = 20_000  # rungs up to which all sums are told apart, where there is room
-_TYPICAL = 2.5  # cap of a first attempt, in costs given success of the safest policy
 _MARGIN = 1.02  # beyond what a price asks for: the price still moves a little
-_PRODUCTS = 50  # sums that are formed at once, times those that may be kept
 _FEW = 16  # layers that a step may pass before sums are thought of
 _STEPS_AHEAD = 32  # steps whose sums are counted
 _FEWER = 4  # times as many layers as sums make the sums worth while
@@ -98,48 +96,72 @@ class Rungs:
     turn: int = 0  # of refining
     fixed: tuple[float, ...] | None = None  # the totals themselves
 
-    def ladder(self, model: SSP, typical: float, room: int) -> Ladder:
+    def ladder(self, model: SSP, first: float, room: int, *, grows: bool = True) -> Ladder:
         """The ladder for a model.
 
         Args:
             model: the model.
-            typical: a cost given success.
+            first: the last total of a first attempt.
             room: rungs for which there is room.
+            grows: whether what arriving is charged still grows there.
         """
         steps = step_lattice(model)[1]
         if self.fixed is not None:
-            return Ladder(read_only(np.array(self.fixed)), steps)
-        cap = _TYPICAL * typical if self.cap is None else self.cap
-        cap = max(cap, _LEAST_STEPS * float(steps[-1])) or 1.0
-        most = self.most or min(_MOST_SUMS, _SUMS_PER_RUNG * self.grid)
-        sums = sums_of(steps, cap, min(most, room))
+            sums = sums_in(model, self.fixed[-1], len(self.fixed))
+            known = np.array(self.fixed[:-1])
+            complete = sums is not None and len(sums) == len(known) and np.allclose(sums, known)
+            return Ladder(read_only(np.array(self.fixed)), steps, complete)
+        cap = first if self.cap is None else self.cap
+        least = _LEAST_STEPS * float(steps[-1]) if grows else _SHARE * float(steps[1:2].sum())
+        cap = max(cap, least) or 1.0
+        most = self.most or min(MOST_SUMS, _SUMS_PER_RUNG * self.grid)
+        sums = sums_in(model, cap, min(most, room))
         if sums is not None:
-            return Ladder(read_only(np.append(sums, cap)), steps)
+            return Ladder(read_only(np.append(sums, cap)), steps, complete=True)
         moving = int(min(np.ceil(2.0 * cap / steps[1]), 1e9))  # a step must not round to nothing
-        rungs = max(self.grid, min(moving, self.most or _MOST_SUMS))
+        rungs = max(self.grid, min(moving, self.most or MOST_SUMS))
         return Ladder(read_only(np.linspace(0.0, cap, min(rungs, room) + 1)), steps)
 
-    def up_to(self, price: float) -> Rungs:
-        """With a cap at which failing is best, at a price that is about right."""
-        return replace(self, cap=_MARGIN * price) if self.cap is None and price > 0.0 else self
+    def up_to(self, total: float) -> Rungs:
+        """With a cap at which failing is best, where that is known to be about there."""
+        return replace(self, cap=_MARGIN * total) if self.cap is None and total > 0.0 else self
 
-    def finer(self, ladder: Ladder, price: float, most: int) -> Rungs | None:
-        """A higher or a finer ladder.
+    def finer(self, ladder: Ladder, enough: float | None, most: int) -> Rungs | None:
+        """A higher or a finer ladder; None: there is no room, or nothing to be gained.
 
         Args:
             ladder: the present one.
-            price: what failing is worth.
+            enough: total from which on failing is best, 0: unknown; None: the cap loses nothing.
             most: rungs that there is room for.
         """
-        cap, wanted = float(ladder.rungs[-1]), _MARGIN * price
-        if ladder.exact or _NEARBY * cap < wanted:
+        cap, wanted = float(ladder.rungs[-1]), _MARGIN * (enough or 0.0)
+        if enough is not None and (ladder.exact or _NEARBY * cap < wanted):
             higher = wanted if _NEARBY * cap < wanted <= 4.0 * cap else _GROWTH * cap
             return replace(self, cap=higher) if ladder.size < most else None
         finest, grid = min(self.most or _MOST_RUNGS, most), max(self.grid, ladder.size)
-        if grid >= finest:
+        if grid >= finest or ladder.exact:
             return None
-        higher = cap * _GROWTH if self.turn % 3 == 2 else cap  # either of the two may lose
+        lower = enough is not None and self.turn % 3 == 2  # either of the two may lose
+        higher = cap * _GROWTH if lower else cap
         return replace(self, cap=higher, grid=min(2 * grid, finest), turn=self.turn + 1)
+
+
+def rungs_for(model: SSP, asked: int | None, cap: float | None, *, of_law: bool) -> Rungs | None:
+    """What is asked of a ladder; None where multiples of a unit serve.
+
+    They do not where costs that are told apart have no common unit, or one so small that the sums
+    that can occur are far fewer than its multiples.
+
+    Args:
+        model: the model.
+        asked: rungs at most, as a user says; None: nothing is said.
+        cap: the last total, likewise.
+        of_law: whether steps into the goal have to be told apart as well.
+    """
+    if asked is not None:
+        return Rungs(cap, grid=min(int(asked), FIRST_RUNGS), most=int(asked))
+    found = wanted_rungs_of_law(model) if of_law else wanted_rungs(model)
+    return found if found is None or cap is None else replace(found, cap=cap)
 
 
 @kept
@@ -149,62 +171,32 @@ def wanted_rungs(model: SSP) -> Rungs | None:
     Args:
         model: the model.
     """
-    if uniform_cost(model) is not None:
-        return None
-    steps = step_lattice(model)[1]
-    if len(steps) <= 2:
-        return None
-    try:
-        unit = common_unit(steps, model.exact_costs)
-        per_step = int(layers_of(steps[-1:], unit, model.exact_costs)[0])
-    except ModelError:
-        return Rungs()
-    if per_step <= _FEW:
-        return None
-    layers = _STEPS_AHEAD * per_step
-    sums = sums_of(steps, _STEPS_AHEAD * float(steps[-1]), min(layers // _FEWER, _MOST_SUMS))
-    if sums is not None:
-        return Rungs(most=_MOST_SUMS)
-    return Rungs() if layers * model.n_pairs > _MOST_ENTRIES else None
+    return _wanted(model, step_lattice(model)[1][:1])
 
 
 @kept
-def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
-    """The model's distinct step costs in place of layers: each outcome's position among them.
-
-    Args:
-        model: the model.
-
-    Returns:
-        A lattice of one layer per distinct cost, and the costs, the first of which is 0.
-    """
-    going_on = ~(dead_ends(model) | model.goal_mask)
-    found = [np.zeros(1)]
-    for some in chunks(model.n_outcomes):
-        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
-        found.append(np.unique(model.costs[some][moving]))
-    steps = np.unique(np.concatenate(found))
-    ahead = np.zeros(model.n_outcomes, dtype=np.int32)
-    for some in chunks(model.n_outcomes):
-        moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
-        ahead[some] = np.where(moving, np.searchsorted(steps, model.costs[some]), 0)
-    return Lattice(Fraction(1), ahead, len(steps)), read_only(steps)
+def wanted_rungs_of_law(model: SSP) -> Rungs | None:
+    """The same where the steps into the goal have to be told apart as well."""
+    return _wanted(model, last_steps(model)[1])
 
 
-def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """The sums of steps below a cap, increasing; None: there are more than so many."""
-    moves, found = steps[1:], np.zeros(1)
-    fresh, chunk = found, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
-    while fresh.size:
-        together = found
-        for begin in range(0, fresh.size, chunk):
-            reached = (fresh[begin : begin + chunk, None] + moves).ravel()
-            reached = reached[reached < cap * (1.0 - _SAME)]
-            together = np.unique(np.concatenate([together, reached]))
-            together = together[np.diff(together, prepend=-np.inf) > _SAME * cap]
-            if together.size > most:
-                return None
-        near = np.searchsorted(found, together - _SAME * cap)
-        known = np.append(found, np.inf)[np.minimum(near, found.size)] - together <= _SAME * cap
-        fresh, found = together[~known], together
-    return found
+def _wanted(model: SSP, last: FloatArray) -> Rungs | None:
+    """What a ladder needs, beside steps that only end a run, [steps]."""
+    if uniform_cost(model) is not None:
+        return None
+    steps = step_lattice(model)[1]
+    every = np.union1d(steps, last)
+    if len(every) <= 2:
+        return None
+    ahead = _STEPS_AHEAD * float(every[-1])
+    try:
+        unit = common_unit(every, model.exact_costs)
+        per_step = int(layers_of(every[-1:], unit, model.exact_costs)[0])
+    except ModelError:
+        return Rungs() if sums_in(model, ahead, MOST_SUMS) is None else Rungs(most=MOST_SUMS)
+    if per_step <= _FEW:
+        return None
+    layers = _STEPS_AHEAD * per_step
+    if sums_in(model, ahead, min(layers // _FEWER, MOST_SUMS)) is not None:
+        return Rungs(most=MOST_SUMS)
+    return Rungs() if layers * model.n_pairs > _MOST_ENTRIES else None

@@ -1,0 +1,170 @@
+"""How much mass of a policy's chain arrives at the goal at which total cost, sum after sum.
+
+Where costs have no common unit worth counting in, the sums that occur are followed one by one, in
+increasing order. They are whole numbers of a unit all the same, however small: a float means its
+shortest decimal, so that two ways to one sum meet in one number, exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from fractions import Fraction
+from heapq import heappop, heappush
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.analysis.total_cost.live_chain import FreeMoves, Live
+from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray
+from ssp_lp.errors import ModelError
+from ssp_lp.processes.totals.lattice import common_unit, exact_cost
+
+_FIRST_STEPS = 8  # of the dearest kind
+_MOST_SUMS = 50_000  # followed one by one, some seconds
+_MOST_KINDS = 64  # of steps by cost
+_EARLY = 2_000  # sums after which some of the runs must have arrived
+_SOME = 0.05  # share of those that succeed
+
+
+class TooManySumsError(ModelError):
+    """A question needs more sums than are followed one by one."""
+
+
+class Sums:
+    """A sweep over the sums of a chain's costs. Mutable: it grows.
+
+    The interface is that of ``Arrivals``, a layer being a multiple of a tiny unit.
+    """
+
+    leaps = False
+
+    def __init__(self, live: Live, exact_costs: Mapping[float, Fraction]) -> None:
+        """Begin at total cost 0, nothing settled."""
+        self.settled, self._followed = 0, 0
+        kinds, kind = np.unique(live.paid, return_inverse=True)
+        self.unit = common_unit(kinds, exact_costs)
+        exact = [exact_costs.get(c, exact_cost(c)) for c in kinds.tolist()]
+        self._steps = [int(c / self.unit) for c in exact]
+        self._live, self._size = live, len(live.start)
+        goal = self._size - 1
+        free = (live.paid == 0.0) & (live.target != goal)
+        self._free = FreeMoves(live, free) if free.any() else None
+        onward = (live.source[~free], kind[~free] * self._size + live.target[~free])
+        shape = (goal, len(kinds) * self._size)
+        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
+        nodes = np.flatnonzero(live.start)
+        self._pending: dict[int, list[tuple[IntArray, FloatArray]]] = {}
+        self._next: list[int] = []
+        self._send(0, nodes, live.start[nodes])
+        self._layers: list[int] = []
+        self._masses: list[float] = []
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether nothing waits any more: every atom is known."""
+        return not self._next
+
+    def cost_of(self, layers: IntArray) -> FloatArray:
+        """Total cost of whole layers, rounded once, like ``layers``."""
+        up, down = self.unit.numerator, self.unit.denominator
+        found = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
+        return np.array(found, dtype=np.float64).reshape(np.shape(layers))
+
+    def last_layer(self, bound: float | Fraction) -> int:
+        """The last layer of a total of at most a bound, which may be a sum rounded otherwise."""
+        return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
+
+    def atoms(self) -> tuple[IntArray, FloatArray]:
+        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
+        return np.array(self._layers, dtype=object), np.array(self._masses, dtype=np.float64)
+
+    def followed(self, enough: int | None = None) -> Iterator[int]:
+        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
+
+        Yields:
+            How many layers are settled; at least once.
+
+        Raises:
+            TooManySumsError: there are too many sums before it.
+        """
+        yield self.settled
+        while not self.exhausted:
+            ahead = max(2 * self.settled, _FIRST_STEPS * max(self._steps, default=1), 1)
+            self.settle(ahead if enough is None else min(ahead, enough))
+            yield self.settled
+
+    def settle(self, layers: int) -> None:
+        """Settle all layers below the given number.
+
+        Raises:
+            TooManySumsError: there are too many sums below it.
+        """
+        while self._next and self._next[0] < layers:
+            self._followed += 1
+            if not self._are_few:
+                raise TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
+            self._settle_one(heappop(self._next))
+        self.settled = max(self.settled, layers)
+
+    @property
+    def _are_few(self) -> bool:
+        """Whether there is hope that the sums come to an end of what is asked."""
+        if self._followed <= _EARLY:
+            return self._followed <= _MOST_SUMS and len(self._steps) <= _MOST_KINDS
+        arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
+        goal = float(self._live.start @ self._live.goal)
+        return self._followed <= _MOST_SUMS and arrived >= _SOME * goal
+
+    @property
+    def frontier(self) -> float:
+        """The total cost from which on nothing is settled."""
+        return float(self.settled * self.unit)
+
+    def arrived(self, layer: int) -> float:
+        """Pr(goal, C lies below the layer), which is settled."""
+        known = sum(1 for found in self._layers if found < layer)
+        return float(np.sum(self._masses[:known]))
+
+    def remaining(self, layer: int | None = None) -> tuple[float, float]:
+        """Of the runs that arrive at what is not settled: Pr(goal), and E[C - frontier; goal]."""
+        goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
+        for begun, parts in self._pending.items():
+            delay = float((begun - frontier) * self.unit)
+            for nodes, masses in parts:
+                reached = float(masses @ self._live.goal[nodes])
+                goal += reached
+                cost += delay * reached + float(masses @ self._live.cost[nodes])
+        return goal, cost
+
+    def first_reaching(self, mass: float) -> int:
+        """Where leaps only: never."""
+        raise ModelError(f"no leap to a mass of {mass:g}: sums are followed one by one")
+
+    def _settle_one(self, layer: int) -> None:
+        parts = self._pending.pop(layer)
+        nodes = np.concatenate([part[0] for part in parts])
+        masses = np.concatenate([part[1] for part in parts])
+        arrived = float(masses[nodes == self._size - 1].sum())
+        if arrived > 0.0:
+            self._layers.append(layer)
+            self._masses.append(arrived)
+        found = np.bincount(nodes, weights=masses, minlength=self._size)[:-1]
+        visits = found.astype(np.float64)
+        if self._free is not None:
+            visits = self._free.spread(visits)
+        active = np.flatnonzero(visits)
+        if active.size == 0:
+            return
+        moves = self._onward[active]
+        share = moves.data * np.repeat(visits[active], np.diff(moves.indptr))
+        kind, target = np.divmod(moves.indices.astype(np.int64), self._size)
+        for one in np.unique(kind).tolist():
+            chosen, ahead = kind == one, layer + self._steps[one]
+            self._send(ahead, target[chosen], share[chosen])
+
+    def _send(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
+        """Let mass wait for its layer."""
+        if layer not in self._pending:
+            self._pending[layer] = []
+            heappush(self._next, layer)
+        self._pending[layer].append((nodes, masses))

@@ -1,0 +1,1 @@
+"""Total costs: the multiples of a unit, the sums that can occur, and grids."""

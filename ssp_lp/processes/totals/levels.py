@@ -1,0 +1,65 @@
+"""The totals that the rows of a layered process stand for, and which step leads where.
+
+Where costs have a common unit every multiple of it is a row, and a step leads as many rows ahead as
+it has units. Elsewhere the rows are the sums of steps that can occur (``ladder.py``): then a table
+says where each kind of step leads. A step beyond the cap leads to a total of its own, at which a
+tail takes over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.processes.totals.ladder import Ladder
+from ssp_lp.processes.totals.lattice import totals_of
+from ssp_lp.processes.totals.sums import room_of
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Totals in increasing order; from the cap on they are those at which tails take over."""
+
+    totals: FloatArray  # [rows]
+    cap: int  # rows below the cap
+    ahead: IntArray | None = None  # [cap, kinds] row that a step leads to, less the next row
+
+    @classmethod
+    def of_lattice(cls, unit: Fraction, cap: int, width: int) -> Levels:
+        """Every multiple of a unit.
+
+        Args:
+            unit: cost of one row.
+            cap: rows.
+            width: rows that one step can reach: 0 .. width - 1 ahead.
+        """
+        return cls(read_only(totals_of(np.arange(cap + width - 1), unit)), cap)
+
+    @classmethod
+    def of_sums(cls, ladder: Ladder) -> Levels:
+        """The sums below the last rung, and where steps lead from them."""
+        below, last = ladder.rungs[:-1], float(ladder.rungs[-1])
+        room = room_of(ladder.steps, last)
+        reached = below[:, None] + ladder.steps[1:]
+        beyond = np.unique(reached[reached >= last - room])
+        beyond = beyond[np.diff(beyond, prepend=-np.inf) > room]
+        totals = np.concatenate([below, beyond])
+        row = np.searchsorted(totals, reached - room)
+        ahead = row - np.arange(1, len(below) + 1)[:, None]
+        return cls(read_only(totals), len(below), read_only(ahead))
+
+    def leads(self, kinds: int) -> IntArray:
+        """The row that each kind of step leads to from each row below the cap, [cap, kinds]."""
+        here = np.arange(self.cap)[:, None]
+        if self.ahead is None:
+            return here + np.arange(kinds)
+        return np.concatenate([here, here + 1 + self.ahead], axis=1)
+
+    @property
+    def span(self) -> int:
+        """Rows that must be at hand: the farthest that a step leads to, and all beyond the cap."""
+        beyond = len(self.totals) - self.cap
+        return beyond if self.ahead is None else max(beyond, int(self.ahead.max(initial=-1)) + 1)

@@ -1,0 +1,141 @@
+"""The steps of a model by what they cost, and the sums of them that can occur."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges, read_only
+from ssp_lp.model import SSP
+from ssp_lp.model.chunks import chunks
+from ssp_lp.model.graph.kept import kept
+from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.processes.totals.lattice import Lattice
+
+MOST_SUMS = 20_000
+"""Sums up to which all of them are told apart, where there is room."""
+
+_PRODUCTS = 50  # sums that are formed at once, times those that may be kept
+_MOST_PLACES = 300_000  # states times sums that are followed through a model
+_MOST_ROUNDS = 1_000
+_SAME = 1e-11
+"""Totals this near to each other, relative to the cap, are one summed in two ways; yet never so far
+from each other as a small share of the cheapest step."""
+
+_SHARE = 1e-3  # of the cheapest step
+
+
+@kept
+def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
+    """The model's distinct step costs in place of layers: each outcome's position among them.
+
+    Args:
+        model: the model.
+
+    Returns:
+        A lattice of one layer per distinct cost, and the costs, the first of which is 0.
+    """
+    return _kinds(model, ~(dead_ends(model) | model.goal_mask))
+
+
+@kept
+def last_steps(model: SSP) -> tuple[Lattice, FloatArray]:
+    """The same of the steps into the goal, which no total below the cap has to be made of."""
+    return _kinds(model, model.goal_mask)
+
+
+def _kinds(model: SSP, counted: BoolArray) -> tuple[Lattice, FloatArray]:
+    """Distinct costs of the steps into some states, [states], and each outcome's place there."""
+    found = [np.zeros(1)]
+    for some in chunks(model.n_outcomes):
+        moving = counted[model.successors[some]] & (model.probabilities[some] > 0)
+        found.append(np.unique(model.costs[some][moving]))
+    steps = np.unique(np.concatenate(found))
+    ahead = np.zeros(model.n_outcomes, dtype=np.int32)
+    for some in chunks(model.n_outcomes):
+        moving = counted[model.successors[some]] & (model.probabilities[some] > 0)
+        ahead[some] = np.where(moving, np.searchsorted(steps, model.costs[some]), 0)
+    return Lattice(Fraction(1), ahead, len(steps)), read_only(steps)
+
+
+def room_of(steps: FloatArray, cap: float) -> float:
+    """Totals up to a cap that differ by so little are one.
+
+    Args:
+        steps: distinct costs of a step, the first of which is 0, [steps].
+        cap: the greatest total.
+    """
+    cheapest = float(steps[1]) if len(steps) > 1 else cap
+    return min(_SAME * cap, _SHARE * cheapest)
+
+
+def sums_of(steps: FloatArray, cap: float, most: int) -> FloatArray | None:
+    """The sums of steps below a cap, increasing; None: there are more than so many."""
+    moves, found, room = steps[1:], np.zeros(1), room_of(steps, cap)
+    if moves.size and cap > (most + 1) * float(moves[0]):
+        return None  # the multiples of the cheapest are too many
+    fresh, chunk = found, max(_PRODUCTS * (most + 1) // max(moves.size, 1), 1)
+    while fresh.size:
+        together = found
+        for begin in range(0, fresh.size, chunk):
+            reached = (fresh[begin : begin + chunk, None] + moves).ravel()
+            reached = reached[reached < cap - room]
+            together = np.unique(np.concatenate([together, reached]))
+            together = together[np.diff(together, prepend=-np.inf) > room]
+            if together.size > most:
+                return None
+        near = np.searchsorted(found, together - room)
+        known = np.append(found, np.inf)[np.minimum(near, found.size)] - together <= room
+        fresh, found = together[~known], together
+    return found
+
+
+def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
+    """The sums of steps below a cap that can occur in a model, increasing; None: too many.
+
+    All sums of steps, if these are few, else those that some walk through the model makes.
+    """
+    steps = step_lattice(model)[1]
+    found = sums_of(steps, cap, most)
+    return _walked(model, steps, cap, most) if found is None else found
+
+
+def _walked(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
+    """The sums that walks from any state make, by breadth."""
+    n, room = model.n_states, room_of(steps, cap)
+    if not cap / room * n < 2.0**62:
+        return None
+    offsets, target, paid = _edges(model)
+    state, total = np.arange(n), np.zeros(n)
+    known, sums = np.arange(n), np.zeros(1)  # places: number of the total, then the state
+    for _ in range(_MOST_ROUNDS):
+        count = offsets[state + 1] - offsets[state]
+        edge = concatenated_ranges(offsets[state], count)
+        reached = np.repeat(total, count) + paid[edge]
+        inside = reached < cap - room
+        place = np.rint(reached[inside] / room).astype(np.int64) * n + target[edge[inside]]
+        place, first = np.unique(place, return_index=True)
+        fresh = ~np.isin(place, known, assume_unique=True)
+        if not fresh.any():
+            every = np.unique(sums)
+            every = every[np.diff(every, prepend=-np.inf) > room]
+            return every if every.size <= most else None
+        known = np.concatenate([known, place[fresh]])
+        sums = np.unique(np.append(sums, reached[inside][first[fresh]]))
+        if known.size > _MOST_PLACES:
+            return None
+        state, total = place[fresh] % n, reached[inside][first[fresh]]
+    return None
+
+
+def _edges(model: SSP) -> tuple[IntArray, IntArray, FloatArray]:
+    """The distinct (successor, cost) of each state's steps that go on: offsets, both."""
+    pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
+    ended = dead_ends(model) | model.goal_mask
+    moving = (model.probabilities > 0.0) & ~ended[model.successors] & ~ended[model.pair_state[pair]]
+    source = model.pair_state[pair[moving]].astype(np.float64)
+    every = np.stack([source, model.successors[moving], model.costs[moving]], axis=1)
+    every = np.unique(every, axis=0)
+    begin = np.searchsorted(every[:, 0], np.arange(model.n_states + 1))
+    return begin, every[:, 1].astype(np.int64), every[:, 2]
