@@ -13,20 +13,18 @@ from ssp_lp.arrays import (
     IntArray,
     least_integer_type,
 )
-from ssp_lp.column_generation.pricing.layer_costs import Summands, priced_layers, summed_layers
+from ssp_lp.column_generation.pricing.layer_bounds import bound_free_steps, bound_layer
+from ssp_lp.column_generation.pricing.layer_costs import priced_layers, summed_layers
 from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
-    backup_rounding,
     best_pairs,
     chosen_product,
-    safe_minima,
     unsigned_parts,
 )
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.policy_iteration.approach import approach
 from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 from ssp_lp.dynamic_programming.work import Work
@@ -69,8 +67,8 @@ class LayeredPricing:
         """The first tail, which goes for the goal, followed from the start."""
         base, tails = self.process.base, self.process.tails
         nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
-        cost, goal = float(base.start @ nothing_paid), float(base.start @ tails.goal[0])
-        cost += self.process.start_charge
+        cost = float(base.start @ nothing_paid) + self.process.start_charge
+        goal = float(base.start @ tails.goal[0])
         failure = float(base.start @ tails.first.failure) + base.start_failure
         policy = DeterministicPolicy(base.quotient.model, tails.decisions[0])
         return Column(cost, failure, goal + base.start_goal, None, policy=policy)
@@ -207,8 +205,9 @@ class LayeredPricing:
         the cap and the one with the lower bound there.
         """
         failing = 0.0 if slack else price
-        beyond = self._tail_values(price, failing)
-        reached = self._swept(price, failing, self._anything, beyond).bound
+        reached = self._swept(
+            price, failing, self._anything, self._tail_values(price, failing)
+        ).bound
         return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
 
     def _swept(self, price: float, failing: float, values: FloatArray, beyond: FloatArray) -> Proof:
@@ -219,8 +218,7 @@ class LayeredPricing:
         if self._one_pass is not None:
             given = np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
             checked = self._one_pass.lowest(owed, saved, given, beyond)
-            kept = checked if values.size <= _KEPT_VALUES else self._anything
-            return self._proof(price, failing, checked[0], kept)
+            return self._proof(price, failing, checked[0], checked)
         summed = summed_layers(self.process, owed, saved)
         kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else self._anything
         window, inner = self.process.window(beyond), self._first_choice
@@ -229,12 +227,12 @@ class LayeredPricing:
             check_time()
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
-                parts, sums = (base.pair_offsets, base.later), summed(layer)
-                weighed = sums.cost, sums.magnitude, sums.alone
-                lowest = np.minimum(safe_minima(*parts, *weighed, window.flat), given)
+                lowest = np.minimum(bound_layer(base, summed(layer), window.flat), given)
             else:
-                lowest, inner = self._safe_cycles(summed(layer), window, given, inner, floor)
-            if kept is not self._anything:
+                lowest, inner = bound_free_steps(
+                    base, summed(layer), window.flat, given, inner, floor
+                )
+            if kept.flags.writeable:
                 kept[layer] = lowest
             window.push(lowest)
         return self._proof(price, failing, lowest, kept)
@@ -244,24 +242,12 @@ class LayeredPricing:
     ) -> Proof:
         """The bound that values of the first layer give, [nodes]; all of them are kept."""
         base = self.process.base
-        ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
-        parts = np.append(base.start * lowest, [*ended, self.process.start_charge])
+        ended = failing * base.start_failure, -(price - failing) * base.start_goal
+        parts = np.append(base.start * lowest, (*ended, self.process.start_charge))
         loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
         bound = float(parts.sum()) - max(float(loss), 0.0)
-        return Proof(price, failing, bound, checked, Work(self.process.cap, 0))
-
-    def _safe_cycles(
-        self, sums: Summands, window: Window, given: FloatArray, inner: IntArray, floor: float
-    ) -> tuple[FloatArray, IntArray]:
-        """Checked values of a layer with steps inside it, [nodes], and its best choice."""
-        base = self.process.base
-        growth = 0.0 if sums.cost.slope is None else sums.cost.factor * sums.cost.slope
-        size = (sums.magnitude + growth) + base.later @ np.abs(window.flat)
-        ahead = (sums.cost.fixed + growth) + base.later @ window.flat
-        ahead = np.where(size == sums.alone, ahead, ahead - backup_rounding(base.later) * size)
-        settled = improve(base.instant_dynamics, ahead[:, None], _ONE, inner)
-        given = np.minimum(settled.values, given)
-        return sub_solution(base.instant_dynamics, ahead, given, floor), settled.choice
+        kept = checked if checked.size <= _KEPT_VALUES else self._anything
+        return Proof(price, failing, bound, kept, Work(self.process.cap, 0))
 
     @cached_property
     def _one_pass(self) -> OnePass | None:
