@@ -45,7 +45,7 @@ from ssp_lp.processes.failure_semantics import (
     parse_give_up,
     start_distribution,
 )
-from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Utility
+from ssp_lp.processes.layered.charges import TOTAL_COST, Utility
 from ssp_lp.processes.layered.measures_of_law import (
     CostQuantileOf,
     ExpectedUtility,

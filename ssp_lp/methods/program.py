@@ -20,7 +20,7 @@ from ssp_lp.methods.rows.solving import optimum_of
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, unrolled
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.layered.arrival_cost import TOTAL_COST
+from ssp_lp.processes.layered.charges import TOTAL_COST
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.processes.layered.open_ended import OpenEnded
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW

@@ -28,7 +28,7 @@ from ssp_lp.model.graph.reachability import (
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.layered.arrival_cost import TailValues
+from ssp_lp.processes.layered.charges import TailValues
 from ssp_lp.processes.live_rows import RowChoice, live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
 

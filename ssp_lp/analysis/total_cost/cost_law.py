@@ -21,7 +21,7 @@ from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import as_percentage, start_distribution
-from ssp_lp.processes.layered.arrival_cost import Utility, utilities
+from ssp_lp.processes.layered.charges import Utility, utilities
 from ssp_lp.processes.layered.measures_of_law import TailMeanOf
 
 _NOTHING = 1e-17  # of a sum: less than its rounding

@@ -28,7 +28,7 @@ from ssp_lp.processes.goal_reach import (
     least_goal_reach,
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
-from ssp_lp.processes.layered.arrival_cost import TailValues
+from ssp_lp.processes.layered.charges import TailValues
 from ssp_lp.processes.layered.process import LayeredProcess, Tails
 
 _FIRST_LAYERS = 2.5

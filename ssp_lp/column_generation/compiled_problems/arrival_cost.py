@@ -25,7 +25,7 @@ from ssp_lp.processes.goal_reach import (
     least_goal_reach,
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
-from ssp_lp.processes.layered.arrival_cost import Charge, ExponentialReward, TailValues
+from ssp_lp.processes.layered.charges import Charge, ExponentialReward, TailValues
 from ssp_lp.processes.layered.exponential_utility import MomentReach, cost_horizon, greatest_moment
 from ssp_lp.processes.layered.process import LayeredProcess, Tails
 from ssp_lp.processes.totals.ladder import Ladder

@@ -22,7 +22,7 @@ from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_f
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
 from ssp_lp.processes.goal_reach import cheapest, greatest_goal_reach, least_goal_reach
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
-from ssp_lp.processes.layered.arrival_cost import Charge
+from ssp_lp.processes.layered.charges import Charge
 from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, first_total, truncates
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.totals.ladder import Ladder, Rungs

@@ -14,7 +14,7 @@ from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.risk.question import Question, Trial, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
-from ssp_lp.processes.layered.arrival_cost import Late
+from ssp_lp.processes.layered.charges import Late
 from ssp_lp.solution import Run, Solution
 
 

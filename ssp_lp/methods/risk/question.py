@@ -27,7 +27,7 @@ from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, by_rows, compiled_constrained
-from ssp_lp.processes.layered.arrival_cost import Charge, Excess, Late, TotalCost
+from ssp_lp.processes.layered.charges import Charge, Excess, Late, TotalCost
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 

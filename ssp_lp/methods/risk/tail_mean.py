@@ -34,7 +34,7 @@ from ssp_lp.methods.risk.question import Question, Trial, remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.processes.layered.arrival_cost import Excess
+from ssp_lp.processes.layered.charges import Excess
 from ssp_lp.solution import Run, Solution
 
 _TIED = 1e-12  # relative difference of values that is rounding

@@ -21,7 +21,7 @@ from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
 from ssp_lp.model import SSP
 from ssp_lp.processes.expectations import costless_pairs, successor_means
 from ssp_lp.processes.goal_reach import GoalReach
-from ssp_lp.processes.layered.arrival_cost import TailValues
+from ssp_lp.processes.layered.charges import TailValues
 from ssp_lp.processes.quotient import Quotient, build_quotient
 
 _ROUNDING = 2.0

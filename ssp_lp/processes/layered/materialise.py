@@ -7,7 +7,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.layered.arrival_cost import TailValues
+from ssp_lp.processes.layered.charges import TailValues
 from ssp_lp.processes.layered.process import LayeredProcess
 
 

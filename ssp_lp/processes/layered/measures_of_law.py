@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from fractions import Fraction
 from typing import Protocol
 
-from ssp_lp.processes.layered.arrival_cost import (
+from ssp_lp.processes.layered.charges import (
     TOTAL_COST,
     Charge,
     ExponentialReward,

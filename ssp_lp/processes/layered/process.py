@@ -11,8 +11,8 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_t
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.arrival_charges import ArrivalCharges
-from ssp_lp.processes.layered.arrival_cost import TOTAL_COST, Charge, TailValues
+from ssp_lp.processes.layered.charges import TOTAL_COST, Charge, TailValues
+from ssp_lp.processes.layered.charges_by_layer import ArrivalCharges
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.levels import Levels
 from ssp_lp.processes.totals.window import Window

@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.arrival_cost import Charge, TotalCost
+from ssp_lp.processes.layered.charges import Charge, TotalCost
 from ssp_lp.processes.totals.lattice import totals_of
 
 _TABLE = 1_000_000
