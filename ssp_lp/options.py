@@ -214,10 +214,11 @@ def progress_shown(asked: bool = True) -> Iterator[None]:
         >>> with progress_shown():
         ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
     """
-    logger, shown = logging.getLogger(LOGGER), _Lines(sys.stderr)
+    logger = logging.getLogger(LOGGER)
     if not asked or any(isinstance(known, _Lines) for known in logger.handlers):
         yield  # nothing, or it is shown already
         return
+    shown = _Lines(sys.stderr)
     level, passed_on = logger.level, logger.propagate
     logger.addHandler(shown)
     logger.setLevel(logging.DEBUG)

@@ -154,6 +154,10 @@ def pieces(length: int, entries: int) -> Iterator[slice]:
         entries: that it passes over in all.
     """
     count = max(-(-entries // _PIECE), 1)
+    if count == 1:
+        check_time()
+        yield slice(0, length)
+        return
     bounds = np.linspace(0, length, count + 1).astype(np.int64).tolist()
     for begin, end in pairwise(bounds):
         check_time()
