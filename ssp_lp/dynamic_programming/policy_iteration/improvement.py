@@ -180,8 +180,7 @@ def _rounds(
     """
     transitions, pair_cost = dynamics.transitions, weighted(rewards, weights)
     accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES else _FINE
-    choice, work, rounds = latest[0], Work(), 0
-    changed_before = np.inf
+    choice, work, rounds, changed_before = latest[0], Work(), 0, np.inf
     before: IntArray | None = None
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
@@ -189,8 +188,8 @@ def _rounds(
         system, choice = _chain_of(dynamics, choice, before)
         latest[0] = choice
         totals = system.solve(rewards[choice], totals, accuracy)
-        work, rounds = work + Work(1, system.products), rounds + 1
         spent, system.products = system.products, 0
+        work, rounds = work + Work(1, spent), rounds + 1
         values = weighted(totals, weights)
         if accuracy <= _FINE and above is not None and _rises(values, above):
             raise SolverError("a policy that was to improve the last one is worse")
@@ -199,7 +198,6 @@ def _rounds(
         if not better.any() and accuracy > _FINE:
             accuracy = _FINE
             if not system.is_solved_exactly:
-                above = None
                 continue
             better, gain, scale = _gains(backup, values, accuracy)  # only noise was thought greater
         above = values if accuracy <= _FINE else None
@@ -211,8 +209,8 @@ def _rounds(
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
             work = work + _swept(dynamics, pair_cost, choice, values, system, spent)
-        changed_before = changed
-        accuracy = min(_FORCING * gain / scale if gain > _LAST_GAINS * scale else _FINE, accuracy)
+        changed_before, wanted = changed, _FORCING * gain / scale
+        accuracy = min(wanted if gain > _LAST_GAINS * scale else _FINE, accuracy)
 
 
 def _chain_of(

@@ -56,16 +56,9 @@ def least_quantile(
         late = is_late()
         if late and kept is None:
             raise Stop(told=_known(question, refuted))
-    while low - refuted > 1 and not (places.sharp or late):
-        middle = (low + refuted) // 2
-        try:
-            trial = question.attempt(Late(places.total(middle)), options)
-        except STOPS as stop:
-            heed(stop)
-            break
-        calls, is_low = calls + trial.calls, is_refuted(trial, level)
-        low, refuted = (low, middle) if is_low else (middle, refuted)
-        late = is_late()
+    if not places.sharp:
+        refuted, more = _greatest_refuted(question, level, options, refuted, low)
+        calls += more
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
     found = Found(
@@ -77,6 +70,23 @@ def least_quantile(
     )
     reason = f"bisection over cost bounds, {calls} pricing calls"
     return assembled(problem, found, Run(options.method, reason, calls, 0.0))
+
+
+def _greatest_refuted(
+    question: Question, level: float, options: SolveOptions, refuted: int, low: int
+) -> tuple[int, int]:
+    """The greatest number up to ``low`` that a proof refutes, as far as time allows; the calls."""
+    calls = 0
+    while low - refuted > 1 and not is_late():
+        middle = (low + refuted) // 2
+        try:
+            trial = question.attempt(Late(question.thresholds.total(middle)), options)
+        except STOPS as stop:
+            heed(stop)
+            break
+        calls, is_low = calls + trial.calls, is_refuted(trial, level)
+        low, refuted = (low, middle) if is_low else (middle, refuted)
+    return refuted, calls
 
 
 def _known(question: Question, refuted: int) -> str:

@@ -43,20 +43,7 @@ def true_lottery(
     Returns:
         None where none of them keeps to the rows: the grid is too coarse.
     """
-    pricing, order = compiled.pricing, np.argsort(weights @ pool.figures, kind="stable")
-    best = pool.columns[int(order[0])]
-    least = np.where(
-        rows.bounds > 0.0, weights[0] * float(best.figures @ weights) / rows.scales, 0.0
-    )
-    # where nothing is limited the best will do; else what breaks a limit by rounding needs a policy
-    # on the other side
-    limited = compiled.ratio or rows.index.size > 0
-    points = [pool.columns[k] for k in order[: _MOST if limited else 1].tolist()]
-    for factor in _STEEPER if limited else ():
-        steeper = weights.copy()
-        steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
-        points.append(pricing.minimise(steeper, best))
-    policies = [pricing.policy(point) for point in points]
+    policies = _candidates(compiled, rows, pool, weights)
     true = np.stack([figures(policy) for policy in policies], axis=1)
     taken, limits = true[rows.index], (rows.bounds, rows.scales)
     cost, failure = true[0], true[1]
@@ -77,6 +64,28 @@ def true_lottery(
             break
         chosen, ratio = found.weights, attained
     return _lottery(policies, chosen), float(failure @ chosen)
+
+
+def _candidates(
+    compiled: CompiledConstrained, rows: Rows, pool: Pool, weights: FloatArray
+) -> list[Policy]:
+    """The best policies of the search and, where something is limited, some of steeper prices.
+
+    What breaks a limit by rounding needs a policy on the other side.
+    """
+    pricing, order = compiled.pricing, np.argsort(weights @ pool.figures, kind="stable")
+    best = pool.columns[int(order[0])]
+    if not compiled.ratio and rows.index.size == 0:
+        return [pricing.policy(best)]
+    least = np.where(
+        rows.bounds > 0.0, weights[0] * float(best.figures @ weights) / rows.scales, 0.0
+    )
+    points = [pool.columns[k] for k in order[:_MOST].tolist()]
+    for factor in _STEEPER:
+        steeper = weights.copy()
+        steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
+        points.append(pricing.minimise(steeper, best))
+    return [pricing.policy(point) for point in points]
 
 
 def _lottery(policies: list[Policy], weights: FloatArray) -> MixedPolicy:

@@ -128,11 +128,8 @@ def accumulate_cost(
     exits = attention_states(model) if usable is None else None
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
-    if by_steps:
-        (lattice, _), (arriving, last) = step_lattice(model), last_steps(model)
-    else:
-        lattice = lattice_of(model, going_on | model.goal_mask if arrivals else going_on)
-        arriving, last = lattice, None
+    counted = going_on | model.goal_mask if arrivals else going_on
+    lattice, arriving, last = _kinds_of_steps(model) if by_steps else _multiples(model, counted)
     instant, later = _steps(quotient, lattice, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     acting = quotient.pair_at >= 0
@@ -153,6 +150,17 @@ def accumulate_cost(
         last_steps=last,
     )
     return base if discount is not None or instant.nnz == 0 else _departing(base)
+
+
+def _kinds_of_steps(model: SSP) -> tuple[Lattice, Lattice, FloatArray | None]:
+    """Distinct costs of steps as layers; those into the goal, and what these cost, [kinds]."""
+    return step_lattice(model)[0], *last_steps(model)
+
+
+def _multiples(model: SSP, counted: BoolArray) -> tuple[Lattice, Lattice, FloatArray | None]:
+    """Multiples of the common unit of the steps into some states, [states], for all steps."""
+    lattice = lattice_of(model, counted)
+    return lattice, lattice, None
 
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
