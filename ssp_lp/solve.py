@@ -83,14 +83,14 @@ def solve(
     options = options_of(chosen, tolerance, began, time_limit, progress)
     _check_method(problem, chosen)
     with progress_shown(verbose):
-        return _as_stated(problem, _proved(unrolled(problem), chosen, options), method, began)
+        return _as_stated(problem, _proved(problem, chosen, options), method, began)
 
 
 def _proved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
     """The answer, checked; its note says where the tolerance is missed."""
     try:
         with until(options.deadline) as deadline:
-            solution = _solved(problem, method, options)
+            solution = _solved(unrolled(problem), method, options)
     except Stop as stop:
         raise _unanswered(deadline, stop) from None
     _check_answer(solution)

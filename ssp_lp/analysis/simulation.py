@@ -17,6 +17,7 @@ from ssp_lp.analysis.failure_costs import state_give_up_charges
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.discretisation.simulator import WorldSimulator
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.nearest import ByName
 from ssp_lp.model.terminal_outcomes import end_marks
@@ -171,6 +172,8 @@ def simulate(
     _check_asked(episodes, max_steps, record, confidence)
     played_by, asked = on_one_model(policy, problem, "simulate")
     world_of = simulator
+    if isinstance(simulator, WorldSimulator):
+        simulator.check_model(problem.model)
     if world_of is None:
         world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
     if isinstance(asked.model, HorizonSSP) and asked is not problem:

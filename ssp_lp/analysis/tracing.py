@@ -25,7 +25,7 @@ from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, until
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.options import SolveOptions, deadline_of, progress_shown
-from ssp_lp.problem import Problem, by_rows, check_problem, is_whole, unrolled
+from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, is_whole, unrolled
 from ssp_lp.processes.failure_semantics import Aim
 
 _REFINEMENTS = 6
@@ -94,8 +94,14 @@ def _traceable(problem: Problem) -> Problem:
         raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
     if problem.semantics.measure is not None:
         raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
+    name = type(problem).__name__
+    if has_rows(problem):
+        raise ModelError(f"{name} has several rows: trace MCMP's frontier")
     if by_rows(problem):
-        raise ModelError(f"{type(problem).__name__} has several rows: trace MCMP's frontier")
+        raise ModelError(
+            f"{name}'s costs have no common unit and too many sums to tell apart: round them, or "
+            "trace MCMP's frontier"
+        )
     return problem
 
 

@@ -18,11 +18,14 @@ from ssp_lp.arrays import (
     read_only,
     segment_ids,
 )
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.model.builders import no_lone_string
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import Label, Memory, ProductSSP
 from ssp_lp.model.ssp import SSP, check_model
+
+_MOST_PLACES: Final = 1_000_000_000  # states times steps: a byte each while they are counted
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 
@@ -179,13 +182,23 @@ def unroll(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
 
 
 def _reached(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
-    """The states that an episode may be in after each number of steps, [steps + 1, states]."""
+    """The states that an episode may be in after each number of steps, [steps + 1, states].
+
+    Raises:
+        ModelError: there are too many of both.
+    """
+    if (steps + 1) * model.n_states > _MOST_PLACES:
+        raise ModelError(
+            f"{steps:,} steps on {model.n_states:,} states are too many to tell apart: leave the "
+            "horizon out, or make the model smaller"
+        )
     possible = model.probabilities > 0.0
     source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
     target = model.successors[possible]
     reached = np.zeros((steps + 1, model.n_states), dtype=np.bool_)
     reached[0] = begin
     for step in range(steps):
+        check_time()
         reached[step + 1][target[reached[step][source]]] = True
     return reached
 

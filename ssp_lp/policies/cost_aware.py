@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -192,3 +193,15 @@ def _nearest_level(levels: FloatArray, totals: FloatArray) -> IntArray:
     above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
     is_below = totals - levels[above - 1] <= levels[above] - totals
     return np.where(is_below, above - 1, above)
+
+
+def levels_of(policies: Iterable[Policy], layers: int | None = None) -> FloatArray | None:
+    """The totals that a member of a lottery tells apart; None: multiples of a unit, or none.
+
+    Args:
+        policies: the members.
+        layers: how many below the last; None: any number.
+    """
+    found = (p.levels for p in policies if isinstance(p, CostAwarePolicy))
+    told_apart = (levels for levels in found if levels is not None)
+    return next((each for each in told_apart if layers in {None, len(each) - 1}), None)

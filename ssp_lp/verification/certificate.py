@@ -17,7 +17,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
-from ssp_lp.policies import CostAwarePolicy
+from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
@@ -26,7 +26,6 @@ from ssp_lp.solution import Solution, as_solved
 
 _BUDGET_ROUNDING = 1e-12
 _ENOUGH = 1e-290  # a bound below it is 0
-
 _STEEP_PRICES = (1e1, 1e3, 1e5)
 """Prices of failure, in values of the policy, at which least failure is proved best."""
 
@@ -113,7 +112,8 @@ def certify(solution: Solution) -> Certificate:
         reason = f"the price is not a number >= {penalty:g}"
         return _certificate(found, failure, 0.0, 0.0, problem.failure_budget, reason)
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
-    compiled = problem.compile().matching(np.asarray(values))
+    levels = levels_of(solution.policy.policies, len(values))
+    compiled = problem.compile().matching(np.asarray(values), levels)
     bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
     least = compiled.least_failure()
     if problem.failure_budget <= least.column.failure < 1.0:
@@ -149,9 +149,9 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
         reason = f"the policy's objective is {found.objective}"
         return _certificate(found, failure, 0.0, 0.0, 1.0, reason)
     values = np.asarray(values)
-    first = solution.policy.policies[0]
-    if isinstance(first, CostAwarePolicy) and first.levels is not None:
-        compiled = replace(compiled, rungs=Rungs(fixed=tuple(first.levels.tolist())))
+    levels = levels_of(solution.policy.policies)
+    if levels is not None:
+        compiled = replace(compiled, rungs=Rungs(fixed=tuple(levels.tolist())))
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget, spent = max(stated.budget or 0.0, least), [failure]
@@ -260,8 +260,8 @@ def _worth_certificate(solution: Solution, found: Evaluation, failure: float) ->
         if not (np.isfinite(price) and price >= 0.0):
             reason, price = "the price is not a number >= 0", 0.0
         row = Row(max(budget, 0.0), problem.ratio, compiled.lowest)
-        pricing = compiled.matching(np.asarray(values)).pricing()
-        priced = row.lower_bound(pricing.check(price, np.asarray(values)))
+        values, levels = np.asarray(values), levels_of(solution.policy.policies, len(values))
+        priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
         bound = max(priced, bound) if budget <= allowed else priced
         allowed = max(budget, allowed)
     proved = _certificate(found, failure, found.objective, 0.0, allowed, reason)

@@ -434,3 +434,9 @@ def test_copies_and_what_cannot_be() -> None:
     with pytest.raises(ModelError, match="another model object; on_original"):
         evaluate(other, MCMP(model, "camp", 0.2, horizon=2))
     assert evaluate(on_original(other), MCMP(model, "camp", 0.2, horizon=2)).ends[LATE] > 0.0
+
+
+def test_a_horizon_of_too_many_steps_is_refused_at_once() -> None:
+    model = SSP.from_transitions({"x": {"a": [(0.5, "g", 1.0), (0.5, "x", 1.0)]}}, goal={"g"})
+    with pytest.raises(ModelError, match="too many to tell apart"):
+        solve(MCMP(model, "x", failure_budget=1.0, horizon=10**9))

@@ -238,3 +238,20 @@ def test_leaving_the_box_may_be_an_end() -> None:
 def test_what_cannot_be_is_refused(build: object, words: str) -> None:
     with np.errstate(divide="ignore", invalid="ignore"), pytest.raises(ModelError, match=words):
         build()
+
+
+def test_alike_pairs_cost_alike() -> None:
+    """Two cells with one successor and two costs: a claim that they are alike is refused."""
+    world = with_step(lambda at, a, d: ((at[0] * 0.0,), at[0], 1))
+    assert len(np.unique(discretise(world).costs)) > 1
+    with pytest.raises(ModelError, match="alike"):
+        discretise(replace(world, alike=lambda cells, action: cells * 0))
+
+
+def test_a_world_of_another_grid_is_no_simulator() -> None:
+    model = discretise(walk())
+    problem = MCMP(model, 3, failure_budget=1.0)
+    other = replace(walk(), grid=Grid([Axis(0.0, 6.0, 12)]))
+    simulator = WorldSimulator(other, start=(3.5,))
+    with pytest.raises(ModelError, match="14 states"):
+        simulate(always(model, "hop"), problem, episodes=10, rng=0, simulator=simulator)

@@ -190,3 +190,43 @@ def test_what_is_refused() -> None:
     assert solve(MCMP(ferry(ROOT), "quay", 0.0)).objective == pytest.approx(4.0)
     with pytest.raises(ModelError, match="deterministic"):
         solve(S3P(ferry(ROOT), "quay", 0.2), "deterministic")
+
+
+@pytest.mark.parametrize("budget", [0.1, 0.12, 0.15])
+def test_a_certificate_finds_the_table_where_more_cost_has_fewer_sums(budget: float) -> None:
+    """All sums of six irrational steps are too many soon; those that walks make are few."""
+    step = [1.0, 2**0.5, 3**0.5, 5**0.5, 7**0.5, 1.1**0.5]
+    choices: dict = {"d": {}}
+    for k, cost in enumerate(step):
+        following = k + 1 if k < len(step) - 1 else "g"
+        choices[k] = {
+            "a": [(0.5, following, cost), (0.4, "g", cost + 0.3), (0.1, "d", 1.0)],
+            "b": [(0.9, following, 3.0 * cost), (0.08, "g", cost), (0.02, "d", 1.0)],
+        }
+    model = SSP.from_transitions(choices, goal={"g"}, treat_actionless_as_dead_ends=True)
+    solution = solve(S3P(model, 0, failure_budget=budget))
+    assert solution.gap < 1e-9
+    assert certify(solution).gap < 1e-9
+
+
+@pytest.mark.parametrize("last", [1e4, 1e6])
+def test_a_table_that_cannot_grow_is_searched_to_the_end(last: float) -> None:
+    """B is left by a dear sure step or a cheap doubtful one; the first table holds all there is.
+
+    A loop at sqrt(2): E[cost] until b is 1 + sqrt(2), so mixing d and e gives the cost by hand.
+    """
+    choices: dict = {
+        "a": {"on": [(0.5, "a", ROOT), (0.5, "b", 1.0)]},
+        "b": {
+            "d": [(0.9, "g", last), (0.1, "x", 1.0)],
+            "e": [(0.5, "g", 1.0), (0.5, "x", 1.0)],
+        },
+        "x": {},
+    }
+    model = SSP.from_transitions(choices, goal={"g"}, treat_actionless_as_dead_ends=True)
+    solution = solve(S3P(model, "a", failure_budget=0.2))
+    share = 0.25  # of e: 0.1 + 0.4 * share = 0.2
+    mixed = (1 - share) * 0.9 * last + share * 0.5 + 0.8 * (1.0 + ROOT)
+    assert solution.objective <= mixed / 0.8 * (1 + 1e-12)
+    assert solution.gap < 1e-9
+    assert certify(solution).gap < 1e-9

@@ -143,7 +143,9 @@ class CompiledAccumulatedCost(CompiledLayered):
             wanted, exact = here, True
         return self._carry(replace(self, cap=wanted, exact_tails=exact))
 
-    def matching(self, values: FloatArray) -> CompiledAccumulatedCost:
+    def matching(
+        self, values: FloatArray, levels: FloatArray | None = None
+    ) -> CompiledAccumulatedCost:
         """The same problem with as many layers as the value function, [layers, nodes].
 
         Raises:

@@ -14,6 +14,7 @@ from ssp_lp.column_generation.compiled_problems.layered import (
     CompiledLayered,
     check_table,
 )
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.goal_reach import (
@@ -43,7 +44,7 @@ _MOST_LAYERS = 100_000
 
 _MOST_PLACES = 5_000_000  # nodes times sums
 _DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
-_LOWER = 0.75  # cap, times the one whose sums are too many
+_LOWER = 0.5  # cap, times the one whose sums are too many
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
 _MARGIN = 1.02  # layers beyond what a price asks for: the price still moves a little
 _LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
@@ -120,6 +121,7 @@ class CompiledArrivalCost(CompiledLayered):
         if self.by_sums:
             ladder = self._ladder(cap)
             while ladder is None:  # as far as there is room: the gap will tell
+                check_time()
                 cap *= _LOWER
                 ladder = self._ladder(cap)
             return LayeredProcess(self.base, ladder.size, self._tails, self.charge, ladder)
@@ -128,12 +130,11 @@ class CompiledArrivalCost(CompiledLayered):
 
     def _ladder(self, cap: float) -> Ladder | None:
         """The sums of steps below a cap; None: there are too many."""
-        steps = step_lattice(self.model)[1]
         room = min(MOST_SUMS, _MOST_PLACES // max(self.base.n_nodes, 1))
-        sums = sums_in(self.model, cap, room)
-        return (
-            None if sums is None else Ladder(read_only(np.append(sums, cap)), steps, complete=True)
-        )
+        sums, steps = sums_in(self.model, cap, room), step_lattice(self.model)[1]
+        if sums is None:
+            return None
+        return Ladder(read_only(np.append(sums, cap)), steps, complete=True)
 
     def _units(self, total: float) -> float:
         """A total in units, whole ones where layers are their multiples."""
@@ -164,7 +165,8 @@ class CompiledArrivalCost(CompiledLayered):
         typical = self._units(_TYPICAL * cost / max(goal, 1e-300))
         width = float(step_lattice(self.model)[1][-1]) if self.by_sums else self.base.width
         if self.charge.settled is None:
-            return typical + width if self.by_sums else _FIRST_LAYERS + width
+            first = typical if self.by_sums else _FIRST_LAYERS
+            return max(first + width, self._least_units)
         if self.charge.slope == 0.0 or self.safest_only:
             return self._settled_units()
         return self._settled_units() + typical + width
@@ -230,7 +232,10 @@ class CompiledArrivalCost(CompiledLayered):
             near = self.is_trial or here < lossless
             wanted = lossless if near and lossless <= 4 * here else wanted
         if self.by_sums:
-            return None if self._ladder(wanted) is None else self.charging(charge, wanted)
+            fits = self._ladder(wanted) is not None
+            if not fits and not self.is_trial:
+                return None
+            return self.charging(charge, wanted if fits else here)  # a trial's table, for good
         too_large = (wanted + self.base.width) * self.base.n_nodes > MOST_ENTRIES
         if too_large or wanted <= here:
             return None
@@ -262,8 +267,12 @@ class CompiledArrivalCost(CompiledLayered):
         """The compiled itself: its tails are optimal beyond it."""
         return self
 
-    def matching(self, values: FloatArray) -> CompiledArrivalCost:
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:
         """The same problem with as many layers as the value function, [layers, nodes].
+
+        Args:
+            values: the value function.
+            levels: totals of a policy found beside it, the last of which is the cap.
 
         Raises:
             ModelError: the array has fewer layers than the charge needs to settle.
@@ -274,6 +283,10 @@ class CompiledArrivalCost(CompiledLayered):
         if not self.by_sums:
             return self.charging(self.charge, values.shape[0])
         cap, n_layers, found = least, values.shape[0], None
+        if levels is not None and levels[-1] >= least:
+            known = self.charging(self.charge, float(levels[-1]))
+            if known.process.cap == n_layers:
+                return known
         for _ in range(_DOUBLINGS):
             if (ladder := self._ladder(cap)) is None:
                 break

@@ -88,8 +88,12 @@ class CompiledProblem(Protocol):
         """
         ...
 
-    def matching(self, values: FloatArray) -> CompiledProblem:
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledProblem:
         """The one whose value functions have the shape of this one.
+
+        Args:
+            values: the value function.
+            levels: totals that a policy found beside it tells apart; None: multiples of a unit.
 
         Raises:
             ModelError: none has such value functions.

@@ -275,7 +275,7 @@ class CompiledConstrained:
         """The same with another cap."""
         return self._handing_on(replace(self, cap=cap))
 
-    def matching(self, values: FloatArray) -> CompiledConstrained:
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledConstrained:
         """The same with as many layers as a value function has, [process states]; or ModelError."""
         if self.charge is None or self.rungs is not None:
             return self

@@ -115,7 +115,9 @@ class CompiledFailureLabel:
         finer.__dict__["labelled"] = self.labelled
         return finer
 
-    def matching(self, values: FloatArray) -> CompiledFailureLabel:
+    def matching(
+        self, values: FloatArray, levels: FloatArray | None = None
+    ) -> CompiledFailureLabel:
         """Itself."""
         return self
 

@@ -165,8 +165,11 @@ def _check_alike(
     """Work out some pairs by themselves; raise :class:`ModelError` for one that is not alike."""
     for pair in np.unique(np.linspace(0, len(row_of_pair) - 1, SPOT_CHECKS).astype(np.int64)):
         own, shared = _rows(world, trials, pair[None]), found.rows(row_of_pair[pair, None])
-        same = np.array_equal(own.successors, shared.successors)
-        if not same or not np.allclose(own.probabilities, shared.probabilities, rtol=0, atol=1e-9):
+        same = np.array_equal(own.successors, shared.successors) and all(
+            np.allclose(getattr(own, name), getattr(shared, name), rtol=1e-9, atol=1e-9)
+            for name in ("probabilities", "costs")
+        )
+        if not same:
             cell, action = divmod(int(pair), len(world.actions))
             raise ModelError(
                 f"alike says that action {world.actions[action]!r} in cell {cell} has the outcomes "

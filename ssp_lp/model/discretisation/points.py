@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import NamedTuple
@@ -70,7 +70,7 @@ class Quadrature:
         """Nodes and weights of each axis, in widths of a cell, and of each random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
-        counts = [given] * (n_axes + n_noise) if isinstance(given, int) else list(given)
+        counts = list(given) if isinstance(given, Iterable) else [given] * (n_axes + n_noise)
         whole = all(isinstance(n, (int, np.integer)) and n >= 1 for n in counts)
         if len(counts) != n_axes + n_noise or not whole:
             raise ModelError(

@@ -12,6 +12,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model.discretisation.border import take_step
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel
 from ssp_lp.model.discretisation.distribution import Distribution
+from ssp_lp.model.ssp import SSP
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,14 @@ class WorldSimulator:
 
     world: ContinuousModel
     start: Sequence[float | Distribution]
+
+    def check_model(self, model: SSP) -> None:
+        """Raise :class:`ModelError` for a model with other states than the world's cells make."""
+        if model.n_states != self.world.n_states:
+            raise ModelError(
+                f"the simulator's world has {self.world.n_states:,} states, the policy's model "
+                f"{model.n_states:,}: take the world that the model was made of"
+            )
 
     def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
         """Draw starts: coordinates, [episodes, axes], and cells, [episodes].

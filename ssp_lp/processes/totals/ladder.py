@@ -187,7 +187,7 @@ def _wanted(model: SSP, last: FloatArray) -> Rungs | None:
     steps = step_lattice(model)[1]
     every = np.union1d(steps, last)
     if len(every) <= 2:
-        return None
+        return _far(model, every)
     ahead = _STEPS_AHEAD * float(every[-1])
     try:
         unit = common_unit(every, model.exact_costs)
@@ -195,8 +195,17 @@ def _wanted(model: SSP, last: FloatArray) -> Rungs | None:
     except ModelError:
         return Rungs() if sums_in(model, ahead, MOST_SUMS) is None else Rungs(most=MOST_SUMS)
     if per_step <= _FEW:
-        return None
+        return _far(model, every)
     layers = _STEPS_AHEAD * per_step
     if sums_in(model, ahead, min(layers // _FEWER, MOST_SUMS)) is not None:
         return Rungs(most=MOST_SUMS)
     return Rungs() if layers * model.n_pairs > _MOST_ENTRIES else None
+
+
+def _far(model: SSP, steps: FloatArray) -> Rungs | None:
+    """Where a unit is near the steps: sums only if a last step passes too many multiples of it."""
+    ahead = _STEPS_AHEAD * float(last_steps(model)[1][-1])
+    unit = float(common_unit(steps, model.exact_costs))
+    if not steps[-1] > 0.0 or ahead * model.n_pairs <= _MOST_ENTRIES * unit:
+        return None
+    return None if sums_in(model, ahead, MOST_SUMS) is None else Rungs(most=MOST_SUMS)
