@@ -23,6 +23,7 @@ from ssp_lp.options import (
     Method,
     Progress,
     SolveOptions,
+    Status,
     options_of,
     parse_method,
     progress_shown,
@@ -83,11 +84,22 @@ def solve(
     options = options_of(chosen, tolerance, began, time_limit, progress)
     _check_method(problem, chosen)
     with progress_shown(verbose):
-        return _as_stated(problem, _proved(problem, chosen, options), method, began)
+        solution, status = _proved(problem, chosen, options)
+    reason = solution.run.reason
+    if method is None:
+        reason = reason.replace("as asked", "which scales best for one failure row")
+    return replace(
+        solution,
+        problem=problem,
+        policy=pulled_back(solution.policy, problem),
+        note=_with_gap(solution, tolerance),
+        status=status,
+        run=replace(solution.run, reason=reason, seconds=time.perf_counter() - began),
+    )
 
 
-def _proved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """The answer, checked; its note says where the tolerance is missed."""
+def _proved(problem: Problem, method: Method, options: SolveOptions) -> tuple[Solution, Status]:
+    """The answer to the problem that is solved, checked, and why the search ended."""
     try:
         with until(options.deadline) as deadline:
             solution = _solved(unrolled(problem), method, options)
@@ -98,20 +110,7 @@ def _proved(problem: Problem, method: Method, options: SolveOptions) -> Solution
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *found)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     _PROOF.info("bound %.9g, relative gap %.1e", bound, solution.gap)
-    status = deadline.status(solution.gap, options.tolerance)
-    return replace(solution, note=_with_gap(solution, options.tolerance), status=status)
-
-
-def _as_stated(
-    problem: Problem, solution: Solution, method: Method | str | None, began: float
-) -> Solution:
-    """The answer to the problem as it was stated, with what was asked of the method."""
-    if method is None and "as asked" in solution.run.reason:
-        reason = solution.run.reason.replace("as asked", "which scales best for one failure row")
-        solution = replace(solution, run=replace(solution.run, reason=reason))
-    run = replace(solution.run, seconds=time.perf_counter() - began)
-    policy = pulled_back(solution.policy, problem)
-    return replace(solution, problem=problem, policy=policy, run=run)
+    return solution, deadline.status(solution.gap, options.tolerance)
 
 
 def _unanswered(deadline: Deadline, stop: Stop) -> BaseException:

@@ -10,7 +10,8 @@ from ssp_lp.compiled.deadline import STOPS, closing, heed, is_late
 from ssp_lp.errors import SolverError
 from ssp_lp.game.best_responses.best_response import BestResponse, Player, RatioPlayer
 from ssp_lp.game.setting import infeasible
-from ssp_lp.game.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
+from ssp_lp.game.threshold import Threshold, extremes, find_threshold
+from ssp_lp.options import Progress
 from ssp_lp.problem import Problem
 
 _MOST_STEPS = 100
@@ -34,7 +35,7 @@ class Optimum:
 
 
 def find_optimum(
-    problem: Problem, player: Player, *, tolerance: float, patience: Patience = ENDLESS
+    problem: Problem, player: Player, *, tolerance: float, progress: Progress | None = None
 ) -> Optimum:
     """Find c* of a problem by its player's best responses.
 
@@ -46,7 +47,7 @@ def find_optimum(
         problem: says the case and the budget.
         player: of the same case.
         tolerance: relative distance between c* and its lower bound to reach.
-        patience: when to stop before that, with the bounds as they are.
+        progress: told after each game of (responses, price of failure, upper end).
 
     Raises:
         InfeasibleError: the discounted failure of every policy exceeds the budget.
@@ -57,9 +58,9 @@ def find_optimum(
     if least > budget + LEAST_BUDGET:
         raise infeasible(problem, budget, least)
     if problem.ratio:
-        return _ratio_optimum(cast(RatioPlayer, player), budget, known, tolerance, patience)
+        return _ratio_optimum(cast(RatioPlayer, player), budget, known, tolerance, progress)
     return _at_budget(
-        find_threshold(player, budget, 1.0, known, tolerance=tolerance, patience=patience)
+        find_threshold(player, budget, 1.0, known, tolerance=tolerance, progress=progress)
     )
 
 
@@ -74,7 +75,7 @@ def _ratio_optimum(
     budget: float,
     known: tuple[BestResponse, ...],
     tolerance: float,
-    patience: Patience,
+    progress: Progress | None,
 ) -> Optimum:
     """Theorem 3-1: the least c* over epsilon' in (0, epsilon].
 
@@ -82,13 +83,13 @@ def _ratio_optimum(
     and rises after: either it still falls at the budget, or its minimum is where failing is worth
     exactly c*, at a single policy.
     """
-    best, responses, is_least = _least_ratio(player, known, tolerance, patience)
+    best, responses, is_least = _least_ratio(player, known, tolerance)
     at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
     origin = best.origin
     room = 0.5 * budget if at_goal else min(best.failing, budget - origin)
     share, spent = (1.0 - origin) - room, origin + room
     found = find_threshold(
-        player, spent, share, responses, room=room, tolerance=tolerance, patience=patience
+        player, spent, share, responses, room=room, tolerance=tolerance, progress=progress
     )
     if best.failing > budget - origin:
         falls = is_least or _ratio(best) < found.low
@@ -123,7 +124,7 @@ def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: fl
 
 
 def _least_ratio(
-    player: RatioPlayer, known: tuple[BestResponse, ...], tolerance: float, patience: Patience
+    player: RatioPlayer, known: tuple[BestResponse, ...], tolerance: float
 ) -> tuple[BestResponse, tuple[BestResponse, ...], bool]:
     """A policy of least J_obj / (1 - J_cond), whatever it fails, and all responses so far.
 

@@ -17,7 +17,8 @@ from ssp_lp.game.models import LabelModels
 from ssp_lp.game.optimum import find_optimum
 from ssp_lp.game.setting import check_tolerance, infeasible
 from ssp_lp.game.solution import GameSolution
-from ssp_lp.game.threshold import ENDLESS, Patience, Threshold, extremes, find_threshold
+from ssp_lp.game.threshold import Threshold, extremes, find_threshold
+from ssp_lp.options import Progress
 from ssp_lp.problem import Problem
 
 _TIGHT, _LESS_TIGHT = 1e-12, 1e-10
@@ -36,7 +37,7 @@ def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
 
 
 def stationary_game(
-    problem: Problem, *, tolerance: float = 1e-9, patience: Patience = ENDLESS
+    problem: Problem, *, tolerance: float = 1e-9, progress: Progress | None = None
 ) -> GameSolution:
     """Solve a problem by the paper's game and value iteration (Theorems 3-5 and 3-11).
 
@@ -46,7 +47,7 @@ def stationary_game(
     Args:
         problem: with a discount and a failure budget above 0.
         tolerance: relative distance between c-hat and its lower bound to reach.
-        patience: when to stop before that, with the bounds as they are.
+        progress: told after each game of (responses, price of failure, upper end).
 
     Raises:
         ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
@@ -55,7 +56,7 @@ def stationary_game(
     """
     check_tolerance(tolerance)
     player = stationary_player(problem)
-    optimum = find_optimum(problem, player, tolerance=tolerance, patience=patience)
+    optimum = find_optimum(problem, player, tolerance=tolerance, progress=progress)
     return GameSolution(problem, player, optimum)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.game.best_responses.best_response import BestResponse, Player
 from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed
+from ssp_lp.options import Progress
 
 _STEEP = (1e3, 1e6, 1e9)
 """Prices of failure at which cheap policies among those of least failure are looked for, as
@@ -36,24 +37,6 @@ _MOST_GAMES = 100
 
 _STALLED = 0.75
 """Two games, one of them halfway, halve the bracket, unless rounding has the last word."""
-
-
-@dataclass(frozen=True)
-class Patience:
-    """Whom a search tells how far it is."""
-
-    progress: Callable[[int, float, float], None] | None = None  # responses, price, upper end
-
-    def tell(self, found: Threshold) -> None:
-        """Report what is known; a stop that is asked for there ends the search."""
-        try:
-            if self.progress is not None:
-                self.progress(len(found.responses), found.failure_price, found.high)
-        except STOPS as stop:
-            heed(stop)
-
-
-ENDLESS = Patience()
 
 
 @dataclass(frozen=True)
@@ -103,7 +86,7 @@ def find_threshold(
     *,
     room: float | None = None,
     tolerance: float,
-    patience: Patience = ENDLESS,
+    progress: Progress | None = None,
 ) -> Threshold:
     """Bracket ``min{c > 0 : game value <= eta(epsilon; c) = share * c}`` and close the bracket.
 
@@ -120,7 +103,7 @@ def find_threshold(
             the least failure but for their accuracy, and counts as equal to it.
         room: the budget counted from the responses' origin, where that has more digits.
         tolerance: relative width of the bracket to reach.
-        patience: when to stop before that, with the bracket as it is.
+        progress: told after each game of (responses, price of failure, upper end).
     """
     accuracy = 0.1 * tolerance
     responses = [*known, *_near_least(player, budget, known, accuracy)]
@@ -141,7 +124,7 @@ def find_threshold(
             budget, min(low, high), high, found, members, weights, tuple(trials), tuple(responses),
             not is_late(),
         )  # fmt: skip
-        patience.tell(answer)
+        _tell(progress, answer)
         late = is_late() or len(trials) >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
             return answer
@@ -149,6 +132,15 @@ def find_threshold(
             if high - low > _STALLED * width:
                 return answer
             width = high - low
+
+
+def _tell(progress: Progress | None, found: Threshold) -> None:
+    """Report what is known; a stop that is asked for there ends the search."""
+    try:
+        if progress is not None:
+            progress(len(found.responses), found.failure_price, found.high)
+    except STOPS as stop:
+        heed(stop)
 
 
 def _played(

@@ -14,13 +14,11 @@ from ssp_lp.solution import Run, Solution, remarks
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     """The paper's own construction, which knows neither columns nor programs."""
     from ssp_lp.game.stationary import stationary_game, value_function
-    from ssp_lp.game.threshold import Patience
 
     compiled = problem.compile()
     if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
         raise ModelError("method='game' chooses its own cap M: leave cost_cap out")
-    patience = Patience(options.progress)
-    found = stationary_game(problem, tolerance=options.tolerance, patience=patience)
+    found = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
     optimum = found.optimum
     replies = optimum.threshold.responses
     reason = f"the paper's game, {len(optimum.threshold.trials)} values of c"

@@ -25,7 +25,7 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import Label, Memory, ProductSSP
 from ssp_lp.model.ssp import SSP, check_model
 
-_MOST_PLACES: Final = 1_000_000_000  # states times steps: a byte each while they are counted
+_MOST_PLACES: Final = 250_000_000  # states times steps: nine bytes each while they are numbered
 
 _BUILDING = logging.getLogger("ssp_lp.building")
 

@@ -165,9 +165,8 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     bounds = np.where(limited, compiled.bounds, 0.0)
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
-    prices *= limited
-    claims = (found.objective, solution.lower_bound)
-    lower = _rows_bound(compiled, prices, raised, values, claims)
+    claims = found.objective, solution.lower_bound
+    lower = _rows_bound(compiled, prices * limited, raised, values, claims)
     budget = float(raised[0]) if limited[0] else budget
     attained = found.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(

@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from cases import load_case
 from examples.checks.damaged_files import mutated
 from formulations import MCMP, S3P, MaxProb
+from small_models import FIRST
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.io import (
     from_matrices,
@@ -26,19 +27,6 @@ from ssp_lp.io import (
     save_model,
     write_drn,
     write_prism,
-)
-
-FIRST = SSP.from_transitions(
-    {
-        "depot": {
-            "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-        },
-        "wreck": {},
-    },
-    goal={"home"},
-    state_labels={"crash": ["wreck"]},
-    treat_actionless_as_dead_ends=True,
 )
 
 

@@ -13,6 +13,7 @@ import stormpy
 
 from cases import load_case
 from formulations import MCMP, S3P, MaxProb
+from small_models import FIRST
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -32,19 +33,6 @@ from ssp_lp.io import (
     write_drn,
     write_scheduler,
     write_umb,
-)
-
-FIRST = SSP.from_transitions(
-    {
-        "depot": {
-            "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-        },
-        "wreck": {},
-    },
-    goal={"home"},
-    state_labels={"crash": ["wreck"]},
-    treat_actionless_as_dead_ends=True,
 )
 
 # "time" is paid by states and actions, "coins" by actions

@@ -33,9 +33,7 @@ from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.lattice import layers_within
 from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
 
-_FIRST_LAYERS = 64
-"""Layers of a first attempt where nothing says how many are needed."""
-
+_FIRST_LAYERS = 64  # of a first attempt where nothing says how many are needed
 _NEARLY = 1.25  # costs given success of a way to the goal: from there on failing may be best
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
 

@@ -13,7 +13,7 @@ from ssp_lp.game.models import LabelModels
 from ssp_lp.game.optimum import find_optimum
 from ssp_lp.game.setting import check_tolerance
 from ssp_lp.game.solution import GameSolution
-from ssp_lp.game.threshold import ENDLESS, Patience
+from ssp_lp.options import Progress
 from ssp_lp.problem import Problem
 
 
@@ -29,14 +29,14 @@ def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
 
 
 def bayes_adaptive(
-    problem: Problem, *, tolerance: float = 1e-7, patience: Patience = ENDLESS
+    problem: Problem, *, tolerance: float = 1e-7, progress: Progress | None = None
 ) -> GameSolution:
     """Solve the game of section 3.2 over all policies, by the iteration of section 3.3.
 
     Args:
         problem: with a discount, which only J_cond sees, and a failure budget above 0.
         tolerance: relative distance between c* and its lower bound to reach.
-        patience: when to stop before that, with the bounds as they are.
+        progress: told after each game of (responses, price of failure, upper end).
 
     Returns:
         c*: in case M J_obj, in case S J_obj / (1 - J_cond); its policies depend on time.
@@ -48,5 +48,5 @@ def bayes_adaptive(
     """
     check_tolerance(tolerance)
     player = bayes_player(problem)
-    optimum = find_optimum(problem, player, tolerance=tolerance, patience=patience)
+    optimum = find_optimum(problem, player, tolerance=tolerance, progress=progress)
     return GameSolution(problem, player, optimum)
