@@ -110,7 +110,8 @@ def optimise(compiled: CompiledProblem, budget: float, options: SolveOptions) ->
             refined = outcome
         if is_late():
             best = refined if refined.gap <= outcome.gap else outcome
-            return replace(best, found=replace(best.found, finished=False))
+            met = best.gap <= options.tolerance
+            return replace(best, found=replace(best.found, finished=met))
         if refined.found is outcome.found:
             return refined
         outcome = refined
