@@ -20,7 +20,7 @@ from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.options import SolveOptions
 
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal

@@ -31,11 +31,11 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
             (model.probabilities, model.successors, narrow(model.outcome_offsets)), shape=shape
         )
         return np.asarray(matrix @ values)
-    from ssp_lp.compiled import bellman as compiled
+    from ssp_lp.compiled import rows as compiled
 
     every, result = np.arange(model.n_pairs, dtype=np.uint32), np.empty(model.n_pairs)
     offsets, successors = model.outcome_offsets.view(np.uint64), model.successors.view(np.uint32)
-    run = compiled.product(model.n_outcomes)
+    run = compiled.row_product(model.n_outcomes)
     run(every, offsets, successors, model.probabilities, values, result)
     return result
 

@@ -49,7 +49,7 @@ class OnePass:
             measures: charge, failure and goal of the tails, [layers beyond, nodes, 3].
             choice: written, [cap, nodes].
         """
-        from ssp_lp.compiled.layers import back_up_layers
+        from ssp_lp.compiled.backups import back_up_layers
 
         run: Callable[..., None] = back_up_layers
         base, measured = self.process.base, self._with_room(measures)
@@ -70,7 +70,7 @@ class OnePass:
             given: values that are not to be exceeded, [cap, nodes].
             beyond: lower bounds beyond the cap, [layers beyond, nodes].
         """
-        from ssp_lp.compiled.layers import back_up_layers_safely
+        from ssp_lp.compiled.backups import back_up_layers_safely
 
         run: Callable[..., None] = back_up_layers_safely
         values = self._with_room(beyond)
@@ -119,7 +119,7 @@ def _order(base: AccumulatedCost) -> IntArray | None:
     order = np.arange(n, dtype=np.uint32)
     if instant.nnz == 0:
         return order
-    from ssp_lp.compiled.graphs.order import order_components
+    from ssp_lp.compiled.graph_components import order_components
 
     owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
     if (instant.indices == owner).any():

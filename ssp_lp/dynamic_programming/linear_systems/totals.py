@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
-from ssp_lp.dynamic_programming.linear_systems.precise import (
+from ssp_lp.dynamic_programming.linear_systems.advantages import (
     advantage_bounds,
     exact_sum,
     precise_advantages,
