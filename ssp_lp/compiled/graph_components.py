@@ -9,8 +9,37 @@ from numba import njit, prange
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.cores import one_or_all_cores
+from ssp_lp.compiled.deadline import check_time
 
 Array = np.ndarray[Any, Any]
+
+_TURNS = 200_000  # of a search between two looks at the time
+
+
+def order_components(
+    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray
+) -> tuple[IntArray, IntArray, int]:
+    """Number the components so that each comes after all that it leads to.
+
+    Within a component the states stand in the order in which the search was done with them, so
+    that most come after those that they lead to.
+
+    Args:
+        begin: first entry of each state, [states].
+        end: past its last one, [states].
+        indices: [entries].
+        data: entries of 0 are no edges, [entries].
+
+    Returns:
+        The component of each state, [states]; the states, one component after the other, [states];
+        and the number of components.
+    """
+    n = len(begin)
+    label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
+    roots = np.arange(n, dtype=np.uint32)
+    finished, found = _found(begin, end, unsigned(indices), data, roots, label)
+    _sort_by_label(label, finished, found, order)
+    return label, order.view(np.int32), found
 
 
 def label_components(
@@ -30,204 +59,94 @@ def label_components(
         successors: [outcomes].
         probabilities: [outcomes].
         inside: the pairs that link states; those of roots lead to roots, [pairs].
-        roots: the states to label.
+        roots: the states to label, ascending.
         label: [states].
     """
-    label[roots] = -1
-    graph = pair_offsets, outcome_offsets, unsigned(successors), probabilities, inside
-    _search(*graph, roots, label, *_scratch(pair_offsets, outcome_offsets))
+    bounds = outcome_offsets[pair_offsets]
+    possible = np.repeat(inside, np.diff(outcome_offsets))
+    possible &= probabilities > 0.0
+    edges = bounds[:-1], bounds[1:], unsigned(successors), possible
+    _, found = _found(*edges, roots, label)
+    first, backwards = np.empty(found, dtype=label.dtype), roots[::-1]
+    first[label[backwards]] = backwards  # the last one that is written stays
+    label[roots] = first[label[roots]]
 
 
-def _scratch(pair_offsets: IntArray, outcome_offsets: IntArray) -> tuple[IntArray, ...]:
-    """Per state: its number, its low link, where it goes on; the open states, the calls."""
-    n_states = len(pair_offsets) - 1
-    number = np.zeros(n_states, dtype=np.int32)  # 0: not visited yet
-    low = np.zeros(n_states, dtype=np.int32)
-    next_pair = pair_offsets[:-1].copy()
-    next_outcome = outcome_offsets[next_pair]
-    opened, calls = np.empty((2, n_states), dtype=np.uint32)
-    return number, low, next_pair, next_outcome, opened, calls
+def _found(
+    begin: IntArray, end: IntArray, indices: IntArray, data: Array, roots: IntArray, label: IntArray
+) -> tuple[IntArray, int]:
+    """Label the roots, in place, by the numbers of their components, ends first.
+
+    Returns:
+        The roots in the order in which the search was done with them, and how many components.
+    """
+    n, label[roots] = label.size, -1
+    number, low = np.zeros((2, n), dtype=np.uint32)
+    opened, calls = np.empty((2, n), dtype=np.uint32)
+    finished, counts = np.empty(len(roots), dtype=np.uint32), np.zeros(6, dtype=np.int64)
+    arrays = number, low, begin.copy(), opened, calls, finished, counts
+    while _search(begin, end, indices, data, roots, label, *arrays):
+        check_time()
+    return finished, int(counts[5])
 
 
 @njit(cache=True)
 def _search(
-    pair_offsets: IntArray,
-    outcome_offsets: IntArray,
-    successors: IntArray,
-    probabilities: FloatArray,
-    inside: BoolArray,
-    roots: IntArray,
-    label: IntArray,
-    number: IntArray,
-    low: IntArray,
-    next_pair: IntArray,
-    next_outcome: IntArray,
-    opened: IntArray,
-    calls: IntArray,
-) -> None:
-    visited, n_open = 0, 0
-    for root in roots:
-        depth, entered = 0, -1 if number[root] else root
-        while entered >= 0 or depth:
-            if entered >= 0:
-                visited += 1
-                number[entered] = low[entered] = visited
-                opened[n_open], calls[depth] = entered, entered
-                n_open, depth = n_open + 1, depth + 1
-            state = calls[depth - 1]
-            entered = _advance(
-                pair_offsets, outcome_offsets, successors, probabilities, inside, state,
-                label, number, low, next_pair, next_outcome,
-            )  # fmt: skip
-            if entered < 0:
-                depth -= 1
-                if depth:
-                    caller = calls[depth - 1]
-                    low[caller] = min(low[caller], low[state])
-                if low[state] == number[state]:
-                    n_open = _pop(opened, n_open, state, label)
-
-
-@njit(cache=True)
-def _advance(
-    pair_offsets: IntArray,
-    outcome_offsets: IntArray,
-    successors: IntArray,
-    probabilities: FloatArray,
-    inside: BoolArray,
-    state: int,
-    label: IntArray,
-    number: IntArray,
-    low: IntArray,
-    next_pair: IntArray,
-    next_outcome: IntArray,
-) -> int:
-    """Go on through the steps of a state to the next one that was not visited, or return -1."""
-    pair, outcome = next_pair[state], next_outcome[state]
-    while pair < pair_offsets[state + 1]:
-        end = outcome_offsets[pair + 1]
-        if inside[pair]:
-            while outcome < end:
-                successor = successors[outcome]
-                possible = probabilities[outcome] > 0
-                outcome += 1
-                if possible and number[successor] == 0:
-                    next_pair[state], next_outcome[state] = pair, outcome
-                    return int(successor)
-                if possible and label[successor] < 0:
-                    low[state] = min(low[state], number[successor])
-        pair, outcome = pair + 1, end
-    next_pair[state] = pair
-    return -1
-
-
-@njit(cache=True)
-def _pop(opened: IntArray, n_open: int, root: int, label: IntArray) -> int:
-    """Label the component that ends at its root; return the number of states still open."""
-    begin, least = n_open - 1, root
-    while opened[begin] != root:
-        least = min(least, opened[begin])
-        begin -= 1
-    for place in range(begin, n_open):
-        label[opened[place]] = least
-    return begin
-
-
-def crossing_pairs(
-    outcome_offsets: IntArray,
-    successors: IntArray,
-    probabilities: FloatArray,
-    pair_state: IntArray,
-    candidates: BoolArray,
-    label: IntArray,
-) -> BoolArray:
-    """Candidate pairs that may lead to a state of another label, [pairs].
+    begin: Array, end: Array, indices: Array, data: Array, roots: Array, label: Array,
+    number: Array, low: Array, place: Array, opened: Array, calls: Array, finished: Array,
+    counts: Array,
+) -> bool:  # fmt: skip
+    """Go on with a search for some turns; whether it did not come to its end.
 
     Args:
-        outcome_offsets: [pairs + 1].
-        successors: [outcomes].
-        probabilities: [outcomes].
-        pair_state: [pairs].
-        candidates: [pairs].
-        label: [states].
-    """
-    graph = outcome_offsets, unsigned(successors), probabilities, unsigned(pair_state)
-    found = np.zeros(len(candidates), dtype=np.bool_)
-    _crossing(len(successors))(*graph, candidates, label, found)
-    return found
-
-
-@one_or_all_cores
-def _crossing(
-    outcome_offsets: IntArray,
-    successors: IntArray,
-    probabilities: FloatArray,
-    pair_state: IntArray,
-    candidates: BoolArray,
-    label: IntArray,
-    found: BoolArray,
-) -> None:
-    for pair in prange(len(candidates)):
-        if candidates[pair]:
-            here = label[pair_state[pair]]
-            for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
-                if label[successors[outcome]] != here and probabilities[outcome] > 0:
-                    found[pair] = True
-                    break
-
-
-@njit(cache=True)
-def order_components(
-    begin: Array, end: Array, indices: Array, data: Array, label: Array, order: Array
-) -> int:
-    """Number the components, in place, so that each comes after all that it leads to.
-
-    Tarjan's search (1972) without recursion. Within a component the states stand in the order in
-    which the search was done with them, so that most come after those that they lead to.
-
-    Args:
-        begin: first entry of each state, [states].
-        end: past its last one, [states].
+        begin: as in ``order_components``, like what follows.
+        end: [states].
         indices: [entries].
-        data: entries of 0 are no edges, [entries].
-        label: component of each state, written, [states].
-        order: states, one component after the other, written, [states].
-
-    Returns:
-        The number of components.
+        data: [entries].
+        roots: where searches begin.
+        label: written, [states].
+        number: when each state was met, 0: not yet, [states].
+        low: the least number that is reached from each and still open, [states].
+        place: entry with which each state goes on, [states].
+        opened: states without a component yet, [states].
+        calls: the states from which the search came, [states].
+        finished: states that it is done with, [roots].
+        counts: roots, calls, open states, finished ones, states met, components.
     """
-    n = label.size
-    number, low = np.zeros(n, dtype=np.uint32), np.zeros(n, dtype=np.uint32)
-    place = begin.copy()
-    opened, calls = np.empty(n, dtype=np.uint32), np.empty(n, dtype=np.uint32)
-    finished = np.empty(n, dtype=np.uint32)
-    n_open, n_finished, visited, found = 0, 0, np.uint32(0), 0
-    label[:] = -1
-    for root in range(n):
-        if number[root] != 0:
-            continue
-        depth, entered = 0, np.int64(root)
-        while entered >= 0 or depth > 0:
-            if entered >= 0:
-                visited += np.uint32(1)
-                number[entered] = low[entered] = visited
-                opened[n_open] = calls[depth] = entered
-                n_open, depth = n_open + 1, depth + 1
+    root, depth, n_open = counts[0], counts[1], counts[2]
+    n_finished, visited, found = counts[3], counts[4], counts[5]
+    goes_on = True
+    for _ in range(_TURNS):
+        entered = np.int64(-1)
+        if depth > 0:
             state = calls[depth - 1]
             entered = _not_entered(state, place, end, indices, data, label, number, low)
-            if entered >= 0:
+        elif root == roots.size:
+            goes_on = False
+            break
+        else:
+            state, root = roots[root], root + 1
+            if number[state] != 0:
                 continue
-            depth -= 1
-            finished[n_finished] = state
-            n_finished += 1
-            if depth > 0:
-                caller = calls[depth - 1]
-                low[caller] = min(low[caller], low[state])
-            if low[state] == number[state]:
-                n_open = _close(state, opened, n_open, found, label)
-                found += 1
-    _sort_by_label(label, finished, found, order)
-    return found
+            entered = np.int64(state)
+        if entered >= 0:
+            visited += 1
+            number[entered] = low[entered] = visited
+            opened[n_open] = calls[depth] = entered
+            n_open, depth = n_open + 1, depth + 1
+            continue
+        depth -= 1
+        finished[n_finished] = state
+        n_finished += 1
+        if depth > 0:
+            caller = calls[depth - 1]
+            low[caller] = min(low[caller], low[state])
+        if low[state] == number[state]:
+            n_open = _close(state, opened, n_open, found, label)
+            found += 1
+    counts[0], counts[1], counts[2] = root, depth, n_open
+    counts[3], counts[4], counts[5] = n_finished, visited, found
+    return goes_on
 
 
 @njit(cache=True)
@@ -289,3 +208,46 @@ def _sort_by_label(label: Array, finished: Array, found: int, order: Array) -> N
     for state in finished:
         order[begin[label[state]]] = state
         begin[label[state]] += 1
+
+
+def crossing_pairs(
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    pair_state: IntArray,
+    candidates: BoolArray,
+    label: IntArray,
+) -> BoolArray:
+    """Candidate pairs that may lead to a state of another label, [pairs].
+
+    Args:
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        pair_state: [pairs].
+        candidates: [pairs].
+        label: [states].
+    """
+    graph = outcome_offsets, unsigned(successors), probabilities, unsigned(pair_state)
+    found = np.zeros(len(candidates), dtype=np.bool_)
+    _crossing(len(successors))(*graph, candidates, label, found)
+    return found
+
+
+@one_or_all_cores
+def _crossing(
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    pair_state: IntArray,
+    candidates: BoolArray,
+    label: IntArray,
+    found: BoolArray,
+) -> None:
+    for pair in prange(len(candidates)):
+        if candidates[pair]:
+            here = label[pair_state[pair]]
+            for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
+                if label[successors[outcome]] != here and probabilities[outcome] > 0:
+                    found[pair] = True
+                    break

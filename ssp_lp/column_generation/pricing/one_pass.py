@@ -116,17 +116,13 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
 def _order(base: AccumulatedCost) -> IntArray | None:
     """Nodes, each after those that its free steps lead to; None where these go round."""
     n, instant = base.n_nodes, base.instant
-    order = np.arange(n, dtype=np.uint32)
     if instant.nnz == 0:
-        return order
+        return np.arange(n, dtype=np.uint32)
     from ssp_lp.compiled.graph_components import order_components
 
     owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
     if (instant.indices == owner).any():
         return None
     first = unsigned(instant.indptr)[base.pair_offsets]
-    label = np.empty(n, dtype=np.int32)
-    found = order_components(
-        first[:-1], first[1:], unsigned(instant.indices), instant.data, label, order
-    )
-    return order if found == n else None
+    _, order, found = order_components(first[:-1], first[1:], instant.indices, instant.data)
+    return unsigned(order) if found == n else None

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import FloatArray, IntArray, unsigned
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 
 
@@ -75,12 +75,9 @@ def _compiled_components(
 ) -> Components:
     from ssp_lp.compiled.graph_components import order_components
 
-    n = len(begin)
-    label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
-    edges = begin, end, unsigned(indices), data
-    count = order_components(*edges, label, order)
+    label, order, count = order_components(begin, end, indices, data)
     sizes = np.bincount(label, minlength=count)
-    return Components(label, order.view(np.int32), np.append(0, np.cumsum(sizes)))
+    return Components(label, order, np.append(0, np.cumsum(sizes)))
 
 
 def _possible(graph: sp.csr_array) -> sp.csr_array:
