@@ -64,8 +64,14 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    pricing = compiled.pricing()
-    last, price = _beginning(pricing, row, guess)
+    doing = "the process was still being built"
+    try:
+        pricing = compiled.pricing()
+        doing = "the totals of a first policy were being worked out"
+        last, price = _beginning(pricing, row, guess)
+    except STOPS as stop:
+        heed(stop)
+        raise Stop(told=doing) from stop
     if price is None:
         return None
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)

@@ -13,7 +13,7 @@ from ssp_lp.compiled.deadline import check_time
 
 Array = np.ndarray[Any, Any]
 
-_TURNS = 200_000  # of a search between two looks at the time
+_TURNS = 100_000  # of a search between two looks at the time
 
 
 def order_components(
@@ -85,6 +85,7 @@ def _found(
     opened, calls = np.empty((2, n), dtype=np.uint32)
     finished, counts = np.empty(len(roots), dtype=np.uint32), np.zeros(6, dtype=np.int64)
     arrays = number, low, begin.copy(), opened, calls, finished, counts
+    check_time()
     while _search(begin, end, indices, data, roots, label, *arrays):
         check_time()
     return finished, int(counts[5])

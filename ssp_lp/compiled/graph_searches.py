@@ -15,7 +15,7 @@ from numba import njit
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.deadline import check_time, pieces
 
-_TURNS = 100_000  # states taken from a queue between two looks at the time
+_TURNS = 30_000  # states taken from a queue between two looks at the time
 
 
 def reached(

@@ -240,7 +240,6 @@ def improve_along_chain(
         return None
     run, stale = 0, np.ones(dynamics.n_states, dtype=np.bool_)
     for _ in range(_PASSES):
-        check_time()
         changed = 0
         for is_forward in (True, False):
             changed += _pass(dynamics, found, pair_cost, choice, values, stale, is_forward)
@@ -265,11 +264,15 @@ def _pass(
     """One pass, in place; how often a pair was changed."""
     from ssp_lp.compiled.improvement import improve_blocks
 
-    before = dynamics.predecessors
-    changed = improve_blocks(
-        *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
-        unsigned(found.order), found.offsets, is_forward, found.largest,
-        pair_cost, IMPROVEMENT, unsigned(before.pairs), before.offsets,
-        unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
-    )  # fmt: skip
-    return int(changed)
+    before, count, changed = dynamics.predecessors, found.n_components, 0
+    for some in pieces(count, dynamics.transitions.nnz):
+        begin, end = (
+            (some.start, some.stop) if is_forward else (count - some.stop, count - some.start)
+        )
+        changed += improve_blocks(
+            *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
+            unsigned(found.order), found.offsets[begin : end + 1], is_forward, found.largest,
+            pair_cost, IMPROVEMENT, unsigned(before.pairs), before.offsets,
+            unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
+        )  # fmt: skip
+    return changed
