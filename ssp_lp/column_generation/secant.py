@@ -24,7 +24,7 @@ from ssp_lp.column_generation.pricing.pricing_problem import (
     excess_failure,
 )
 from ssp_lp.compiled.deadline import STOPS, closing, heed
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 
 _SAME_COST = 1e-15  # relative
 _SAME_FAILURE = 1e-15  # of columns, one of which is the other, found again

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives.archive import ArrayStore, read_archive, write_archive
 from ssp_lp.io.policy_files import policy_header, policy_in

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.options import Game, SolveOptions

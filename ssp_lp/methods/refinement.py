@@ -15,7 +15,7 @@ from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import SolverError
 from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import check_agreement, solve_program

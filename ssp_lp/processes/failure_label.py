@@ -12,8 +12,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import attention_states, goal_pairs, surely_reaching
+from ssp_lp.model.graph.reachability import (
+    attention_states,
+    goal_pairs,
+    pairs_into,
+    surely_reaching,
+)
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.processes.counting import Counting, stage_costs
 from ssp_lp.processes.expectations import costless_pairs, successor_means
@@ -46,13 +52,20 @@ class FailureLabelled:
         decision = self.quotient.pull_back(choice[: self.quotient.n_nodes])
         return DeterministicPolicy(self.quotient.model, decision)
 
-    def nearer_goal(self) -> IntArray | None:
+    def nearer_goal(self, *, safely: bool = False) -> IntArray | None:
         """A pair of each state by which it may come nearer to the goal; -1: none, [states].
 
         None where it has to be found on the process itself (see ``Quotient.nearer``).
+
+        Args:
+            safely: by pairs that risk no dead-end, where these are enough.
         """
         model = self.quotient.model
         found = self.quotient.nearer(goal_pairs(model))
+        if safely and found is not None:
+            safe = ~pairs_into(model, self.quotient.dead)
+            guarded = self.quotient.nearer(goal_pairs(model) & safe, safe)
+            found = found if guarded is None else np.where(guarded >= 0, guarded, found)
         if found is None or self.process.n_states == len(found):
             return found
         return np.append(found, self.process.n_pairs - 1)  # the source state's only pair
@@ -95,6 +108,7 @@ def label_failure(
     charges = give_up_charges(model, attention, quotient.merged, semantics)
     entering = dead_end_charges(model, quotient.dead, semantics)
     process, departs = _fill(model, quotient, charges, entering, survival_of(discount))
+    check_time()
     process = _with_start(process, quotient, start, entering)
     counted = replace(process, cost=_counted(process, semantics))
     return FailureLabelled(counted, quotient, departs)

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import dual_bound
-from ssp_lp.dynamic_programming.dual_bounds.extreme_reach import Exits, extreme_reach
+from ssp_lp.dynamic_programming.dual_bound import dual_bound
+from ssp_lp.dynamic_programming.extreme_reach import Exits, extreme_reach
+from ssp_lp.dynamic_programming.leaving import approach
 from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.policy_iteration.approach import approach
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import (
     approach_pairs,

@@ -20,9 +20,8 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
-from ssp_lp.linear_programming.answer import LPAnswer
-from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.linear_programming.solving import cold_attempts, run
+from ssp_lp.linear_programming.backends import cold_attempts, run
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.html_table import html_text
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
@@ -270,7 +269,7 @@ class OccupationProgram:
             ModelError: another ending.
             SolverError: HiGHS cannot write there.
         """
-        from ssp_lp.linear_programming.writing import write_program
+        from ssp_lp.linear_programming.highs import write_program
 
         names = [f"x{k}.{self.label(k)}" for k in range(self.process.n_pairs)]
         write_program(self.linear, Path(path), names + ["t"] * self.ratio)

@@ -159,7 +159,7 @@ def test_solutions_are_the_same_with_and_without(
     assert compiled.run.backups > 0
     assert compiled.run.products > 0
     if discount is None:  # the same loops once more, on all cores
-        from ssp_lp.compiled.loops import on_all_cores
+        from ssp_lp.compiled.cores import on_all_cores
 
         with on_all_cores():
             everywhere = solve(problem)
@@ -203,9 +203,9 @@ def test_rows_are_filled_within_their_arrays() -> None:
     node_of, pair_at = np.zeros(1, dtype=np.int32), numbers[:n]
     indices, data = np.empty(n, dtype=np.int32), np.empty(n)
     for home, kept in ((none, n), (np.ones(n, dtype=np.int32), n)):
-        rows.count.py_func(*outcomes, node_of, pair_at, home, counts, departs, np.empty(n))
+        rows.count_rows.py_func(*outcomes, node_of, pair_at, home, counts, departs, np.empty(n))
         assert counts.sum() == kept
-        rows.fill.py_func(
+        rows.fill_rows.py_func(
             *outcomes, none, node_of, 1, pair_at, home, departs, 1.0, numbers, indices, data
         )
         np.testing.assert_array_equal(data, np.ones(n))

@@ -84,9 +84,9 @@ class Moves:
         model = self.model
         sums, found = np.zeros(worth.shape[1:]), np.zeros(len(pairs), dtype=np.uint8)
         if accelerated(model.n_outcomes):
-            from ssp_lp.compiled.streaming import expect
+            from ssp_lp.compiled.streaming import stream_totals
 
-            expect(model.n_outcomes)(
+            stream_totals(model.n_outcomes)(
                 pairs, model.outcome_offsets, model.successors.view(np.uint32),
                 model.probabilities, self.classes, slots, costs,
                 worth, marks, priced, sums, found,
@@ -119,10 +119,10 @@ class Moves:
         check_time()
         model = self.model
         if accelerated(model.n_outcomes):
-            from ssp_lp.compiled.streaming import send
+            from ssp_lp.compiled.streaming import stream_mass
 
             arrays = model.outcome_offsets, model.successors.view(np.uint32), model.probabilities
-            send(mass, pairs, *arrays, self.classes, slots, waiting)
+            stream_mass(mass, pairs, *arrays, self.classes, slots, waiting)
             return
         source, outcome = self._taken(np.where(mass > 0.0, pairs, -1))
         kind = self.classes[outcome] if self.classes.size else np.zeros(len(outcome), dtype=int)

@@ -24,13 +24,11 @@ import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
-from ssp_lp.compiled.deadline import Stop
+from ssp_lp.compiled.deadline import Stop, is_limited
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.dynamic_programming.leaving import leaving_choice
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
-from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
-from ssp_lp.dynamic_programming.policy_iteration.backward import evaluate_policy
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
-from ssp_lp.dynamic_programming.policy_iteration.switching import switched
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.policy_iteration import evaluate_policy, improve, switched
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.contraction import Contraction, bound_of, contract
@@ -74,8 +72,11 @@ class ExplicitPricing:
 
     @cached_property
     def _leaving(self) -> IntArray:
-        """A policy that leaves the process from every state, towards the goal first, [states]."""
-        process, nearer = self.process, self.augmented.nearer_goal()
+        """A policy that leaves the process from every state, towards the goal first, [states].
+
+        Where there is little time the first policy may be the answer: it keeps off what is risky.
+        """
+        process, nearer = self.process, self.augmented.nearer_goal(safely=is_limited())
         return leaving_choice(process.dynamics, process.goal, nearer).astype(np.int32)
 
     @property

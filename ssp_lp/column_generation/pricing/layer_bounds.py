@@ -7,8 +7,8 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.column_generation.pricing.layer_costs import Summands
 from ssp_lp.dynamic_programming.bellman import backup_rounding, safe_minima
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import sub_solution
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 
 _ONE = np.ones(1)

@@ -21,13 +21,13 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
+    Work,
     best_pairs,
     chosen_product,
     unsigned_parts,
 )
-from ssp_lp.dynamic_programming.policy_iteration.approach import approach
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
@@ -115,7 +115,7 @@ class LayeredPricing:
         self, cost: PairCost, charge: PairCost, ahead: Window, measured: Window, position: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """The same and its measures in one compiled pass, which writes the choice to position."""
-        from ssp_lp.compiled.layers import back_up_layer
+        from ssp_lp.compiled.backups import back_up_layer
 
         base, matrix = self.process.base, self.process.base.later
         values, totals = np.empty(base.n_nodes), np.empty((base.n_nodes, 3))

@@ -21,7 +21,7 @@ from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pool import Rows
 from ssp_lp.column_generation.stabilised_master import StabilisedMaster, without_trifles
 from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import SolverError
 from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program

@@ -37,7 +37,7 @@ def nearer_pairs(
     choice = np.full(len(pair_offsets) - 1, -1, dtype=np.int64)
     useful: IntArray = np.flatnonzero(leaving & free)
     if accelerated(len(before.pairs)):
-        from ssp_lp.compiled.graphs.searches import approach
+        from ssp_lp.compiled.graph_searches import approach
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice)
         return choice

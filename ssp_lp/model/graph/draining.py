@@ -23,7 +23,7 @@ def drain(
         return
     before = model.predecessors
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs import searches
+        from ssp_lp.compiled import graph_searches as searches
 
         searches.drain(
             before.offsets, before.pairs, model.pair_state, open_pairs, open_counts, closed_states

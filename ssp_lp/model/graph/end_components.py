@@ -63,7 +63,7 @@ def _label_components(model: SSP, inside: BoolArray, pending: BoolArray, label: 
         label: [states].
     """
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.components import label_components
+        from ssp_lp.compiled.graph_components import label_components
 
         arrays = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
         label_components(*arrays, inside, np.flatnonzero(pending), label)
@@ -93,10 +93,10 @@ def _crossing(model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray
     """Inside pairs of pending states that may lead to a state of another label, [pairs]."""
     candidates = inside & pending[model.pair_state]
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.components import crossing
+        from ssp_lp.compiled.graph_components import crossing_pairs
 
         arrays = model.outcome_offsets, model.successors, model.probabilities, model.pair_state
-        return crossing(*arrays, candidates, label)
+        return crossing_pairs(*arrays, candidates, label)
     for piece in pieces(model.outcome_offsets):
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         here = np.repeat(label[model.pair_state[piece.segments]], piece.lengths)

@@ -25,7 +25,7 @@ def reachable_states(model: SSP, start: IntArray) -> BoolArray:
     """States that some policy visits with positive probability from the start states, [states]."""
     arrays = model.outcome_offsets, model.successors, model.probabilities
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.searches import reached
+        from ssp_lp.compiled.graph_searches import reached
 
         return reached(model.pair_offsets, *arrays, start)
     ends, columns = possible_steps(*arrays)
@@ -46,7 +46,7 @@ def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
     """
     before, first = model.predecessors, np.flatnonzero(ends)
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.searches import reaching
+        from ssp_lp.compiled.graph_searches import reaching
 
         return reaching(before.offsets, before.pairs, model.pair_state, first)
     return reached_along(model.pair_state[before.pairs], before.offsets, first)
@@ -105,7 +105,7 @@ def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
         states: [states].
     """
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.searches import leading_into
+        from ssp_lp.compiled.graph_searches import leading_into
 
         return leading_into(model.outcome_offsets, model.successors, model.probabilities, states)
     leads = np.zeros(model.n_pairs, dtype=np.bool_)
