@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -99,7 +100,7 @@ class ConstrainedCost(Formulation):
         """The limits."""
         return constraints_of(self.limits)
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

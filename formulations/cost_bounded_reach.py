@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -87,7 +88,7 @@ class CostBoundedReach(Formulation):
             raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """Arriving in time is what counts."""
         measure = WithinBound(self.cost_bound)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -88,7 +89,7 @@ class CostQuantile(Formulation):
             raise ModelError(f"level must lie strictly between 0 and 1, not {self.level!r}{hint}")
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """The quantile is what counts."""
         measure = CostQuantileOf(float(self.level))

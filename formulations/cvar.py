@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -88,7 +89,7 @@ class CVaR(Formulation):
             raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}{hint}")
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """The mean of the tail is what counts."""
         measure = TailMeanOf(float(self.level))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -86,7 +87,7 @@ class FinitePenalty(Formulation):
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs, penalty included."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -84,7 +85,7 @@ class LeastQuantity(Formulation):
         object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode counts."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

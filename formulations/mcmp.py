@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     BUDGET_OR_SHARE,
@@ -93,7 +94,7 @@ class MCMP(Formulation):
         object.__setattr__(self, "give_up", parse_give_up(str(self.give_up)))
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
-        return FailureSemantics(parse_give_up(str(self.give_up)), bool(self.charge_failing_step))
+        return FailureSemantics(GiveUp(str(self.give_up)), bool(self.charge_failing_step))

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 
 from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
+from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
@@ -120,6 +121,9 @@ _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
 
 
+_FREE = FailureSemantics()
+
+
 class _Inherited:
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
@@ -192,7 +196,7 @@ class Formulation(_Inherited):
         """
         if not isinstance(self._asked.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
-        start_distribution(self._asked.model, self._asked.start)
+        _ = self._begun
         if self.horizon is not None:
             check_steps(self.horizon, "horizon")
         levels = getattr(self, "cost_levels", None)
@@ -211,8 +215,7 @@ class Formulation(_Inherited):
         """
         if self.horizon is None:
             return self._asked
-        start = start_distribution(self._asked.model, self._asked.start)
-        begin = np.flatnonzero(start)
+        start, begin = self._begun, np.flatnonzero(self._begun)
         model = unroll(self._asked.model, self.horizon, begin.tolist())
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
@@ -230,25 +233,29 @@ class Formulation(_Inherited):
             return None
         if self.horizon is not None:
             return cast("Formulation", self.unrolled).objective_condition
-        model, start = self._asked.model, self._asked.start
-        return objective_of(model, start_distribution(model, start), self.quantity)
+        return objective_of(self._asked.model, self._begun, self.quantity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """The constraints, checked, with their costs by outcome."""
         if self.horizon is not None and (self.constraints or self.own_constraints):
             return cast("Formulation", self.unrolled).conditions
-        model, start = self._asked.model, self._asked.start
         own, stated = self.own_constraints, self.constraints
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
             raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
         every = {**own, **stated} if isinstance(stated, Mapping) else stated
-        return conditions(model, start_distribution(model, start), every)
+        return conditions(self._asked.model, self._begun, every)
 
     @property
     def semantics(self) -> FailureSemantics:
         """Failing is free and happens where the goal can be avoided for sure."""
-        return FailureSemantics()
+        return _FREE
+
+    @cached_property
+    def _begun(self) -> FloatArray:
+        """The distribution in which an episode begins, [states]."""
+        found: FloatArray = read_only(start_distribution(self._asked.model, self._asked.start))
+        return found
 
     @property
     def _asked(self) -> Problem:
@@ -263,8 +270,7 @@ class Formulation(_Inherited):
         """
         if self.horizon is not None:
             return self.unrolled.compile()
-        model, semantics = self._asked.model, self.semantics
-        start = start_distribution(model, self._asked.start)
+        model, start, semantics = self._asked.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
         sums = by_sums(self._asked)
         if semantics.measure is not None or sums:

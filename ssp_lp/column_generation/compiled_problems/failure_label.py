@@ -63,7 +63,7 @@ class CompiledFailureLabel:
         Raises:
             InfeasibleError: it cannot.
         """
-        sure, _ = surely_reaching(self.model)
+        sure, _, _ = surely_reaching(self.model)
         unsure = np.flatnonzero(~sure & (self.start > 0.0))
         if not unsure.size:
             return
