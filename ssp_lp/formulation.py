@@ -18,10 +18,12 @@ import numpy as np
 
 from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
 from ssp_lp.arrays import FloatArray, read_only
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.in_short import in_short
