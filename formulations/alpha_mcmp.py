@@ -12,8 +12,6 @@ from ssp_lp.formulation import (
     Formulation,
     GiveUp,
     Start,
-    check_setting,
-    parse_give_up,
 )
 
 
@@ -75,11 +73,6 @@ class AlphaMCMP(Formulation):
     charge_failing_step: bool = False
 
     failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
-
-    def __post_init__(self) -> None:
-        check_setting(None, None, self.reach_fraction)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        super().__post_init__()
 
     @cached_property
     def semantics(self) -> FailureSemantics:

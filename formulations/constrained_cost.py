@@ -14,9 +14,7 @@ from ssp_lp.formulation import (
     Formulation,
     GiveUp,
     Start,
-    check_setting,
     constraints_of,
-    parse_give_up,
 )
 
 
@@ -89,11 +87,6 @@ class ConstrainedCost(Formulation):
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = True
-
-    def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        super().__post_init__()
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:

@@ -14,7 +14,6 @@ from ssp_lp.formulation import (
     Start,
     WithinBound,
     check_numbers,
-    check_setting,
 )
 
 
@@ -82,7 +81,6 @@ class CostBoundedReach(Formulation):
     cost_levels: int | None = None
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, None)
         check_numbers(cost_bound=self.cost_bound)
         if not 0 <= self.cost_bound < float("inf"):
             raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")

@@ -14,7 +14,6 @@ from ssp_lp.formulation import (
     TailMeanOf,
     as_percentage,
     check_numbers,
-    check_setting,
 )
 
 
@@ -82,7 +81,6 @@ class CVaR(Formulation):
     ratio = True  # given success
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, None)
         check_numbers(level=self.level)
         if not 0.0 <= self.level < 1.0:
             hint = as_percentage(self.level)

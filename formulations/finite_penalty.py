@@ -12,8 +12,6 @@ from ssp_lp.formulation import (
     GiveUp,
     Start,
     check_penalty,
-    check_setting,
-    parse_give_up,
 )
 
 
@@ -82,9 +80,7 @@ class FinitePenalty(Formulation):
     failure_budget = 1.0  # failing is not limited
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
         check_penalty(self.penalty)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         super().__post_init__()
 
     @cached_property

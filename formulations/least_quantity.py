@@ -12,8 +12,6 @@ from ssp_lp.formulation import (
     GiveUp,
     Quantity,
     Start,
-    check_setting,
-    parse_give_up,
 )
 
 
@@ -79,11 +77,6 @@ class LeastQuantity(Formulation):
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = False
-
-    def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        super().__post_init__()
 
     @cached_property
     def semantics(self) -> FailureSemantics:

@@ -99,7 +99,6 @@ __all__ = [
     "attention_labels",
     "check_numbers",
     "check_penalty",
-    "check_setting",
     "constraints_of",
     "dead_end_labels",
     "end_probability",
@@ -109,7 +108,6 @@ __all__ = [
     "is_whole",
     "parse_give_up",
     "secondary_cost",
-    "stated_budget",
     "visits",
 ]
 
@@ -190,12 +188,19 @@ class Formulation(_Inherited):
                 yield f"{part.name}={in_short(value)}"
 
     def __post_init__(self) -> None:
-        """Check the start and the constraints.
+        """Check what pages have in common: start, budget, discount, giving up, limits.
 
         Raises:
-            ModelError: no model, an unknown state, no distribution, a horizon that is no number of
-                steps, or a constraint that is stated wrongly.
+            ModelError: no model, an unknown state, no distribution, a budget, a share or a discount
+                out of range, an unknown ``give_up``, a horizon that is no number of steps, or a
+                constraint that is stated wrongly.
         """
+        given = vars(self)
+        share = given.get("reach_fraction")
+        budget = given.get("failure_budget", 1.0 if share is None else None)
+        check_setting(given.get("_stated_budget", budget), given.get("discount"), share)
+        if "give_up" in given:
+            given["give_up"] = parse_give_up(given["give_up"])
         if not isinstance(self._asked.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
         _ = self._begun
