@@ -11,11 +11,15 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, until
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
-from ssp_lp.methods.plain import best_within_budget, cheapest_at_least_failure, extreme_goal
-from ssp_lp.methods.playing import solve_by_game
+from ssp_lp.methods.one_row import (
+    best_within_budget,
+    cheapest_at_least_failure,
+    extreme_goal,
+    solve_by_game,
+    solve_for_worth,
+)
 from ssp_lp.methods.risk import solve_for_risk
-from ssp_lp.methods.rows.solving import solve_constrained
-from ssp_lp.methods.worth import solve_for_worth
+from ssp_lp.methods.rows.optimum import solve_constrained
 from ssp_lp.options import (
     DeterministicPolicies,
     Game,

@@ -19,7 +19,7 @@ from ssp_lp.dynamic_programming.leaving import approach
 from ssp_lp.dynamic_programming.linear_systems.advantages import precise_advantages
 from ssp_lp.dynamic_programming.policy_iteration import Settled, evaluate_policy, improve
 
-_ONE, _OTHER = np.ones(1), np.array([0.0, 1.0])
+_ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2
 _PROVED = 1e-11  # gap of a probability that rounding may leave
 _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
@@ -116,12 +116,12 @@ def _tied(
         place = np.full(len(tied), -1, dtype=np.int32)
         place[kept] = np.arange(kept.size)
         among = dynamics.restricted(kept)
-        worst = improve(among, other[kept][:, None], -_ONE, place[settled.choice])
-        if high.min() < _SMALL:
-            worst = improve(among, wanted[kept][:, None], _ONE, worst.choice)
-        taken = kept[worst.choice]
         both = np.stack([wanted[kept], other[kept]], axis=1)
-        less, more = evaluate_policy(among, worst.choice, both).values.T
+        worst = improve(among, both, -_OTHER, place[settled.choice])
+        if high.min() < _SMALL:
+            worst = improve(among, both, _WANTED, worst.choice)
+        taken = kept[worst.choice]
+        less, more = worst.totals.T
         loss = np.where(high < lost, high - less, more - lost)  # each is exact where it is small
         if (loss <= 10.0 * MAXIMISER * size[taken]).all():
             break

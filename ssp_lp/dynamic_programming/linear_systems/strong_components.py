@@ -31,7 +31,7 @@ class Components:
         """Number of states of each component, [components]."""
         return np.diff(self.offsets)
 
-    @property
+    @cached_property
     def largest(self) -> int:
         """Number of states of the largest component."""
         return int(self.sizes.max(initial=0))

@@ -68,14 +68,15 @@ def attention_states(model: SSP) -> BoolArray:
 
 
 @kept
-def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
+def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     """States from which some policy reaches the goal with probability one, and how.
 
     The greatest set of states each of which can reach the goal by pairs that never leave the set.
     In rounds: what cannot reach the goal is dropped, with all pairs that may lead there.
 
     Returns:
-        The states, goals included, [states]; and the pairs that stay among them, [pairs].
+        The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
+        of the states such a pair by which it comes nearer to the goal, -1 elsewhere, [states].
     """
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
@@ -85,7 +86,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
         nearer = approach_pairs(model, into_goal & open_pairs, open_pairs)
         lost = kept & ~model.goal_mask & (nearer < 0)
         if not lost.any():
-            return kept, open_pairs
+            return kept, open_pairs, nearer
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0
         drain(model, open_pairs, open_counts, np.flatnonzero(lost))

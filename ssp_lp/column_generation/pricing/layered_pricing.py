@@ -13,8 +13,12 @@ from ssp_lp.arrays import (
     IntArray,
     least_integer_type,
 )
-from ssp_lp.column_generation.pricing.layer_bounds import bound_free_steps, bound_layer
-from ssp_lp.column_generation.pricing.layer_costs import priced_layers, summed_layers
+from ssp_lp.column_generation.pricing.layer_bounds import (
+    bound_free_steps,
+    bound_layer,
+    priced_layers,
+    summed_layers,
+)
 from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated

@@ -10,7 +10,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFailure
 from ssp_lp.column_generation.failure_constraint import relative_gap
-from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
+from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, required
 from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
@@ -63,7 +63,7 @@ class CompiledFailureLabel:
         Raises:
             InfeasibleError: it cannot.
         """
-        sure, _ = surely_reaching(self.model)
+        sure, _, _ = surely_reaching(self.model)
         unsure = np.flatnonzero(~sure & (self.start > 0.0))
         if not unsure.size:
             return

@@ -17,7 +17,7 @@ contraction; in rounded ones a cycle that costs nothing is a gain wherever round
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, partial
 
 import numpy as np
@@ -107,17 +107,15 @@ class ExplicitPricing:
         run = partial(improve, precise=self.precise)
         if smaller is None:
             settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
-            found = self._column(settled.choice, settled.totals, settled.work)
-        else:
-            choice = smaller.begun(self.process, choice).astype(np.int32)
-            priced = weighted(self.rewards, weights)[smaller.pairs, None]
-            about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
-            try:
-                settled = run(smaller.dynamics, priced, _UNIT, choice, about)
-            except Stop as stop:
-                raise Stop(_expanded(smaller, self.process, stop.choice)) from stop
-            found = self.measure(smaller.expanded(self.process, settled.choice), settled.work)
-        return replace(found, found_at=at)
+            return self._column(settled.choice, settled.totals, settled.work, at)
+        choice = smaller.begun(self.process, choice).astype(np.int32)
+        priced = weighted(self.rewards, weights)[smaller.pairs, None]
+        about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
+        try:
+            settled = run(smaller.dynamics, priced, _UNIT, choice, about)
+        except Stop as stop:
+            raise Stop(_expanded(smaller, self.process, stop.choice)) from stop
+        return self.measure(smaller.expanded(self.process, settled.choice), settled.work, at)
 
     def _begun(
         self, weights: FloatArray, warm: Sequence[Column | None]
@@ -148,22 +146,28 @@ class ExplicitPricing:
             self._known[key] = contract(self.process, free)
         return self._known[key]
 
-    def measure(self, choice: IntArray, work: Work = _NONE) -> Column:
+    def measure(
+        self, choice: IntArray, work: Work = _NONE, found_at: float | None = None
+    ) -> Column:
         """Exact totals of one pair per state, by a sparse linear solve.
 
         Args:
             choice: [states].
             work: what finding it took.
+            found_at: a price at which no policy is worth less.
         """
         totals = evaluate_policy(self.process.dynamics, choice, self.rewards)
-        return self._column(choice, totals.values, work + Work(1, 0))
+        return self._column(choice, totals.values, work + Work(1, 0), found_at)
 
-    def _column(self, choice: IntArray, totals: FloatArray, work: Work) -> Column:
+    def _column(
+        self, choice: IntArray, totals: FloatArray, work: Work, found_at: float | None
+    ) -> Column:
         cost, failure, *rows = expected(self.process.start, totals).tolist()
         failure = min(max(failure, 0.0), 1.0)  # verified: beyond it lies rounding
         return Column(
-            cost, failure, 1.0 - failure, choice, rows=tuple(rows), totals=totals, work=work
-        )
+            cost, failure, 1.0 - failure, choice, totals=totals, found_at=found_at, work=work,
+            rows=tuple(rows),
+        )  # fmt: skip
 
     def aligned(self, column: Column, price: float) -> Column:
         """The column itself: it has no tails."""

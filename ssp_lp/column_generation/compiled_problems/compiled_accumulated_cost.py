@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFailure
-from ssp_lp.column_generation.compiled_problems.layered import (
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     MOST_ENTRIES,
     CompiledLayered,
+    LeastFailure,
     check_table,
 )
 from ssp_lp.column_generation.pricing.pricing_problem import Column
