@@ -21,9 +21,9 @@ from formulations.min_cost import MinCost
 from formulations.minprob import MinProb
 from formulations.s3p import S3P
 from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
+from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.html_table import html_table
-from ssp_lp.model.nearest import did_you_mean
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
 _LOG = logging.getLogger("ssp_lp.comparing")

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 from formulations.command_line.models import setting_of
 from ssp_lp.io import write_any
-from ssp_lp.io.model_files.named_json import json_text
+from ssp_lp.io.model_files.json_model import json_text
 
 
 def run(asked: Namespace) -> Iterable[str]:

@@ -14,9 +14,8 @@ from typing import Any
 from ssp_lp import SSP, ModelError, within_steps
 from ssp_lp.errors import MissingDependencyError
 from ssp_lp.io import from_gymnasium
-from ssp_lp.io.model_files.json_model import parse_json
-from ssp_lp.io.model_files.named_json import StatedModel
-from ssp_lp.io.reading import read_any
+from ssp_lp.io.any_format import read_any
+from ssp_lp.io.model_files.json_model import StatedModel, parse_json
 
 ENVIRONMENT = "gym:"
 """What stands before the name of an environment of Gymnasium's."""

@@ -18,9 +18,8 @@ from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.discretisation.simulator import WorldSimulator
-from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.nearest import ByName
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.graph.reachability import dead_ends, end_marks
+from ssp_lp.model.naming import ByName
 from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy

@@ -11,8 +11,8 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archives.labels import are_numbers_in_turn, label_value
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD
+from ssp_lp.io.json_labels import are_numbers_in_turn, label_value
 from ssp_lp.io.model_fingerprint import fingerprint
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy, StochasticPolicy
 from ssp_lp.policies.joint_memory import JointMemory

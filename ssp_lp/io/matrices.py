@@ -11,8 +11,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.model_file import absorbed
-from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
+from ssp_lp.io.model_files.raw_model import RawModel, absorbed, offsets_of
 from ssp_lp.model import SSP
 
 

@@ -9,7 +9,7 @@ from hashlib import sha256
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.io.archives.labels import are_numbers_in_turn, stated_value
+from ssp_lp.io.json_labels import are_numbers_in_turn, stated_value
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.kept import kept
 from ssp_lp.model.product import ProductSSP

@@ -12,7 +12,7 @@ import numpy as np
 
 from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archives.archive import ArrayStore, read_archive, write_archive
+from ssp_lp.io.archive import ArrayStore, read_archive, write_archive
 from ssp_lp.io.policy_files import policy_header, policy_in
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy

@@ -8,9 +8,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple, cast
 
-from ssp_lp.errors import ModelError
-from ssp_lp.model.in_short import in_short
-from ssp_lp.model.nearest import did_you_mean
+from ssp_lp.errors import ModelError, did_you_mean, in_short
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 

@@ -11,7 +11,7 @@ import numpy as np
 from ssp_lp.analysis.simulation import simulate
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import optional_module
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.plotting.cells import Places, Point, add_legend, cells_of, draw_ground, size_of
 from ssp_lp.plotting.style import INK, LOOKS, axes_or_new
 from ssp_lp.policies import MixedPolicy

@@ -16,7 +16,7 @@ from formulations.command_line import main
 from formulations.command_line.arguments import CRITERIA
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.io import save_model, write_drn, write_prism
-from ssp_lp.io.reading import read_any
+from ssp_lp.io.any_format import read_any
 
 ROADS = {
     "depot": {

@@ -15,8 +15,7 @@ import pytest
 from cases import FOLDER, load_case
 from formulations import MCMP
 from ssp_lp import SSP, ModelError, SSPError, solve
-from ssp_lp.io.model_files.json_model import parse_json, read_json
-from ssp_lp.io.model_files.named_json import json_text
+from ssp_lp.io.model_files.json_model import json_text, parse_json, read_json
 
 ROADS = {
     "depot": {

@@ -6,7 +6,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.model.graph.approach import nearer_pairs
+from ssp_lp.model.graph.reachability import nearer_pairs
 
 
 def approach(dynamics: Dynamics, leaving: BoolArray) -> IntArray:

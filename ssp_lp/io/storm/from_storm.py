@@ -10,8 +10,13 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
-from ssp_lp.io.model_files.model_file import ModelFile, distinct_actions, finished
-from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
+from ssp_lp.io.model_files.raw_model import (
+    ModelFile,
+    RawModel,
+    distinct_actions,
+    finished,
+    offsets_of,
+)
 from ssp_lp.io.storm.bindings import asked, storm
 
 _KINDS = ("MDP", "DTMC")

@@ -9,8 +9,7 @@ import numpy as np
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.io.model_files.exported import GOAL
-from ssp_lp.io.model_files.model_file import ModelFile
-from ssp_lp.io.model_files.raw_model import offsets_of
+from ssp_lp.io.model_files.raw_model import ModelFile, offsets_of
 from ssp_lp.model import SSP
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.mixed import as_lottery

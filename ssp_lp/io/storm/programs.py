@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.model_file import ModelFile
-from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL
+from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, ModelFile
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.storm.bindings import asked, storm
 from ssp_lp.io.storm.from_storm import built, check_kind, label_formula

@@ -12,11 +12,9 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
 from ssp_lp.errors import ModelError
-from ssp_lp.model.discretisation.border import take_step
-from ssp_lp.model.discretisation.continuous_model import ContinuousModel
-from ssp_lp.model.discretisation.outcome_store import Outcomes, OutcomeStore
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
+from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, Rows, tally
 from ssp_lp.model.discretisation.points import Quadrature, Samples, Trials
-from ssp_lp.model.discretisation.tally import Rows, tally
 from ssp_lp.model.ssp import SSP
 
 TRIALS: Final = 1 << 19

@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import PROBABILITY_SUM, FloatArray, read_only
-from ssp_lp.errors import ModelError
-from ssp_lp.model.in_short import in_short
+from ssp_lp.errors import ModelError, in_short
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -9,8 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.model.discretisation.border import take_step
-from ssp_lp.model.discretisation.continuous_model import ContinuousModel
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.ssp import SSP
 

@@ -12,9 +12,10 @@ import numpy as np
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.io.environments.gym_environments import EnvironmentSSP, step_limit_of
-from ssp_lp.io.environments.gym_episode import End, Party
-from ssp_lp.io.environments.vector_episodes import (
+from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, step_limit_of
+from ssp_lp.io.gym.gym_episodes import (
+    End,
+    Party,
     is_vector,
     step_limit_of_vector,
     vector_episodes,
