@@ -12,7 +12,7 @@ from ssp_lp.io.model_archive import load_model, save_model
 from ssp_lp.io.model_files.drn_reader import read_drn
 from ssp_lp.io.model_files.drn_writer import write_drn
 from ssp_lp.io.model_files.exported import write_text
-from ssp_lp.io.model_files.json_model import StatedModel, json_text, read_json
+from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
 from ssp_lp.io.model_files.prism_reader import read_prism
 from ssp_lp.io.model_files.prism_writer import write_prism
 from ssp_lp.io.model_files.raw_model import ModelFile
@@ -108,7 +108,7 @@ def _read_with_storm(
 
 
 def _write_json(model: SSP, path: Path, start: Start | None) -> None:
-    write_text(path, json_text(model, start))
+    write_text(path, model_in_json(model, start))
 
 
 def _write_archive(model: SSP, path: Path, start: Start | None) -> None:

@@ -238,7 +238,7 @@ def _number(value: Any) -> Any:
     return value
 
 
-def json_text(
+def model_in_json(
     model: SSP, start: Hashable | Mapping[Hashable, float] | None = None
 ) -> Iterator[str]:
     """A model as the text of a JSON file that says all that it holds, a line for each state.
