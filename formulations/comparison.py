@@ -24,6 +24,7 @@ from formulations.s3p import S3P
 from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
 from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.html_table import html_table
 from ssp_lp.problem import as_stated
 
@@ -112,6 +113,7 @@ class CriteriaComparison:
         return "\n".join([*lines, *self._notes()])
 
 
+@explained
 def compare_criteria(
     model: SSP,
     start: Hashable | Mapping[Hashable, float],

@@ -17,6 +17,7 @@ from ssp_lp.analysis.failure_costs import state_give_up_charges
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.simulator import WorldSimulator
 from ssp_lp.model.graph.reachability import dead_ends, end_marks
 from ssp_lp.model.naming import ByName
@@ -137,6 +138,7 @@ class SimulationReport:
         )
 
 
+@explained
 def simulate(
     policy: Policy | MixedPolicy,
     problem: Problem,

@@ -58,8 +58,11 @@ class Controller:
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        with open(path, encoding="utf-8") as file:
-            told = json.load(file)
+        try:
+            with open(path, encoding="utf-8") as file:
+                told = json.load(file)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path!r} is no ssp-lp controller file") from error
         if not isinstance(told, dict) or told.get("format") != "ssp-lp controller":
             raise ValueError(f"{path} is no ssp-lp controller file")
         if told["version"] > _VERSION:

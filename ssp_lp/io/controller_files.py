@@ -15,6 +15,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD
 from ssp_lp.io.json_labels import are_numbers_in_turn, label_value
 from ssp_lp.io.model_fingerprint import fingerprint
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.within_steps import HorizonSSP
@@ -27,6 +28,7 @@ from ssp_lp.policies.remembering import RememberingPolicy
 _VERSION = 1
 
 
+@explained
 def write_controller(policy: Policy | MixedPolicy, path: str | PathLike[str]) -> None:
     """Write a policy as a JSON file that :class:`ssp_lp.io.Controller` runs.
 

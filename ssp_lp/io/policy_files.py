@@ -11,6 +11,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.archive import Archive, Array, ArrayStore, read_archive, write_archive
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
 from ssp_lp.policies import (
     CostAwarePolicy,
@@ -26,6 +27,7 @@ from ssp_lp.policies.remembering import RememberingPolicy
 _VERSION = 1
 
 
+@explained
 def save_policy(policy: AnyPolicy, path: str | PathLike[str]) -> None:
     """Write a policy to a file: compressed arrays with a header in JSON, no pickle.
 
@@ -44,6 +46,7 @@ def save_policy(policy: AnyPolicy, path: str | PathLike[str]) -> None:
     write_archive(path, "policy", _VERSION, header, store.arrays)
 
 
+@explained
 def load_policy(path: str | PathLike[str], model: SSP, *, check: bool = True) -> AnyPolicy:
     """Read a policy beside the model that it was made for, such as one built anew.
 

@@ -78,8 +78,12 @@ class Naming:
         return np.array([self.index_of(state)])
 
     def action_of(self, pair: int) -> Hashable:
-        """Label of the action of a pair."""
-        return self.action_names[int(self.pair_action[pair])]
+        """Label of the action of a pair; raises :class:`ModelError` if there is no such pair."""
+        try:
+            return self.action_names[int(self.pair_action[pair])]
+        except (IndexError, TypeError) as error:
+            last = len(self.pair_action) - 1
+            raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
 
     def no_such_action(self, state: int, action: Hashable) -> str:
         """What to say of an action that a state does not have: the nearest one, or some."""

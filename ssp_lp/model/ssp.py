@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.builders import (
     FlatModel,
     Outcomes,
@@ -59,6 +60,7 @@ class SSP(Naming):
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
 
     @classmethod
+    @explained
     def from_transitions(
         cls,
         transitions: Mapping[Hashable, Mapping[Hashable, Iterable[tuple[float, Hashable, float]]]],
@@ -95,6 +97,7 @@ class SSP(Naming):
         return cls._from_flat(flat, state_labels, treat_actionless_as_dead_ends, normalise)
 
     @classmethod
+    @explained
     def from_successors(
         cls,
         start: Hashable | Iterable[Hashable],
@@ -145,6 +148,7 @@ class SSP(Naming):
         )
 
     @classmethod
+    @explained
     def from_arrays(
         cls,
         *,

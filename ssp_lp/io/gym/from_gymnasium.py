@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ssp_lp.arrays import SINGLE_PRECISION_SUM
-from ssp_lp.errors import MissingDependencyError, ModelError
+from ssp_lp.errors import MissingDependencyError, ModelError, in_short
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import SSP
 from ssp_lp.model.within_steps import HorizonSSP, within_steps
 
@@ -59,6 +60,7 @@ class GymnasiumWorld:
     horizon: int | None  # steps within which the model asks for the goal
 
 
+@explained
 def from_gymnasium(
     env: gymnasium.Env[Any, Any],
     *,
@@ -118,12 +120,18 @@ def step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
 
     Raises:
         MissingDependencyError: gymnasium is not installed.
+        ModelError: it is no environment.
     """
     try:
-        from gymnasium import Wrapper
+        from gymnasium import Env, Wrapper
         from gymnasium.wrappers import TimeLimit
     except ImportError as error:
         raise MissingDependencyError("gymnasium", "gym") from error
+    if not isinstance(env, Env):
+        raise ModelError(
+            "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
+            f"{in_short(env)}"
+        )
     limits, layer = [], env
     while isinstance(layer, Wrapper):
         if isinstance(layer, TimeLimit):
@@ -207,7 +215,7 @@ def _model_of(listing: _Listing, cost: CostFunction) -> EnvironmentSSP:
     transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, float]]]] = {
         state: {
             action: [
-                (p, label(to, over), float(cost(state, action, to, reward)))
+                (p, label(to, over), cost(state, action, to, reward))
                 for p, to, reward, over in rows
             ]
             for action, rows in actions.items()

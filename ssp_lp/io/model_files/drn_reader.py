@@ -20,6 +20,7 @@ from ssp_lp.io.model_files.raw_model import (
     offsets_of,
 )
 from ssp_lp.io.model_files.text_file import FilePath, Lines, TextFile
+from ssp_lp.model.arguments import explained
 
 _COMMENT = rb"//[^\n]*"
 _KINDS = ("MDP", "DTMC")
@@ -32,6 +33,7 @@ _NO_NAME = "__NOLABEL__"
 _DIGITS = np.arange(ord("0"), ord("9") + 1, dtype=np.uint8)
 
 
+@explained
 def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
     """Read a model from a DRN file of Storm, plain or gzip.
 

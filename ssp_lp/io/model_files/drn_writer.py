@@ -11,10 +11,12 @@ from ssp_lp.arrays import IntArray
 from ssp_lp.io.model_files.exported import Exported, exported, write_text
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 
 _STATES_AT_A_TIME = 10_000
 
 
+@explained
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as a DRN file for Storm; gzip if the name ends in .gz.
 

@@ -26,8 +26,10 @@ from ssp_lp.io.model_files.raw_model import (
     offsets_of,
 )
 from ssp_lp.io.model_files.text_file import FilePath
+from ssp_lp.model.arguments import explained
 
 
+@explained
 def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
     """Read a Markov decision process or Markov chain from PRISM's explicit files.
 

@@ -10,10 +10,12 @@ from ssp_lp.io.model_files.exported import Exported, exported, write_text
 from ssp_lp.io.model_files.prism_reader import without_ending
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 
 _PAIRS_AT_A_TIME = 10_000
 
 
+@explained
 def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as PRISM's explicit files: .tra, .lab, .sta, .srew and .trew.
 

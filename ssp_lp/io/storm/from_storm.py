@@ -18,10 +18,12 @@ from ssp_lp.io.model_files.raw_model import (
     offsets_of,
 )
 from ssp_lp.io.storm.bindings import asked, storm
+from ssp_lp.model.arguments import explained
 
 _KINDS = ("MDP", "DTMC")
 
 
+@explained
 def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile:
     """Make a model of a sparse model of Storm's, a Markov decision process or Markov chain.
 

@@ -11,11 +11,13 @@ from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, ModelFile
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.storm.bindings import asked, storm
 from ssp_lp.io.storm.from_storm import built, check_kind, label_formula
+from ssp_lp.model.arguments import explained
 
 Constants = str | Mapping[str, Any]
 """What the constants of a program are, such as "N=5,p=0.1"."""
 
 
+@explained
 def read_with_storm(
     path: FilePath, *, goal: str, cost: str | None = None, constants: Constants | None = None
 ) -> ModelFile:

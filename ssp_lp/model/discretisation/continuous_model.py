@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.discretisation.grid import MOST_STATES, Coordinates, Grid
 
@@ -61,6 +62,7 @@ class ContinuousModel:
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for actions, noise or an outside that cannot be."""
+        check_fields(self)
         if len(self.actions) == 0 or len(set(self.actions)) < len(self.actions):
             raise ModelError("a continuous model needs actions, each of them once")
         if not all(isinstance(draw, Distribution) for draw in self.noise):
@@ -83,6 +85,7 @@ class ContinuousModel:
         """Cells, the goal and the dead-ends."""
         return self.grid.n_cells + 1 + len(self.dead_ends)
 
+    @explained
     def end_state(self, end: str | int) -> int:
         """The state of an end: "goal", a dead-end's label, or its number 1, 2, ...
 
@@ -149,8 +152,9 @@ def _read(
     if not isinstance(answer, tuple) or len(answer) != 3:
         raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
     moved, paid, ended = answer
-    if len(moved) != n_axes:
-        raise ModelError(f"step returned {len(moved)} coordinates; there are {n_axes} axes")
+    count = len(moved) if isinstance(moved, (Sequence, np.ndarray)) and np.ndim(moved) else "no"
+    if count != n_axes:
+        raise ModelError(f"step returned {count} coordinates; there are {n_axes} axes")
     coordinates = tuple(
         _shaped(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
         for number, c in enumerate(moved)

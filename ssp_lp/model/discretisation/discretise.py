@@ -12,6 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
 from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, Rows, tally
 from ssp_lp.model.discretisation.points import Quadrature, Samples, Trials
@@ -31,6 +32,7 @@ MIDPOINTS: Final = Quadrature()
 _BUILDING = logging.getLogger("ssp_lp.building")
 
 
+@explained
 def discretise(
     world: ContinuousModel,
     points: Quadrature | Samples = MIDPOINTS,

@@ -9,6 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import check_fields
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.ssp import SSP
@@ -31,6 +32,13 @@ class WorldSimulator:
     world: ContinuousModel
     start: Sequence[float | Distribution]
 
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for no world, or a start with another number of coordinates."""
+        check_fields(self)
+        axes = self.world.grid.axes
+        if len(self.start) != len(axes):
+            raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
+
     def check_model(self, model: SSP) -> None:
         """Raise :class:`ModelError` for a model with other states than the world's cells make."""
         if model.n_states != self.world.n_states:
@@ -43,12 +51,9 @@ class WorldSimulator:
         """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
 
         Raises:
-            ModelError: a start outside the box, or for another number of axes.
+            ModelError: a start outside the box.
         """
-        axes = self.world.grid.axes
-        if len(self.start) != len(axes):
-            raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
-        levels = rng.random((episodes, len(axes)))
+        levels = rng.random((episodes, len(self.start)))
         columns = [
             first.at(levels[:, k])
             if isinstance(first, Distribution)
