@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.errors import ModelError
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.discretisation.grid import MOST_STATES, Coordinates, Grid
@@ -21,6 +22,7 @@ Step = Callable[
 """``step(point, action, noise) -> (new point, cost, end)``; see :class:`ContinuousModel`."""
 
 Alike = Callable[[tuple[IntArray, ...], IntArray], IntArray]
+Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -37,7 +39,7 @@ class ContinuousModel:
 
     Attributes:
         grid: the box of coordinates and its cells.
-        actions: every one is there in every cell.
+        actions: every one is there in every cell, unless ``allowed`` says otherwise.
         step: the step function.
         noise: the independent random numbers that a step draws.
         dead_ends: label of each way to fail -> cost of each stage spent in it; the library
@@ -47,6 +49,10 @@ class ContinuousModel:
             says so, and each such set of pairs is worked out once: (positions of cells along
             each axis, positions of actions) -> whole numbers >= 0, not many more than pairs,
             equal for pairs with equal outcomes.
+        allowed: where actions are not there everywhere, a function that says where each is:
+            ``allowed(point, action) -> truth values``, called with the middles of all cells, an
+            array for each axis. What a cell's middle allows goes for the whole cell, in the model
+            and when it is played in the world; ``step`` is asked for nothing else.
 
     The model that :func:`~ssp_lp.model.discretisation.discretise.discretise` makes of it has the
     cells as states 0, 1, ..., then the goal, then the dead-ends (:meth:`end_state`).
@@ -59,14 +65,13 @@ class ContinuousModel:
     dead_ends: Mapping[str, float] = field(default_factory=dict)
     outside: str | None = None
     alike: Alike | None = None
+    allowed: Allowed | None = None
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for actions, noise or an outside that cannot be."""
         check_fields(self)
         if len(self.actions) == 0 or len(set(self.actions)) < len(self.actions):
             raise ModelError("a continuous model needs actions, each of them once")
-        if not all(isinstance(draw, Distribution) for draw in self.noise):
-            raise ModelError("noise must list distributions: [Distribution.uniform(-0.1, 0.1)]")
         if self.outside is not None and self.outside not in self.dead_ends:
             raise ModelError(f"outside={self.outside!r} is none of the dead-ends")
         if self.n_states > MOST_STATES:
@@ -84,6 +89,35 @@ class ContinuousModel:
     def n_states(self) -> int:
         """Cells, the goal and the dead-ends."""
         return self.grid.n_cells + 1 + len(self.dead_ends)
+
+    @cached_property
+    def allowed_pairs(self) -> IntArray | None:
+        """The pairs, as cell * actions + action's position, [pairs]; None: all there are.
+
+        Raises:
+            ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
+        """
+        if self.allowed is None:
+            return None
+        n_cells, n_actions = self.grid.n_cells, len(self.actions)
+        middles = tuple(self.grid.centre(np.arange(n_cells)).T)
+        there = np.empty((n_cells, n_actions), dtype=np.bool_)
+        for k, action in enumerate(self.actions):
+            told = np.asarray(self.allowed(middles, action))
+            if told.dtype != np.bool_ or told.shape not in ((), (n_cells,)):
+                raise ModelError(
+                    f"allowed must return a truth value for each of {n_cells:,} middles, not "
+                    f"{in_short(told)}"
+                )
+            there[:, k] = told
+        idle = ~there.any(axis=1)
+        if idle.any():
+            middle = [float(values[np.argmax(idle)]) for values in middles]
+            raise ModelError(
+                f"no action is allowed in the cell about {middle}: allow one, or let the steps "
+                "that lead there end in a dead-end"
+            )
+        return read_only(np.flatnonzero(there))
 
     @explained
     def end_state(self, end: str | int) -> int:
@@ -152,7 +186,8 @@ def _read(
     if not isinstance(answer, tuple) or len(answer) != 3:
         raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
     moved, paid, ended = answer
-    count = len(moved) if isinstance(moved, (Sequence, np.ndarray)) and np.ndim(moved) else "no"
+    listed = isinstance(moved, Sequence) or (isinstance(moved, np.ndarray) and moved.ndim > 0)
+    count = len(moved) if listed else "no"
     if count != n_axes:
         raise ModelError(f"step returned {count} coordinates; there are {n_axes} axes")
     coordinates = tuple(

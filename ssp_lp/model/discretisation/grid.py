@@ -47,11 +47,11 @@ class Axis:
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for an empty or infinite interval, or without cells."""
+        if not isinstance(self.cells, (int, np.integer)) or self.cells < 1:
+            raise ModelError(f"an axis needs a whole number of cells >= 1: {self!r}")
         check_fields(self)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ModelError(f"an axis must run from low to a greater high: {self!r}")
-        if not isinstance(self.cells, (int, np.integer)) or self.cells < 1:
-            raise ModelError(f"an axis needs a whole number of cells >= 1: {self!r}")
 
     @property
     def width(self) -> float:

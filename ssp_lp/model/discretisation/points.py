@@ -12,7 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.model.arguments import check_fields, explained
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.discretisation.grid import Coordinates
@@ -106,7 +106,6 @@ class Samples:
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for less than one sample, or for a seed that is none."""
-        check_fields(self)
         if not isinstance(self.number, (int, np.integer)) or self.number < 1:
             raise ModelError(f"a number of samples must be a whole number >= 1: {self.number!r}")
         seed = isinstance(self.rng, (int, np.integer)) and self.rng >= 0

@@ -75,7 +75,8 @@ class WorldSimulator:
         model, grid = self.world, self.world.grid
         levels = rng.random((len(pair), len(model.noise)))
         noise = [draw.at(levels[:, k]) for k, draw in enumerate(model.noise)]
-        action = np.asarray(pair) % len(model.actions)
+        pairs = model.allowed_pairs
+        action = np.asarray(pair if pairs is None else pairs[pair]) % len(model.actions)
         after, paid = np.empty_like(world), np.empty(len(pair))
         state = np.empty(len(pair), dtype=np.int64)
         for number in np.unique(action):
