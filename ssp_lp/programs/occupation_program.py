@@ -23,7 +23,6 @@ from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.answer import LPAnswer
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.linear_programming.solving import cold_attempts, run
-from ssp_lp.model.arguments import explained
 from ssp_lp.model.html_table import html_text
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
@@ -264,7 +263,6 @@ class OccupationProgram:
 
         return ConvexProgram(self)
 
-    @explained
     def write(self, path: str | Path) -> None:
         """Write the program as ``.mps`` or ``.lp``, columns and rows named.
 

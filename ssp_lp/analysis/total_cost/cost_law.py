@@ -248,7 +248,6 @@ class CostLaw:
 
         return self._followed.asked(atoms)
 
-    @explained
     def all_but(self, mass: float) -> Atoms:
         """The least costs that leave out a mass of at most ``mass`` of the runs that succeed.
 

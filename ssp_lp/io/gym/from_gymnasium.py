@@ -123,15 +123,13 @@ def step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
         ModelError: it is no environment.
     """
     try:
-        from gymnasium import Env, Wrapper
+        from gymnasium import Wrapper
         from gymnasium.wrappers import TimeLimit
     except ImportError as error:
         raise MissingDependencyError("gymnasium", "gym") from error
-    if not isinstance(env, Env):
-        raise ModelError(
-            "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
-            f"{in_short(env)}"
-        )
+    if not hasattr(env, "unwrapped"):
+        told = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
+        raise ModelError(f"{told}{in_short(env)}")
     limits, layer = [], env
     while isinstance(layer, Wrapper):
         if isinstance(layer, TimeLimit):
@@ -157,10 +155,9 @@ def _entries(listed: Any) -> list[tuple[Hashable, Any]]:
     return [(plain(key), value) for key, value in rows]
 
 
-def plain(value: Any) -> Hashable:
+def plain(value: Any) -> Any:
     """A number of numpy's as one of Python's; anything else as it is."""
-    plain: Hashable = value.item() if isinstance(value, np.generic) else value
-    return plain
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
