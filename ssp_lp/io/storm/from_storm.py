@@ -92,7 +92,7 @@ def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) ->
         successors=successors,
         probabilities=np.array([entry.value for entry in entries]),
         costs=_costs(reward, state, offsets, successors),
-        actions=_action_names(model, state, pair_offsets),
+        actions=asked(source, _action_names, model, state, pair_offsets),
         labels=labels,
         states=asked(source, _state_names, model),
     )
