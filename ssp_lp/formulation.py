@@ -24,9 +24,8 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.errors import InfeasibleError, ModelError, in_short
 from ssp_lp.model import SSP
-from ssp_lp.model.in_short import in_short
 from ssp_lp.model.within_steps import check_steps, unroll
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,

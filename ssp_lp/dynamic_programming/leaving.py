@@ -9,7 +9,7 @@ from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.direct_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.errors import SolverError
-from ssp_lp.model.graph.approach import nearer_pairs
+from ssp_lp.model.graph.reachability import nearer_pairs
 
 
 def approach(dynamics: Dynamics, leaving: BoolArray) -> IntArray:

@@ -4,19 +4,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ssp_lp.io.any_format import read_any, write_any
     from ssp_lp.io.controller import Controller
     from ssp_lp.io.controller_files import write_controller
     from ssp_lp.io.dot import write_dot
-    from ssp_lp.io.drn import read_drn, write_drn
-    from ssp_lp.io.environments.gym_environments import GymnasiumWorld, from_gymnasium
-    from ssp_lp.io.environments.gym_rollout import RolloutReport, StepLimitWarning, rollout
+    from ssp_lp.io.gym.from_gymnasium import GymnasiumWorld, from_gymnasium
+    from ssp_lp.io.gym.rollout import RolloutReport, StepLimitWarning, rollout
     from ssp_lp.io.matrices import from_matrices
     from ssp_lp.io.model_archive import load_model, save_model
-    from ssp_lp.io.model_files.model_file import ModelFile
+    from ssp_lp.io.model_files.drn_reader import read_drn
+    from ssp_lp.io.model_files.drn_writer import write_drn
+    from ssp_lp.io.model_files.prism_reader import read_prism
+    from ssp_lp.io.model_files.prism_writer import write_prism
+    from ssp_lp.io.model_files.raw_model import ModelFile
     from ssp_lp.io.model_fingerprint import fingerprint
     from ssp_lp.io.policy_files import load_policy, save_policy
-    from ssp_lp.io.prism import read_prism, write_prism
-    from ssp_lp.io.reading import read_any, write_any
     from ssp_lp.io.solution_files import load_solution, save_solution
     from ssp_lp.io.storm.from_storm import from_stormpy
     from ssp_lp.io.storm.induced_chain import induced_chain
@@ -66,16 +68,16 @@ _ON_DEMAND = {
     "read_with_storm": "ssp_lp.io.storm.programs",
     "write_scheduler": "ssp_lp.io.storm.schedulers",
     "induced_chain": "ssp_lp.io.storm.induced_chain",
-    "read_any": "ssp_lp.io.reading",
-    "write_any": "ssp_lp.io.reading",
+    "read_any": "ssp_lp.io.any_format",
+    "write_any": "ssp_lp.io.any_format",
     "Controller": "ssp_lp.io.controller",
     "write_controller": "ssp_lp.io.controller_files",
     "write_dot": "ssp_lp.io.dot",
-    "GymnasiumWorld": "ssp_lp.io.environments.gym_environments",
-    "from_gymnasium": "ssp_lp.io.environments.gym_environments",
-    "RolloutReport": "ssp_lp.io.environments.gym_rollout",
-    "StepLimitWarning": "ssp_lp.io.environments.gym_rollout",
-    "rollout": "ssp_lp.io.environments.gym_rollout",
+    "GymnasiumWorld": "ssp_lp.io.gym.from_gymnasium",
+    "from_gymnasium": "ssp_lp.io.gym.from_gymnasium",
+    "RolloutReport": "ssp_lp.io.gym.rollout",
+    "StepLimitWarning": "ssp_lp.io.gym.rollout",
+    "rollout": "ssp_lp.io.gym.rollout",
     "fingerprint": "ssp_lp.io.model_fingerprint",
     "load_policy": "ssp_lp.io.policy_files",
     "save_policy": "ssp_lp.io.policy_files",
@@ -83,14 +85,14 @@ _ON_DEMAND = {
     "to_frame": "ssp_lp.io.tables",
     "load_solution": "ssp_lp.io.solution_files",
     "save_solution": "ssp_lp.io.solution_files",
-    "ModelFile": "ssp_lp.io.model_files.model_file",
+    "ModelFile": "ssp_lp.io.model_files.raw_model",
     "from_matrices": "ssp_lp.io.matrices",
     "load_model": "ssp_lp.io.model_archive",
     "save_model": "ssp_lp.io.model_archive",
-    "read_drn": "ssp_lp.io.drn",
-    "write_drn": "ssp_lp.io.drn",
-    "read_prism": "ssp_lp.io.prism",
-    "write_prism": "ssp_lp.io.prism",
+    "read_drn": "ssp_lp.io.model_files.drn_reader",
+    "write_drn": "ssp_lp.io.model_files.drn_writer",
+    "read_prism": "ssp_lp.io.model_files.prism_reader",
+    "write_prism": "ssp_lp.io.model_files.prism_writer",
 }
 
 

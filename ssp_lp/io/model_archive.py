@@ -22,6 +22,7 @@ from ssp_lp.arrays import read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
 
 _FORMAT, _VERSION = "ssp-lp model", 1
@@ -56,6 +57,7 @@ _BROKEN = (
 _FRACTION = re.compile(r"\d{1,4000}(/\d{1,4000})?", re.ASCII)
 
 
+@explained
 def save_model(model: SSP, path: FilePath) -> None:
     """Write a model with all that it says, to be read by :func:`load_model`.
 
@@ -111,6 +113,7 @@ def _plain(name: Any, whole: Hashable, what: str) -> Any:
     )
 
 
+@explained
 def load_model(path: FilePath) -> SSP:
     """Read a model that :func:`save_model` wrote; nothing in the file is run.
 

@@ -12,8 +12,9 @@ import numpy as np
 
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archives.archive import ArrayStore, read_archive, write_archive
+from ssp_lp.io.archive import ArrayStore, read_archive, write_archive
 from ssp_lp.io.policy_files import policy_header, policy_in
+from ssp_lp.model.arguments import explained
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, conditions_of, unrolled
@@ -35,6 +36,7 @@ _ROUNDING = 1e-9
 """Relative; a budget that is a share of the greatest goal probability is worked out afresh."""
 
 
+@explained
 def save_solution(solution: Solution, path: str | PathLike[str]) -> None:
     """Write a solution to a file: its policy, numbers, prices, value function and run.
 
@@ -59,6 +61,7 @@ def save_solution(solution: Solution, path: str | PathLike[str]) -> None:
     write_archive(path, "solution", _VERSION, header, store.arrays)
 
 
+@explained
 def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
     """Read a solution beside its problem, stated again; ``certify`` says of it what it said before.
 

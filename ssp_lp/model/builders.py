@@ -8,9 +8,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import Any, NamedTuple, cast
 
-from ssp_lp.errors import ModelError
-from ssp_lp.model.in_short import in_short
-from ssp_lp.model.nearest import did_you_mean
+from ssp_lp.errors import ModelError, did_you_mean, in_short
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 
@@ -117,7 +115,13 @@ class _Found:
                 if type(outcome) is not tuple or len(outcome) != 3:
                     outcome = _triple(outcome, state, action)
                 probability, successor, cost = outcome
-                place = index.get(successor)
+                try:
+                    place = index.get(successor)
+                except TypeError as error:
+                    raise ModelError(
+                        f"action {action!r} of state {state!r} leads to {in_short(successor)}: a "
+                        "state holds no list, dict or set"
+                    ) from error
                 if place is None:
                     place = index[successor] = len(states)
                     states.append(successor)

@@ -12,24 +12,27 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.builders import (
     FlatModel,
     Outcomes,
     flatten_successors,
     flatten_transitions,
 )
-from ssp_lp.model.checks import (
+from ssp_lp.model.checked_arrays import (
+    action_table,
     check_idle_states,
     check_offsets,
     check_outcomes,
+    check_state_names,
     cost_array,
+    goal_mask_of,
+    indexed_labels,
     successor_array,
     unit_sums,
 )
 from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
-from ssp_lp.model.in_short import in_short
-from ssp_lp.model.labels import action_table, check_state_names, goal_mask_of, indexed_labels
 from ssp_lp.model.naming import Naming
 
 
@@ -57,6 +60,7 @@ class SSP(Naming):
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
 
     @classmethod
+    @explained
     def from_transitions(
         cls,
         transitions: Mapping[Hashable, Mapping[Hashable, Iterable[tuple[float, Hashable, float]]]],
@@ -93,6 +97,7 @@ class SSP(Naming):
         return cls._from_flat(flat, state_labels, treat_actionless_as_dead_ends, normalise)
 
     @classmethod
+    @explained
     def from_successors(
         cls,
         start: Hashable | Iterable[Hashable],
@@ -143,6 +148,7 @@ class SSP(Naming):
         )
 
     @classmethod
+    @explained
     def from_arrays(
         cls,
         *,

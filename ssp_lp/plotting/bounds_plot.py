@@ -11,6 +11,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import LOOKS, Look, axes_or_new, dress
 from ssp_lp.problem import Problem, by_rows
 from ssp_lp.processes.failure_semantics import Aim
@@ -59,6 +60,7 @@ class Answer(Protocol):
         ...
 
 
+@explained
 def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = None) -> Axes:
     """Draw the upper and the lower bound on the optimum against seconds.
 

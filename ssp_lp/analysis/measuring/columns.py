@@ -8,8 +8,7 @@ import numpy as np
 
 from ssp_lp.analysis.failure_costs import state_give_up_charges
 from ssp_lp.arrays import BoolArray, FloatArray
-from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.graph.reachability import dead_ends, end_marks
 from ssp_lp.problem import Problem
 from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.failure_semantics import GiveUp, dead_end_charges, survival_of

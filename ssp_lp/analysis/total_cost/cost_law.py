@@ -17,6 +17,7 @@ from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
 from ssp_lp.analysis.total_cost.spine import chain_of_law
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import explained
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
@@ -152,6 +153,7 @@ class CostLaw:
 
         return self._followed.asked(beyond)
 
+    @explained
     def quantile(self, level: float) -> float:
         """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached.
 
@@ -180,6 +182,7 @@ class CostLaw:
 
         return self._followed.asked(reached)
 
+    @explained
     def tail_mean(self, level: float) -> float:
         """The mean of the costliest ``1 - level`` of the runs that succeed; level 0: of them all.
 

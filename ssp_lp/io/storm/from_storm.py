@@ -10,13 +10,20 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
-from ssp_lp.io.model_files.model_file import ModelFile, distinct_actions, finished
-from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
+from ssp_lp.io.model_files.raw_model import (
+    ModelFile,
+    RawModel,
+    distinct_actions,
+    finished,
+    offsets_of,
+)
 from ssp_lp.io.storm.bindings import asked, storm
+from ssp_lp.model.arguments import explained
 
 _KINDS = ("MDP", "DTMC")
 
 
+@explained
 def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile:
     """Make a model of a sparse model of Storm's, a Markov decision process or Markov chain.
 
@@ -85,7 +92,7 @@ def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) ->
         successors=successors,
         probabilities=np.array([entry.value for entry in entries]),
         costs=_costs(reward, state, offsets, successors),
-        actions=_action_names(model, state, pair_offsets),
+        actions=asked(source, _action_names, model, state, pair_offsets),
         labels=labels,
         states=asked(source, _state_names, model),
     )

@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.model_file import ModelFile
-from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL
+from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, ModelFile
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.storm.bindings import asked, storm
 from ssp_lp.io.storm.from_storm import built, check_kind, label_formula
+from ssp_lp.io.storm.sound_files import check_jani, check_umb
+from ssp_lp.model.arguments import explained
 
 Constants = str | Mapping[str, Any]
 """What the constants of a program are, such as "N=5,p=0.1"."""
 
 
+@explained
 def read_with_storm(
     path: FilePath, *, goal: str, cost: str | None = None, constants: Constants | None = None
 ) -> ModelFile:
@@ -49,8 +51,10 @@ def read_with_storm(
     with file.open("rb"):  # Storm's own complaint would not be an OSError
         stormpy = storm()
     if file.suffix == ".umb":
+        check_umb(file)
         return _archive(stormpy, file, goal, cost, constants)
     if file.suffix == ".jani":
+        check_jani(file)
         program, _ = asked(file, stormpy.parse_jani_model, str(file))
     else:
         program = asked(

@@ -9,9 +9,8 @@ from scipy.sparse import csgraph
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces
-from ssp_lp.model.graph.draining import close_pairs, drain
 from ssp_lp.model.graph.predecessors import narrow, possible_steps
-from ssp_lp.model.graph.reachability import edges
+from ssp_lp.model.graph.reachability import close_pairs, drain, edges
 from ssp_lp.model.ssp import SSP
 
 

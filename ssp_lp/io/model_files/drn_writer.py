@@ -1,4 +1,4 @@
-"""Storm's explicit format DRN: Markov decision processes and Markov chains with numbers."""
+"""Storm's explicit format DRN, written."""
 
 from __future__ import annotations
 
@@ -8,44 +8,15 @@ from collections.abc import Hashable, Iterator
 import numpy as np
 
 from ssp_lp.arrays import IntArray
-from ssp_lp.io.model_files.drn_body import read_body
-from ssp_lp.io.model_files.drn_header import read_header
 from ssp_lp.io.model_files.exported import Exported, exported, write_text
-from ssp_lp.io.model_files.model_file import ModelFile, finished
-from ssp_lp.io.model_files.text_file import FilePath, TextFile
+from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 
-_COMMENT = rb"//[^\n]*"
 _STATES_AT_A_TIME = 10_000
 
 
-def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
-    """Read a model from a DRN file of Storm, plain or gzip.
-
-    The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
-    and of states with the label "deadlock" that no action leaves: they are dead-ends. Other labels
-    of states become ``state_labels``, but for names that reports use for something else.
-
-    Args:
-        path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
-        goal: the label of the goal states.
-        cost: the name of a reward model, "" for Storm's without a name; None: the only one, or 1
-            for each action if there is none.
-
-    Returns:
-        The model, whose states are the numbers of the file, and its initial states.
-
-    Raises:
-        ModelError: naming the file and the line, or the state and the action.
-        OSError: the file cannot be opened.
-    """
-    with TextFile(path, _COMMENT) as file:
-        header = read_header(file)
-        column = header.reward_column(cost, file)
-        raw = read_body(file, header, column)
-        return finished(raw, goal, file.path)
-
-
+@explained
 def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as a DRN file for Storm; gzip if the name ends in .gz.
 

@@ -8,7 +8,7 @@ from dataclasses import MISSING, fields
 
 import formulations
 from formulations.command_line.arguments import CRITERIA, PARAMETERS
-from formulations.command_line.models import Setting
+from formulations.command_line.models import CommandModel, state_named
 from ssp_lp import (
     Constraint,
     ModelError,
@@ -28,7 +28,7 @@ _PLAIN = {"cost": expected_cost, "goal": goal_probability, "failure": failure_pr
 _OF_STATES = {"visits": visits, "end": end_probability}
 
 
-def problem_of(asked: Namespace, setting: Setting) -> Problem:
+def problem_of(asked: Namespace, of: CommandModel) -> Problem:
     """The problem that a command asks about.
 
     Raises:
@@ -45,16 +45,18 @@ def problem_of(asked: Namespace, setting: Setting) -> Problem:
         if name not in given and field.default is MISSING and name != "failure_budget":
             raise ModelError(f"{asked.criterion} needs {_flag(name)}: {PARAMETERS[name].help}")
     if "quantity" in given:
-        given["quantity"] = quantity(given["quantity"], setting)
+        given["quantity"] = _problem_quantity(given["quantity"], of)
     limits: dict[str, Constraint] = {}
     for words in asked.limit:
-        name, constraint = limit(words, setting)
+        name, constraint = _problem_limit(words, of)
         limits[words if name in {"failure", *limits} else name] = constraint
-    problem: Problem = criterion(setting.model, setting.start, **given, constraints=limits)
+    problem: Problem = criterion(
+        of.model, of.start, **given, constraints=limits, horizon=of.horizon
+    )
     return problem
 
 
-def limit(words: str, setting: Setting) -> tuple[str, Constraint]:
+def _problem_limit(words: str, of: CommandModel) -> tuple[str, Constraint]:
     """A limit and its name, the words of its quantity.
 
     Raises:
@@ -63,34 +65,34 @@ def limit(words: str, setting: Setting) -> tuple[str, Constraint]:
     found = _LIMIT.fullmatch(words.strip())
     if found is None:
         raise ModelError(f'a limit is a quantity, <=, >= or ==, and a number, not "{words}"')
-    measured, bound = quantity(found["words"], setting), _number(found["bound"], words)
+    measured, bound = _problem_quantity(found["words"], of), _number(found["bound"], words)
     if found["sign"] == "<=":
         return found["words"], measured <= bound
     return found["words"], measured >= bound if found["sign"] == ">=" else measured == bound
 
 
-def quantity(words: str, setting: Setting) -> Quantity:
+def _problem_quantity(words: str, of: CommandModel) -> Quantity:
     """A sum of quantities, " + " between them.
 
     Raises:
         ModelError: what is no quantity of this model.
     """
-    terms = [_term(one.strip(), words, setting) for one in words.split(" + ")]
+    terms = [_term(one.strip(), words, of) for one in words.split(" + ")]
     return sum(terms[1:], start=terms[0])
 
 
-def _term(words: str, whole: str, setting: Setting) -> Quantity:
+def _term(words: str, whole: str, of: CommandModel) -> Quantity:
     found = _TERM.fullmatch(words)
     if found is None:
         raise ModelError(f'"{whole}" is no sum of quantities: cost + 2 * visits(ward)')
-    word, of = found["word"], found["of"]
-    if word in _OF_STATES and of:
-        known = of if of in setting.model.state_labels else setting.state_named(of)
-        measured = _OF_STATES[word](known)
+    word, states = found["word"], found["of"]
+    if word in _OF_STATES and states:
+        known = states in of.model.state_labels
+        measured = _OF_STATES[word](states if known else state_named(of.model, states))
     elif word in _PLAIN:
         measured = _PLAIN[word]()
     else:
-        measured = secondary_cost(setting.with_cost(word).costs)
+        measured = secondary_cost(of.model_with_cost(word).costs)
     return measured if found["factor"] is None else _number(found["factor"], whole) * measured
 
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ssp_lp.arrays import SINGLE_PRECISION_SUM
-from ssp_lp.errors import MissingDependencyError, ModelError
+from ssp_lp.errors import MissingDependencyError, ModelError, in_short
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import SSP
 from ssp_lp.model.within_steps import HorizonSSP, within_steps
 
@@ -59,6 +60,7 @@ class GymnasiumWorld:
     horizon: int | None  # steps within which the model asks for the goal
 
 
+@explained
 def from_gymnasium(
     env: gymnasium.Env[Any, Any],
     *,
@@ -118,12 +120,16 @@ def step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
 
     Raises:
         MissingDependencyError: gymnasium is not installed.
+        ModelError: it is no environment.
     """
     try:
         from gymnasium import Wrapper
         from gymnasium.wrappers import TimeLimit
     except ImportError as error:
         raise MissingDependencyError("gymnasium", "gym") from error
+    if not hasattr(env, "unwrapped"):
+        told = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
+        raise ModelError(f"{told}{in_short(env)}")
     limits, layer = [], env
     while isinstance(layer, Wrapper):
         if isinstance(layer, TimeLimit):
@@ -149,10 +155,9 @@ def _entries(listed: Any) -> list[tuple[Hashable, Any]]:
     return [(plain(key), value) for key, value in rows]
 
 
-def plain(value: Any) -> Hashable:
+def plain(value: Any) -> Any:
     """A number of numpy's as one of Python's; anything else as it is."""
-    plain: Hashable = value.item() if isinstance(value, np.generic) else value
-    return plain
+    return value.item() if isinstance(value, np.generic) else value
 
 
 def _outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
@@ -207,7 +212,7 @@ def _model_of(listing: _Listing, cost: CostFunction) -> EnvironmentSSP:
     transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, float]]]] = {
         state: {
             action: [
-                (p, label(to, over), float(cost(state, action, to, reward)))
+                (p, label(to, over), cost(state, action, to, reward))
                 for p, to, reward, over in rows
             ]
             for action, rows in actions.items()

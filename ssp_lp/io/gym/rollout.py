@@ -12,17 +12,20 @@ import numpy as np
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.io.environments.gym_environments import EnvironmentSSP, step_limit_of
-from ssp_lp.io.environments.gym_episode import End, Party
-from ssp_lp.io.environments.vector_episodes import (
+from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, step_limit_of
+from ssp_lp.io.gym.gym_episodes import (
+    End,
+    Party,
     is_vector,
     step_limit_of_vector,
     vector_episodes,
 )
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import on_original
+from ssp_lp.problem import is_whole
 
 if TYPE_CHECKING:
     import gymnasium
@@ -63,6 +66,7 @@ class RolloutReport:
         )
 
 
+@explained
 def rollout(
     env: gymnasium.Env[Any, Any] | VectorEnv[Any, Any, Any],
     policy: Policy | MixedPolicy,
@@ -102,6 +106,8 @@ def rollout(
         raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
     if episodes < 1 or (max_steps is not None and max_steps < 1):
         raise ModelError("episodes and max_steps must be at least 1")
+    if not is_whole(seed) or seed < 0:
+        raise ModelError(f"seed must be a whole number >= 0, not {seed!r}")
     played, horizon = _on_environment(policy)
     limit = step_limit_of_vector(env) if is_vector(env) else step_limit_of(env)
     most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
@@ -151,7 +157,7 @@ def _warn(env: Any, limit: int | None, cut_off: int, episodes: int) -> None:
         f"{name} cut off {cut_off:,} of {episodes:,} episodes ({told}), which the policy does not "
         "know of: from_gymnasium(env, horizon=...) counts steps",
         StepLimitWarning,
-        stacklevel=3,
+        stacklevel=4,  # beyond this function, the rollout and what explains its errors
     )
 
 

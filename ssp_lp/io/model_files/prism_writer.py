@@ -1,112 +1,21 @@
-"""PRISM's explicit files: .tra, .lab, .sta, .srew and .trew beside each other."""
+"""PRISM's explicit files, written: .tra, .lab, .sta, .srew and .trew beside each other."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
-from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.exported import Exported, exported, write_text
-from ssp_lp.io.model_files.model_file import ModelFile, distinct_actions, finished
-from ssp_lp.io.model_files.prism_rewards import (
-    Transitions,
-    chosen_structure,
-    existing,
-    outcome_costs,
-)
-from ssp_lp.io.model_files.prism_text import Table, read_labels, read_states, read_table
-from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
+from ssp_lp.io.model_files.prism_reader import without_ending
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 
 _PAIRS_AT_A_TIME = 10_000
 
 
-def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
-    """Read a Markov decision process or Markov chain from PRISM's explicit files.
-
-    The files are ``path.tra`` and ``path.lab``; where they are there, ``path.sta``, which names
-    the states; and rewards, ``path.srew`` and ``path.trew``, or ``path1.srew`` and so on for
-    several structures. Each may be gzip, with a further .gz. The cost of an outcome is the reward
-    of its transition plus that of its state. Actions of goal states are dropped, and of states
-    with the label "deadlock" that no action leaves: they are dead-ends.
-
-    Args:
-        path: the path of the files without an ending, or that of the .tra file.
-        goal: the label of the goal states.
-        cost: the name of a reward structure; None: the only one, or 1 for each action if there is
-            none.
-
-    Returns:
-        The model and its initial states: those with the label "init", or state 0.
-
-    Raises:
-        ModelError: naming the file and the line, or the state and the action.
-    """
-    base = _base(path)
-    transitions, labels = existing(base, ".tra"), existing(base, ".lab")
-    if transitions is None or labels is None:
-        raise ModelError(f"{base}.tra and {base}.lab must be there")
-    table = read_table(transitions, {2: 2, 3: 3})
-    raw, known = _sorted(table, transitions)
-    structure = chosen_structure(base, cost)
-    states = existing(base, ".sta")
-    marked = {"init": np.zeros(1, dtype=np.int64)} | read_labels(labels, known.n_states)
-    raw = raw._replace(
-        costs=np.ones(raw.successors.size)
-        if structure is None
-        else outcome_costs(structure, known),
-        labels=marked,
-        states=None if states is None else read_states(states, known.n_states),
-    )
-    return finished(raw, goal, transitions)
-
-
-def _base(path: FilePath) -> Path:
-    """A path without the ending of a file of transitions."""
-    base = Path(path)
-    return base.with_name(base.name.removesuffix(".gz").removesuffix(".tra"))
-
-
-def _sorted(table: Table, path: Path) -> tuple[RawModel, Transitions]:
-    """Transitions by state and choice, without costs and labels.
-
-    Raises:
-        ModelError: the file does not hold what its header says.
-    """
-    n_states, chain = table.header[0], len(table.header) == 2
-    ends = table.keys[:, [0, -1]]
-    # each state stands on a line, so that a header alone cannot ask for memory
-    if n_states > ends.size or (ends < 0).any() or (ends >= n_states).any():
-        raise ModelError(f"{path}: the states of the lines are not those of the header, {n_states}")
-    choice = np.zeros(ends.shape[0], dtype=np.int64) if chain else table.keys[:, 1]
-    order = np.lexsort((choice, ends[:, 0]))
-    keys, choice = table.keys[order], choice[order]
-    new = np.ones(order.size, dtype=np.bool_)
-    new[1:] = (np.diff(keys[:, 0]) != 0) | (np.diff(choice) != 0)
-    firsts = np.flatnonzero(new)
-    sizes = (order.size,) if chain else (firsts.size, order.size)
-    if tuple(table.header[1:]) != sizes:
-        raise ModelError(f"{path}: the header says {table.header[1:]}, the file has {list(sizes)}")
-    owner = keys[firsts, 0]
-    names: Sequence[str] | None = None
-    if any(table.names):
-        first = zip(order[firsts].tolist(), choice[firsts].tolist(), strict=True)
-        names = distinct_actions([table.names[k] or str(number) for k, number in first], owner)
-    raw = RawModel(
-        pair_offsets=offsets_of(np.bincount(owner, minlength=n_states)),
-        outcome_offsets=np.append(firsts, order.size),
-        successors=keys[:, -1],
-        probabilities=table.values[order],
-        costs=np.zeros(0),
-        actions=names,
-        labels={},
-    )
-    return raw, Transitions(n_states, keys)
-
-
+@explained
 def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as PRISM's explicit files: .tra, .lab, .sta, .srew and .trew.
 
@@ -122,7 +31,7 @@ def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
     Raises:
         ModelError: the start is no state, or a label cannot be written.
     """
-    base, process = _base(path), exported(model, start)
+    base, process = without_ending(path), exported(model, start)
     texts = {
         ".tra": _transitions(process),
         ".lab": _label_lines(process),

@@ -8,16 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from ssp_lp.errors import ModelError
-from ssp_lp.io.drn import read_drn, write_drn
 from ssp_lp.io.model_archive import load_model, save_model
+from ssp_lp.io.model_files.drn_reader import read_drn
+from ssp_lp.io.model_files.drn_writer import write_drn
 from ssp_lp.io.model_files.exported import write_text
-from ssp_lp.io.model_files.json_model import read_json
-from ssp_lp.io.model_files.model_file import ModelFile
-from ssp_lp.io.model_files.named_json import StatedModel, json_text
-from ssp_lp.io.prism import read_prism, write_prism
+from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
+from ssp_lp.io.model_files.prism_reader import read_prism
+from ssp_lp.io.model_files.prism_writer import write_prism
+from ssp_lp.io.model_files.raw_model import ModelFile
 from ssp_lp.io.storm.programs import Constants, read_with_storm
 from ssp_lp.io.storm.to_storm import write_umb
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 
 Reader = Callable[[Path, Sequence[str], str | None], StatedModel]
 """Reads a file, given the names of the goals and of the cost."""
@@ -26,9 +28,10 @@ Reader = Callable[[Path, Sequence[str], str | None], StatedModel]
 Start = Hashable | Mapping[Hashable, float]
 
 
+@explained
 def read_any(
     path: str | Path,
-    goal: Sequence[str],
+    goal: str | Sequence[str],
     cost: str | None = None,
     constants: Constants | None = None,
 ) -> StatedModel:
@@ -38,7 +41,7 @@ def read_any(
 
     Args:
         path: the file.
-        goal: names of the goal states, or of a label of them where the format has labels, or a
+        goal: name or names of the goal states, or a label of them where the format has labels, or a
             condition on the variables of a program.
         cost: the name of the cost, where the format has several; None: the only one.
         constants: of a program, "N=5,p=0.1" or by name.
@@ -54,9 +57,10 @@ def read_any(
         raise ModelError(f"{file.name} leaves no constants open")
     if reader is _read_with_storm:
         reader = partial(_read_with_storm, constants=constants)
-    return reader(file, goal, cost)
+    return reader(file, [goal] if isinstance(goal, str) else goal, cost)
 
 
+@explained
 def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
     """Write a model to a file, whose name's ending says in which format; .umb through Storm.
 
@@ -107,7 +111,7 @@ def _read_with_storm(
 
 
 def _write_json(model: SSP, path: Path, start: Start | None) -> None:
-    write_text(path, json_text(model, start))
+    write_text(path, model_in_json(model, start))
 
 
 def _write_archive(model: SSP, path: Path, start: Start | None) -> None:

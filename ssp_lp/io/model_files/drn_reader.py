@@ -1,21 +1,31 @@
-"""The states of a DRN file: lines of states, actions and transitions as arrays."""
+"""Storm's explicit format DRN, read: Markov decision processes and Markov chains with numbers."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
-from ssp_lp.io.model_files.drn_header import DrnHeader
-from ssp_lp.io.model_files.model_file import distinct_actions
-from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
-from ssp_lp.io.model_files.text_file import Lines, TextFile
+from ssp_lp.io.model_files.raw_model import (
+    ModelFile,
+    RawModel,
+    distinct_actions,
+    finished,
+    offsets_of,
+)
+from ssp_lp.io.model_files.text_file import FilePath, Lines, TextFile
+from ssp_lp.model.arguments import explained
 
+_COMMENT = rb"//[^\n]*"
+_KINDS = ("MDP", "DTMC")
+_NUMBERS = ("double", "rational")
+_ONE_LINE = ("@parameters", "@reward_models", "@nr_states", "@nr_choices")
 _STATE = re.compile(rb"state\s+(\d+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _ACTION = re.compile(rb"action\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
 _LABEL = re.compile(r'"([^"]*)"|(\S+)')
@@ -23,29 +33,102 @@ _NO_NAME = "__NOLABEL__"
 _DIGITS = np.arange(ord("0"), ord("9") + 1, dtype=np.uint8)
 
 
-def read_body(file: TextFile, header: DrnHeader, column: int | None) -> RawModel:
-    """Read what follows ``@model``.
+@explained
+def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
+    """Read a model from a DRN file of Storm, plain or gzip.
+
+    The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
+    and of states with the label "deadlock" that no action leaves: they are dead-ends. Other labels
+    of states become ``state_labels``, but for names that reports use for something else.
 
     Args:
-        file: the file, of which the header is read.
-        header: what the header says.
-        column: the position of the cost among the rewards; None: the reward model without a name,
-            or 1 for each action if there are no rewards at all.
+        path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
+        goal: the label of the goal states.
+        cost: the name of a reward model, "" for Storm's without a name; None: the only one, or 1
+            for each action if there is none.
+
+    Returns:
+        The model, whose states are the numbers of the file, and its initial states.
 
     Raises:
-        ModelError: naming the line that is no line of a model.
+        ModelError: naming the file and the line, or the state and the action.
+        OSError: the file cannot be opened.
     """
-    body = _Body(file, header, column)
-    for lines in file.blocks():
-        body.add(lines)
-    return body.raw()
+    with TextFile(path, _COMMENT) as file:
+        header = _read_header(file)
+        rewards = [word.strip('"') for word in header.get("@reward_models", "").split()]
+        body = _Body(file, header, len(rewards), _reward_column(rewards, cost, file))
+        for lines in file.blocks():
+            body.add(lines)
+        return finished(body.raw(), goal, file.path)
+
+
+def _read_header(file: TextFile) -> dict[str, str]:
+    """The sections up to the line ``@model``, by name.
+
+    Raises:
+        ModelError: naming the line: a section that is unknown, twice there or missing, or a model
+            of another type, with parameters or with intervals.
+    """
+    found: dict[str, str] = {}
+    while (line := file.line()) != "@model":
+        if line is None:
+            raise file.fault("the file ends before @model")
+        if not line:
+            continue
+        name, _, value = line.partition(":")
+        if name in found:
+            raise file.fault(f"{name} is there twice")
+        if name in _ONE_LINE:
+            value = file.line() or ""
+        elif name not in ("@type", "@value_type"):
+            raise file.fault(f"{name[:60]!r} is no section that can be read")
+        found[name] = value.strip()
+        _check_section(name, found[name], file)
+    if "@type" not in found or "@nr_states" not in found:
+        raise file.fault("@type and @nr_states must come before @model")
+    return found
+
+
+def _check_section(name: str, value: str, file: TextFile) -> None:
+    """Raise :class:`ModelError` for a value that is not understood."""
+    if name == "@type" and value.upper() not in _KINDS:
+        raise file.fault(f"models of type {value[:60]!r} are not read, only {' and '.join(_KINDS)}")
+    if name == "@value_type" and value not in _NUMBERS:
+        raise file.fault(f"values of type {value[:60]!r} are not read, only double and rational")
+    if name == "@parameters" and value:
+        raise file.fault("a model with parameters has no numbers; instantiate it first")
+    if name in ("@nr_states", "@nr_choices") and not re.fullmatch(r"\d{1,18}", value, re.ASCII):
+        raise file.fault(f"{name} is followed by {value[:60]!r}, which is no number")
+
+
+def _reward_column(rewards: Sequence[str], cost: str | None, file: TextFile) -> int | None:
+    """Position of the reward model that is the cost; None: the header names none.
+
+    Raises:
+        ModelError: there is none of this name, or several to choose from.
+    """
+    if cost == "" and not rewards:
+        return None  # Storm's model without a name, which the header does not show
+    known = ", ".join(map(repr, rewards)) or "none"
+    if cost is None and len(rewards) > 1:
+        raise ModelError(f"{file.path}: choose one of the reward models, cost=...: {known}")
+    if cost is None:
+        return 0 if rewards else None
+    if cost not in rewards:
+        raise ModelError(f"{file.path}: no reward model {cost!r}; there are: {known}")
+    return rewards.index(cost)
 
 
 class _Body:
     """States, actions and transitions read so far, by blocks. Grows."""
 
-    def __init__(self, file: TextFile, header: DrnHeader, column: int | None) -> None:
-        self._file, self._header, self._column = file, header, column
+    def __init__(
+        self, file: TextFile, header: Mapping[str, str], n_rewards: int, column: int | None
+    ) -> None:
+        """Begin with the header; ``column`` is the position of the cost among the rewards."""
+        self._file, self._n_rewards, self._column = file, n_rewards, column
+        self._said = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
         self._n_states = self._n_pairs = 0
         self._last_pair_state = -1
         self._rewarded = column is not None
@@ -135,10 +218,9 @@ class _Body:
         words = listed.split(b",") if listed.strip() else []
         if not words:
             return b"0"
-        if len(words) != (len(self._header.reward_models) or 1):
-            raise self._file.fault(
-                f"{len(words)} rewards for {len(self._header.reward_models)} reward models", number
-            )
+        if len(words) != (self._n_rewards or 1):
+            told = f"{len(words)} rewards for {self._n_rewards} reward models"
+            raise self._file.fault(told, number)
         self._rewarded = True
         return words[self._column or 0].strip()
 
@@ -157,7 +239,7 @@ class _Body:
             number = int(numbers[np.flatnonzero(broken | colons)[0]])
             raise self._file.fault("a transition is written 'successor : probability'", number)
         successors = self._file.integers(words[0::3], numbers)
-        outside = (successors < 0) | (successors >= self._header.n_states)
+        outside = (successors < 0) | (successors >= self._said[0])
         if outside.any():
             raise self._file.fault(
                 f"there is no state {successors[outside][0]}", int(numbers[outside][0])
@@ -167,11 +249,12 @@ class _Body:
 
     def raw(self) -> RawModel:
         """What was read, checked against the header."""
-        said = (self._header.n_states, self._header.n_choices)
-        if said[0] != self._n_states or said[1] not in (None, self._n_pairs):
+        states, choices = self._said
+        if states != self._n_states or choices not in (-1, self._n_pairs):
+            told = "" if choices < 0 else f" and {choices} choices"
             raise self._file.fault(
-                f"the header says {said[0]} states and {said[1]} choices, the file has "
-                f"{self._n_states} and {self._n_pairs}"
+                f"the header says {states} states{told}, the file has {self._n_states} and "
+                f"{self._n_pairs}"
             )
         pair_state = _joined(self._pair_states, np.int64)
         sizes = np.bincount(_joined(self._sources, np.int64), minlength=self._n_pairs)
