@@ -1,54 +1,44 @@
-"""Files of numpy arrays with a header in JSON, without pickle: .npz."""
+"""The library's own files: numpy arrays with a header in JSON, without pickle (.npz)."""
 
 from __future__ import annotations
 
+import io
 import json
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
-from os import PathLike
+from math import prod
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.errors import ModelError
-
-_HEADER = "header"
+from ssp_lp.io.model_files.text_file import FilePath
 
 Array = npt.NDArray[Any]
 
+_HEADER = "header"
+_MOST_PACKED = 1100
+"""Bytes that one packed byte can become, a little above the 1032 of the packing method."""
 
-class Archive(NamedTuple):
-    """What a file holds."""
-
-    header: dict[str, Any]
-    arrays: dict[str, Array]
-
-
-class ArrayStore:
-    """Arrays gathered for a file under names of its own; equal ones are kept once."""
-
-    def __init__(self) -> None:
-        self.arrays: dict[str, Array] = {}
-        self._names: dict[tuple[str, tuple[int, ...], bytes], str] = {}
-
-    def add(self, array: Array) -> str:
-        """The name under which the array is found again."""
-        key = array.dtype.str, array.shape, array.tobytes()
-        if key not in self._names:
-            self._names[key] = f"array{len(self._names)}"
-            self.arrays[self._names[key]] = array
-        return self._names[key]
+_BROKEN = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    OSError,
+    KeyError,
+    ValueError,
+    RuntimeError,
+)
+"""What reading a damaged archive may raise: an offset before its beginning is an OSError."""
 
 
 def write_archive(
-    path: str | PathLike[str],
-    kind: str,
-    version: int,
-    header: Mapping[str, Any],
-    arrays: Mapping[str, Array],
+    path: FilePath, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Array]
 ) -> None:
     """Write a compressed file; the same content gives the same bytes.
 
@@ -65,49 +55,55 @@ def write_archive(
         np.savez_compressed(file, **named)
 
 
-def read_archive(path: str | PathLike[str], kind: str, version: int) -> Archive:
-    """Read a file of :func:`write_archive`; nothing in it is executed.
-
-    Raises:
-        ModelError: it is no such file, or of a later version than this library knows.
-    """
-    refused = ModelError(f"{path} is no ssp-lp {kind} file")
-    try:
-        arrays = _arrays_of(Path(path))
-    except (zipfile.BadZipFile, zlib.error, ValueError, EOFError) as error:
-        raise refused from error
-    if _HEADER not in arrays:
-        raise refused
-    try:
-        header = json.loads(arrays.pop(_HEADER).tobytes())
-    except ValueError as error:
-        raise refused from error
-    if not isinstance(header, dict) or header.get("format") != f"ssp-lp {kind}":
-        raise refused
-    if header["version"] > version:
-        raise ModelError(
-            f"{path} has version {header['version']}, this library reads up to {version}: "
-            "install a newer ssp-lp"
-        )
-    return Archive(header, arrays)
-
-
-def _arrays_of(path: Path) -> dict[str, Array]:
-    """All arrays of a file, in the machine's own byte order.
-
-    Raises:
-        ValueError: a file of one array, or one that holds objects.
-    """
-    with path.open("rb") as file:
-        found = np.load(file, allow_pickle=False)
-        if isinstance(found, np.ndarray):
-            raise ValueError("one array, no archive")
-        return {name: _native(found[name]) for name in found.files}
-
-
-def _native(array: Array) -> Array:
-    return array.astype(array.dtype.newbyteorder("="), copy=False)
-
-
 def _plain(value: np.generic) -> Any:
     return value.item()
+
+
+def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str, Array]]:
+    """The header and the arrays of a file of :func:`write_archive`; nothing in it is executed.
+
+    Raises:
+        ModelError: naming the file: it is none, broken, or of a later version than this library
+            knows.
+        OSError: the file cannot be opened.
+    """
+    with Path(path).open("rb") as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                arrays = {
+                    entry.filename.removesuffix(".npy"): _array(archive, entry)
+                    for entry in archive.infolist()
+                }
+            header = json.loads(arrays.pop(_HEADER).tobytes())
+        except _BROKEN as error:
+            raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
+    if not isinstance(header, dict) or header.get("format") != f"ssp-lp {kind}":
+        raise ModelError(f"{path} is no ssp-lp {kind} file")
+    told = header.get("version")
+    if type(told) is not int or not 1 <= told <= version:
+        raise ModelError(
+            f"{path} has version {told!r}, this library reads up to {version}: install a newer "
+            "ssp-lp"
+        )
+    return header, arrays
+
+
+def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
+    """One array, in the machine's own byte order; its size is bounded by that of the file."""
+    name = entry.filename.removesuffix(".npy")
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ModelError(f"the array {name} is packed by another method")
+    if entry.file_size > _MOST_PACKED * (entry.compress_size + 1):
+        raise ModelError(f"the array {name} cannot be as large as it says")
+    stream = io.BytesIO(archive.read(entry))
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = {(1, 0): np.lib.format.read_array_header_1_0}[version]
+        shape, by_columns, kind = read(stream)
+    except (ValueError, KeyError, SyntaxError, TypeError, RecursionError) as error:
+        raise ModelError(f"the array {name} is no array") from error
+    rest = stream.getbuffer()[stream.tell() :]
+    if kind.hasobject or min(shape, default=0) < 0 or prod(shape) * kind.itemsize != len(rest):
+        raise ModelError(f"the array {name} has another type or size than it should")
+    found = np.frombuffer(rest, dtype=kind).reshape(shape, order="F" if by_columns else "C")
+    return found.astype(kind.newbyteorder("="), copy=False)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Hashable, Mapping
-from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD
 from ssp_lp.io.json_labels import are_numbers_in_turn, label_value
+from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import dead_ends
@@ -29,7 +29,7 @@ _VERSION = 1
 
 
 @explained
-def write_controller(policy: Policy | MixedPolicy, path: str | PathLike[str]) -> None:
+def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
     """Write a policy as a JSON file that :class:`ssp_lp.io.Controller` runs.
 
     That class stands in one file of its own, ``ssp_lp/io/controller.py``, which imports nothing but

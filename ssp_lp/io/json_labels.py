@@ -37,6 +37,20 @@ def label_value(label: Hashable) -> Any:
     )
 
 
+def label_of(value: Any) -> Hashable:
+    """The label that a JSON value was: lists as tuples.
+
+    Raises:
+        ModelError: an object, which no label becomes.
+    """
+    if isinstance(value, list):
+        return tuple(label_of(part) for part in value)
+    if isinstance(value, dict):
+        raise ModelError(f"{str(value)[:60]!r} is no name of a state or an action")
+    found: Hashable = value
+    return found
+
+
 def stated_value(label: Hashable) -> Any:
     """As :func:`label_value`, and what else can be stated the same way in every process.
 

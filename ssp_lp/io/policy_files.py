@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from os import PathLike
 from typing import Any
 
-from ssp_lp.errors import ModelError
-from ssp_lp.io.archive import Archive, Array, ArrayStore, read_archive, write_archive
+from ssp_lp.errors import ModelError, SSPError
+from ssp_lp.io.archive import Array, read_archive, write_archive
+from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -28,7 +29,7 @@ _VERSION = 1
 
 
 @explained
-def save_policy(policy: AnyPolicy, path: str | PathLike[str]) -> None:
+def save_policy(policy: AnyPolicy, path: FilePath) -> None:
     """Write a policy to a file: compressed arrays with a header in JSON, no pickle.
 
     The file holds the model's :func:`fingerprint`, not the model: :func:`load_policy` is given it.
@@ -41,13 +42,12 @@ def save_policy(policy: AnyPolicy, path: str | PathLike[str]) -> None:
     Raises:
         ModelError: the policy is of another class, or the model has labels that cannot be stated.
     """
-    store = ArrayStore()
-    header = policy_header(policy, store)
-    write_archive(path, "policy", _VERSION, header, store.arrays)
+    records = PolicyRecords()
+    write_archive(path, "policy", _VERSION, records.header(policy), records.arrays)
 
 
 @explained
-def load_policy(path: str | PathLike[str], model: SSP, *, check: bool = True) -> AnyPolicy:
+def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
     """Read a policy beside the model that it was made for, such as one built anew.
 
     It plays the same episodes as the one that was saved, given the same generator.
@@ -62,33 +62,30 @@ def load_policy(path: str | PathLike[str], model: SSP, *, check: bool = True) ->
         ModelError: the file is none of a policy, or the model is another one.
     """
     check_model(model, "load_policy")
-    return policy_in(read_archive(path, "policy", _VERSION), model, check=check)
+    header, arrays = read_archive(path, "policy", _VERSION)
+    with damage_named(path):
+        return policy_in(header, arrays, model, check=check)
 
 
-def policy_header(policy: AnyPolicy, store: ArrayStore) -> dict[str, Any]:
-    """What the header of a file says of a policy, whose arrays go into the store.
-
-    Raises:
-        ModelError: the policy cannot be saved.
-    """
-    records = PolicyRecords(store)
-    records.add(policy)
-    model = records.model()
-    return {
-        "model": fingerprint(model),
-        "pairs": pair_print(model),
-        "sizes": repr(model),
-        "policies": records.records,
-    }
+@contextmanager
+def damage_named(path: FilePath) -> Iterator[None]:
+    """Raise :class:`ModelError` for what only a damaged file can say."""
+    try:
+        yield
+    except SSPError:
+        raise
+    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        raise ModelError(f"{path} is damaged: {error!r}") from error
 
 
-def policy_in(archive: Archive, model: SSP, *, check: bool) -> AnyPolicy:
+def policy_in(
+    header: Mapping[str, Any], arrays: Mapping[str, Array], model: SSP, *, check: bool
+) -> AnyPolicy:
     """The policy that a header tells of; see :func:`load_policy`.
 
     Raises:
         ModelError: the model is another one.
     """
-    header, arrays = archive
     records = header["policies"]
     kept, remedy = f"the file was made for {header['sizes']}", ""
     if carries_a_memory(records):
@@ -149,10 +146,31 @@ SAVED_CLASSES = frozenset(_NAME_OF)
 class PolicyRecords:
     """The records of a policy and of all that it is made of; parts stand before the whole."""
 
-    store: ArrayStore
+    arrays: dict[str, Array] = field(default_factory=dict)
     records: list[dict[str, Any]] = field(default_factory=list)
     models: list[SSP] = field(default_factory=list)  # those that the parts live on
     _known: dict[int, int] = field(default_factory=dict)  # id of a policy -> its record
+    _named: dict[Any, str] = field(default_factory=dict)  # content of an array -> its name
+
+    def header(self, policy: AnyPolicy) -> dict[str, Any]:
+        """What the header of a file says of a policy, and of the model that it lives on.
+
+        Raises:
+            ModelError: the policy cannot be saved, or lives on several models.
+        """
+        self.add(policy)
+        if len(self.models) != 1:
+            raise ModelError("the parts of the policy live on several models: save each by itself")
+        model = self.models[0]
+        known = {"model": fingerprint(model), "pairs": pair_print(model), "sizes": repr(model)}
+        return {**known, "policies": self.records}
+
+    def add_array(self, array: Array) -> str:
+        """The name under which an array is found again; equal ones are kept once."""
+        key = array.dtype.str, array.shape, array.tobytes()
+        name = self._named.setdefault(key, f"array{len(self._named)}")
+        self.arrays[name] = array
+        return name
 
     def add(self, policy: AnyPolicy) -> int:
         """The number of a policy's record; a policy that occurs twice has one.
@@ -170,7 +188,7 @@ class PolicyRecords:
             record[part] = float(getattr(policy, part))
         for part in kind.arrays:
             array = getattr(policy, part)
-            record[part] = None if array is None else self.store.add(array)
+            record[part] = None if array is None else self.add_array(array)
         for part in kind.policies:
             inner = getattr(policy, part)
             record[part] = None if inner is None else self.add(inner)
@@ -181,16 +199,6 @@ class PolicyRecords:
         self.records.append(record)
         self._known[id(policy)] = len(self.records) - 1
         return self._known[id(policy)]
-
-    def model(self) -> SSP:
-        """The one model that all parts live on: a product, where a memory of it is carried.
-
-        Raises:
-            ModelError: there are several.
-        """
-        if len(self.models) != 1:
-            raise ModelError("the parts of the policy live on several models: save each by itself")
-        return self.models[0]
 
 
 def made_of(

@@ -87,7 +87,7 @@ SLIPS = [
     ("load_solution('s.npz', M)", "No such file|problem must be a Problem"),
     ("plot_frontier(S)", "frontier must be a"),
     ("plot_cost_law(S)", "law must be a CostLaw"),
-    ("plot_bounds(BoundsRecord(), P)", "solution must be a"),
+    ("plot_bounds(BoundsRecord(), P)", "plot_bounds takes a solution"),
     (
         "plot_lottery(S, P, {'a': (0, 0)}, {})",
         "policy must be a MixedPolicy.*; it has one: .policy",
