@@ -87,12 +87,21 @@ def _by_ending(file: Path, table: Mapping[str, Any]) -> Any:
     raise ModelError(f"{file.name!r} ends in none of {', '.join(table)}")
 
 
-def _read_drn(path: Path, goal: Sequence[str], cost: str | None) -> StatedModel:
-    return _stated(read_drn(path, goal=_label(path, goal), cost=cost))
+def _by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedModel]:
+    """A reader of a format whose goals are the states of one label."""
+
+    def labelled(path: Path, goal: Sequence[str], cost: str | None, **more: Any) -> StatedModel:
+        if len(goal) != 1:
+            raise ModelError(f"{path}: goals are the states of one label")
+        found = read(path, goal=goal[0], cost=cost, **more)
+        states = found.initial_states
+        return StatedModel(found.model, states[0] if len(states) == 1 else None)
+
+    return labelled
 
 
-def _read_prism(path: Path, goal: Sequence[str], cost: str | None) -> StatedModel:
-    return _stated(read_prism(path.with_suffix(""), goal=_label(path, goal), cost=cost))
+_read_drn, _read_prism = _by_label(read_drn), _by_label(read_prism)
+_read_with_storm = _by_label(read_with_storm)
 
 
 def _read_archive(path: Path, goal: Sequence[str], cost: str | None) -> StatedModel:
@@ -101,13 +110,6 @@ def _read_archive(path: Path, goal: Sequence[str], cost: str | None) -> StatedMo
     if cost is not None:
         raise ModelError(f"{path.name} has one cost, without a name")
     return StatedModel(load_model(path))
-
-
-def _read_with_storm(
-    path: Path, goal: Sequence[str], cost: str | None, constants: Constants | None = None
-) -> StatedModel:
-    found = read_with_storm(path, goal=_label(path, goal), cost=cost, constants=constants)
-    return _stated(found)
 
 
 def _write_json(model: SSP, path: Path, start: Start | None) -> None:
@@ -129,18 +131,6 @@ def _from_one_state(write: Callable[..., None]) -> Callable[[SSP, Path, Start | 
         write(model, path, start=start)
 
     return written
-
-
-def _label(path: Path, goal: Sequence[str]) -> str:
-    """The one label of goals."""
-    if len(goal) != 1:
-        raise ModelError(f"{path.name}: goals are the states of one label")
-    return goal[0]
-
-
-def _stated(file: ModelFile) -> StatedModel:
-    states = file.initial_states
-    return StatedModel(file.model, states[0] if len(states) == 1 else None)
 
 
 READERS: dict[str, Reader] = {

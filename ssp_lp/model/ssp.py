@@ -15,7 +15,6 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.builders import (
-    FlatModel,
     Outcomes,
     flatten_successors,
     flatten_transitions,
@@ -93,8 +92,12 @@ class SSP(Naming):
             >>> model.n_states, model.n_pairs, model.n_outcomes
             (3, 1, 2)
         """
-        flat = flatten_transitions(transitions, goal)
-        return cls._from_flat(flat, state_labels, treat_actionless_as_dead_ends, normalise)
+        return cls.from_arrays(
+            **flatten_transitions(transitions, goal),
+            state_labels=state_labels,
+            treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
+            normalise=normalise,
+        )
 
     @classmethod
     @explained
@@ -127,22 +130,12 @@ class SSP(Naming):
         """
         flat = flatten_successors(start, successors, goal, state_limit, progress)
         marked = {
-            name: [s for s in flat.states if holds(s)]
+            name: [s for s in flat["states"] if holds(s)]
             for name, holds in (state_labels or {}).items()
         }
-        return cls._from_flat(flat, marked, treat_actionless_as_dead_ends, normalise)
-
-    @classmethod
-    def _from_flat(
-        cls,
-        flat: FlatModel,
-        state_labels: Mapping[str, Iterable[Hashable]] | None,
-        treat_actionless_as_dead_ends: bool,
-        normalise: bool,
-    ) -> SSP:
         return cls.from_arrays(
-            **flat._asdict(),
-            state_labels=state_labels,
+            **flat,
+            state_labels=marked,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
@@ -58,15 +57,6 @@ class _Player:
         return self._memories[key]
 
 
-@dataclass(frozen=True)
-class End:
-    """How an episode ended."""
-
-    name: str  # a count of the report
-    cost: float
-    steps: int
-
-
 class Party:
     """The players of a lottery, and what their episodes have in common."""
 
@@ -104,13 +94,13 @@ class Party:
 
 
 class GymEpisode:
-    """An episode: where it stands, and how it ended, once it has."""
+    """An episode: where it stands, what it has cost, and how it ended, once it has."""
 
     def __init__(self, party: Party, player: _Player, shown: Hashable) -> None:
         self._party, self._player, self._shown = party, player, shown
-        self._state, self._cost, self._steps = party.model.index_of(shown), 0.0, 0
+        self._state, self.cost, self.steps = party.model.index_of(shown), 0.0, 0
         self._pair = self._memory = 0
-        self.end: End | None = None
+        self.end: str | None = None  # a count of the report
         if party.over[self._state]:
             self._finish(self._state)
         else:
@@ -120,7 +110,7 @@ class GymEpisode:
         """What the policy does; where it gives up the episode has ended."""
         self._pair = self._player.decide(self._state, self._memory)
         if self._pair == GIVE_UP_CODE:
-            self.end = End("gave_up", self._cost, self._steps)
+            self.end = "gave_up"
             return None
         return self._party.model.action_of(self._pair)
 
@@ -131,20 +121,19 @@ class GymEpisode:
         party.check(self._pair, successor, bool(terminated))
         action = model.action_of(self._pair)
         paid = float(model.step_cost(self._shown, action, there, float(reward)))
-        self._cost += paid
-        self._steps += 1
+        self.cost += paid
+        self.steps += 1
         if party.over[successor]:
             self._finish(successor)
-        elif truncated or self._steps == party.most:
+        elif truncated or self.steps == party.most:
             party.cut_off += bool(truncated)
-            self.end = End("truncated", self._cost, self._steps)
+            self.end = "truncated"
         else:
             self._memory = self._player.remember(self._memory, self._pair, successor, paid)
         self._state, self._shown = successor, there
 
     def _finish(self, state: int) -> None:
-        name = "goal" if self._party.model.goal_mask[state] else "failed"
-        self.end = End(name, self._cost, self._steps)
+        self.end = "goal" if self._party.model.goal_mask[state] else "failed"
 
 
 def is_vector(env: object) -> TypeIs[VectorEnv[Any, Any, Any]]:
@@ -160,7 +149,7 @@ def is_vector(env: object) -> TypeIs[VectorEnv[Any, Any, Any]]:
     return isinstance(env, VectorEnv)
 
 
-def vector_episodes(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[End]:
+def vector_episodes(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[GymEpisode]:
     """Play rounds of one episode for each environment; a round ends with the last of them.
 
     An environment whose episode has ended is moved on by an action that changes nothing of ours,
@@ -172,13 +161,13 @@ def vector_episodes(envs: VectorEnv[Any, Any, Any], party: Party, count: int) ->
         party: the players.
         count: how many episodes to play.
     """
-    ends: list[End] = []
-    while len(ends) < count:
-        ends += _round(envs, party, min(envs.num_envs, count - len(ends)))
-    return ends
+    played: list[GymEpisode] = []
+    while len(played) < count:
+        played += _round(envs, party, min(envs.num_envs, count - len(played)))
+    return played
 
 
-def _round(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[End]:
+def _round(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[GymEpisode]:
     """One episode in each of the first environments."""
     from gymnasium.vector import AutoresetMode
     from gymnasium.vector.utils import iterate
@@ -195,7 +184,7 @@ def _round(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[End
                 action = episode.action()
                 actions[k] = idle if episode.end is not None else action
         if all(episode.end is not None for episode in episodes):
-            return [episode.end for episode in episodes if episode.end is not None]
+            return episodes
         acting = [k for k, episode in enumerate(episodes) if episode.end is None]
         if mode is AutoresetMode.DISABLED and over.any():
             envs.reset(options={"reset_mask": over})

@@ -14,7 +14,7 @@ from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, step_limit_of
 from ssp_lp.io.gym.gym_episodes import (
-    End,
+    GymEpisode,
     Party,
     is_vector,
     step_limit_of_vector,
@@ -115,12 +115,12 @@ def rollout(
     party = Party(played, np.random.default_rng(ours), most)
     env.reset(seed=int(theirs.generate_state(1)[0]))
     if is_vector(env):
-        ends = vector_episodes(env, party, episodes)
+        played_out = vector_episodes(env, party, episodes)
     else:
-        ends = _episodes(env, party, episodes)
+        played_out = _episodes(env, party, episodes)
     if party.cut_off and (horizon is None or limit is None or horizon > limit):
         _warn(env, limit, party.cut_off, episodes)
-    return _report(ends, limit, confidence)
+    return _report(played_out, limit, confidence)
 
 
 def _on_environment(policy: Policy | MixedPolicy) -> tuple[MixedPolicy, int | None]:
@@ -135,9 +135,9 @@ def _on_environment(policy: Policy | MixedPolicy) -> tuple[MixedPolicy, int | No
     return lottery, min(known) if len(known) == len(limits) else None
 
 
-def _episodes(env: gymnasium.Env[Any, Any], party: Party, count: int) -> list[End]:
+def _episodes(env: gymnasium.Env[Any, Any], party: Party, count: int) -> list[GymEpisode]:
     """Episodes one after the other."""
-    ends = []
+    played = []
     for _ in range(count):
         shown, _ = env.reset()
         episode = party.begin(shown)
@@ -146,8 +146,8 @@ def _episodes(env: gymnasium.Env[Any, Any], party: Party, count: int) -> list[En
             if episode.end is None:
                 shown, reward, terminated, truncated, _ = env.step(action)
                 episode.observe(shown, reward, terminated, truncated)
-        ends.append(episode.end)
-    return ends
+        played.append(episode)
+    return played
 
 
 def _warn(env: Any, limit: int | None, cut_off: int, episodes: int) -> None:
@@ -161,9 +161,9 @@ def _warn(env: Any, limit: int | None, cut_off: int, episodes: int) -> None:
     )
 
 
-def _report(ends: list[End], limit: int | None, confidence: float) -> RolloutReport:
-    count, episodes = Counter(end.name for end in ends), len(ends)
-    costs = np.array([end.cost for end in ends if end.name == "goal"])
+def _report(played: list[GymEpisode], limit: int | None, confidence: float) -> RolloutReport:
+    count, episodes = Counter(one.end for one in played), len(played)
+    costs = np.array([one.cost for one in played if one.end == "goal"])
     return RolloutReport(
         episodes=episodes,
         goal=count["goal"],
@@ -174,6 +174,6 @@ def _report(ends: list[End], limit: int | None, confidence: float) -> RolloutRep
         failure_probability=proportion_estimate(episodes - count["goal"], episodes, confidence),
         conditional_cost=mean_estimate(costs, confidence),
         success_costs=read_only(costs),
-        mean_steps=float(np.mean([end.steps for end in ends])),
+        mean_steps=float(np.mean([one.steps for one in played])),
         step_limit=limit,
     )

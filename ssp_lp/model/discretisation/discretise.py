@@ -14,7 +14,7 @@ from ssp_lp.arrays import FloatArray, IntArray, least_integer_type, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
-from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, Rows, tally
+from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, tally
 from ssp_lp.model.discretisation.points import Quadrature, Samples, Trials
 from ssp_lp.model.ssp import SSP
 
@@ -89,7 +89,7 @@ class _Tried(NamedTuple):
     cost: FloatArray  # [trials or 1, cells or 1]
 
 
-def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Rows:
+def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
     """The outcomes of some pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
     tried = [
@@ -198,7 +198,7 @@ def _model(world: ContinuousModel, store: OutcomeStore) -> SSP:
     goal = world.end_state("goal")
     for state, cost in enumerate(world.dead_ends.values(), goal + 1):
         one = np.ones(1)
-        store.append(Rows(np.ones(1, np.int64), np.array([state]), one, np.asarray(float(cost))))
+        store.append(Outcomes(np.array([0, 1]), np.array([state]), one, np.asarray(float(cost))))
     offsets = np.arange(0, n_cells * n_actions + 1, n_actions)
     if pairs is not None:
         offsets = np.searchsorted(pairs, offsets)

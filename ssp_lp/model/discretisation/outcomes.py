@@ -10,16 +10,31 @@ import numpy.typing as npt
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges
 
 
-class Rows(NamedTuple):
+class Outcomes(NamedTuple):
     """The outcomes of some pairs; within a pair the successors are distinct and ascend."""
 
-    lengths: IntArray  # [pairs]
+    outcome_offsets: IntArray  # [pairs + 1]
     successors: IntArray  # [outcomes]
     probabilities: FloatArray  # [outcomes]
     costs: FloatArray  # [outcomes], or [] for one number
 
+    def rows(self, wanted: IntArray) -> Outcomes:
+        """The rows of these numbers, one after the other."""
+        begins = self.outcome_offsets[wanted]
+        lengths = self.outcome_offsets[wanted + 1] - begins
+        places = concatenated_ranges(begins, lengths)
+        costs = self.costs[places] if self.costs.ndim else self.costs
+        return Outcomes(
+            offsets_of(lengths), self.successors[places], self.probabilities[places], costs
+        )
 
-def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Rows:
+
+def offsets_of(lengths: IntArray) -> IntArray:
+    """Where each of several pieces in a row begins, and the end, [pieces + 1]."""
+    return np.concatenate([[0], np.cumsum(lengths)])
+
+
+def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
     """Count trials.
 
     Args:
@@ -33,7 +48,9 @@ def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Ro
         firsts, lengths = _runs(ordered)
         counts = np.diff(firsts, append=ordered.size)
         paid = np.repeat(costs[:, 0], lengths) if costs.ndim == 2 else costs
-        return Rows(lengths, ordered.ravel()[firsts], counts / states.shape[1], paid)
+        return Outcomes(
+            offsets_of(lengths), ordered.ravel()[firsts], counts / states.shape[1], paid
+        )
 
     # the trial's number goes along in the lower digits
     n_trials = states.shape[1]
@@ -54,7 +71,7 @@ def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Ro
     elif costs.ndim == 2:
         paid = np.repeat(costs[:, 0], lengths)
     successors = ordered.ravel()[firsts].astype(np.int32)
-    return Rows(lengths, successors, mass / share.sum(), paid)
+    return Outcomes(offsets_of(lengths), successors, mass / share.sum(), paid)
 
 
 def _runs(ordered: IntArray) -> tuple[IntArray, IntArray]:
@@ -69,23 +86,6 @@ _ROOM: Final = 1 << 16  # outcomes
 _GROWTH: Final = 8  # by an eighth: large arrays grow without being copied
 
 
-class Outcomes(NamedTuple):
-    """The arrays of a model's outcomes."""
-
-    outcome_offsets: IntArray  # [pairs + 1]
-    successors: IntArray  # [outcomes]
-    probabilities: FloatArray  # [outcomes]
-    costs: FloatArray  # [outcomes], or [] for one number
-
-    def rows(self, wanted: IntArray) -> Rows:
-        """The rows of these numbers, one after the other."""
-        begins = self.outcome_offsets[wanted]
-        lengths = self.outcome_offsets[wanted + 1] - begins
-        places = concatenated_ranges(begins, lengths)
-        costs = self.costs[places] if self.costs.ndim else self.costs
-        return Rows(lengths, self.successors[places], self.probabilities[places], costs)
-
-
 class OutcomeStore:
     """A growing list of rows; their costs are one number as long as they are all the same."""
 
@@ -98,11 +98,11 @@ class OutcomeStore:
         self._cost: FloatArray | None = None
         self._costs: FloatArray | None = None
 
-    def append(self, rows: Rows) -> None:
+    def append(self, rows: Outcomes) -> None:
         """Add the outcomes of more pairs."""
         begin, end = self._size, self._size + len(rows.successors)
         self._reserve(end)
-        self._lengths.append(rows.lengths)
+        self._lengths.append(np.diff(rows.outcome_offsets))
         self._successors[begin:end] = rows.successors
         self._probabilities[begin:end] = rows.probabilities
         if self._cost is None and rows.costs.ndim == 0:
