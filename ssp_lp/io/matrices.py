@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError, in_short
-from ssp_lp.io.model_files.raw_model import RawModel, absorbed, offsets_of
+from ssp_lp.io.model_files.raw_model import RawModel, absorbed
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.raw_model import (
@@ -17,7 +17,6 @@ from ssp_lp.io.model_files.raw_model import (
     RawModel,
     distinct_actions,
     finished,
-    offsets_of,
 )
 from ssp_lp.io.model_files.text_file import FilePath, Lines, TextFile
 from ssp_lp.model.arguments import explained

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.prism_text import (
@@ -23,7 +23,6 @@ from ssp_lp.io.model_files.raw_model import (
     RawModel,
     distinct_actions,
     finished,
-    offsets_of,
 )
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model.arguments import explained

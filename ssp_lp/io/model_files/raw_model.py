@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.model import SSP
@@ -35,11 +35,6 @@ class RawModel(NamedTuple):
     labels: Mapping[str, IntArray]  # label -> states
     states: Sequence[Hashable] | None = None
     exact_costs: Mapping[float, Fraction] | None = None
-
-
-def offsets_of(counts: IntArray) -> IntArray:
-    """Where each of several segments in a row begins, and the end, [segments + 1]."""
-    return np.concatenate([[0], np.cumsum(counts)])
 
 
 def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:

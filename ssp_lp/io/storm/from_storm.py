@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.raw_model import (
@@ -15,7 +15,6 @@ from ssp_lp.io.model_files.raw_model import (
     RawModel,
     distinct_actions,
     finished,
-    offsets_of,
 )
 from ssp_lp.io.storm.bindings import asked, storm
 from ssp_lp.model.arguments import explained

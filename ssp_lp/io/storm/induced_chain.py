@@ -7,9 +7,9 @@ from collections.abc import Hashable, Mapping
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.io.model_files.exported import GOAL
-from ssp_lp.io.model_files.raw_model import ModelFile, offsets_of
+from ssp_lp.io.model_files.raw_model import ModelFile
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy, Policy

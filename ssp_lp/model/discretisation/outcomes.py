@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges
+from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, offsets_of
 
 
 class Outcomes(NamedTuple):
@@ -27,11 +27,6 @@ class Outcomes(NamedTuple):
         return Outcomes(
             offsets_of(lengths), self.successors[places], self.probabilities[places], costs
         )
-
-
-def offsets_of(lengths: IntArray) -> IntArray:
-    """Where each of several pieces in a row begins, and the end, [pieces + 1]."""
-    return np.concatenate([[0], np.cumsum(lengths)])
 
 
 def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
