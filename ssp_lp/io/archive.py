@@ -7,7 +7,8 @@ import json
 import struct
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ _BROKEN = (
     OSError,
     KeyError,
     ValueError,
-    RuntimeError,
+    RuntimeError,  # RecursionError, too
 )
 """What reading a damaged archive may raise: an offset before its beginning is an OSError."""
 
@@ -86,6 +87,17 @@ def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str
             "ssp-lp"
         )
     return header, arrays
+
+
+@contextmanager
+def damage_named(path: FilePath) -> Iterator[None]:
+    """Raise :class:`ModelError`, naming the file, for what only a damaged one can say."""
+    try:
+        yield
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise ModelError(f"{path} is damaged: {error!r}") from error
 
 
 def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import replace
@@ -13,11 +12,12 @@ import numpy as np
 
 from ssp_lp.arrays import read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archive import Array, read_archive, write_archive
+from ssp_lp.io.archive import Array, damage_named, read_archive, write_archive
 from ssp_lp.io.json_labels import label_of, label_value
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.checked_arrays import check_offsets
 from ssp_lp.model.ssp import check_model
 
 _VERSION = 1
@@ -91,10 +91,8 @@ def load_model(path: FilePath) -> SSP:
         OSError: the file cannot be opened.
     """
     header, arrays = read_archive(path, "model", _VERSION)
-    try:
+    with damage_named(path):
         return _model(header, arrays)
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
 
 
 def _model(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> SSP:
@@ -139,36 +137,23 @@ def _labels(texts: Mapping[str, Any], name: str, size: int | None) -> Sequence[H
 
 
 def _state_labels(
-    texts: Mapping[str, Any], arrays: Mapping[str, Any], states: Sequence[Hashable]
+    texts: Mapping[str, Any], arrays: Mapping[str, Array], states: Sequence[Hashable]
 ) -> Mapping[str, Sequence[Hashable]]:
     """Members of each label, by name."""
-    names: Any = texts.get("state_labels")
     offsets, members = arrays["label_offsets"], arrays["label_members"]
-    fits = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    if not fits or offsets.size != len(names) + 1 or offsets[0] != 0:
-        raise ModelError("the labels of states have no names, or no members")
-    inside = (np.diff(offsets) >= 0).all() and offsets[-1] == members.size
-    if not inside or ((members < 0) | (members >= len(states))).any():
+    check_offsets("label_offsets", offsets, members.size)
+    if ((members < 0) | (members >= len(states))).any():
         raise ModelError("the labels of states have members that are no states")
-    bounds = offsets.tolist()
-    return {
-        name: [states[k] for k in members[bounds[i] : bounds[i + 1]].tolist()]
-        for i, name in enumerate(names)
-    }
+    several = np.split(members, offsets[1:-1])[: offsets.size - 1]
+    pairs = zip(texts["state_labels"], several, strict=True)
+    return {name: [states[k] for k in some.tolist()] for name, some in pairs}
 
 
 def _exact_costs(texts: Mapping[str, Any]) -> Mapping[float, Fraction]:
-    """Costs that were given as fractions."""
+    """Costs that were given as fractions; digits are counted before they are read."""
     exact: dict[float, Fraction] = {}
-    given = texts.get("exact_costs")
-    for entry in given if isinstance(given, list) else [None]:
-        if not isinstance(entry, list) or len(entry) != 2 or not isinstance(entry[0], float):
-            raise ModelError("the exact costs are no list of numbers and fractions")
-        number, text = entry
-        if not isinstance(text, str) or not _FRACTION.fullmatch(text):
-            raise ModelError(f"the exact cost {str(text)[:60]!r} is no fraction")
-        above, _, below = text.partition("/")
-        if int(below or 1) == 0 or not math.isfinite(number):
-            raise ModelError(f"the exact cost {text[:60]!r} is no number")
-        exact[number] = Fraction(int(above), int(below or 1))
+    for number, text in texts["exact_costs"]:
+        if not _FRACTION.fullmatch(text):
+            raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
+        exact[float(number)] = Fraction(text)
     return exact

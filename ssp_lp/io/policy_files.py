@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from ssp_lp.errors import ModelError, SSPError
-from ssp_lp.io.archive import Array, read_archive, write_archive
+from ssp_lp.errors import ModelError
+from ssp_lp.io.archive import Array, damage_named, read_archive, write_archive
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
@@ -65,17 +64,6 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
     header, arrays = read_archive(path, "policy", _VERSION)
     with damage_named(path):
         return policy_in(header, arrays, model, check=check)
-
-
-@contextmanager
-def damage_named(path: FilePath) -> Iterator[None]:
-    """Raise :class:`ModelError` for what only a damaged file can say."""
-    try:
-        yield
-    except SSPError:
-        raise
-    except (LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        raise ModelError(f"{path} is damaged: {error!r}") from error
 
 
 def policy_in(

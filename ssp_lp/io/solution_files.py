@@ -11,9 +11,9 @@ import numpy as np
 
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archive import read_archive, write_archive
+from ssp_lp.io.archive import damage_named, read_archive, write_archive
 from ssp_lp.io.model_files.text_file import FilePath
-from ssp_lp.io.policy_files import PolicyRecords, damage_named, policy_in
+from ssp_lp.io.policy_files import PolicyRecords, policy_in
 from ssp_lp.model.arguments import explained
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
