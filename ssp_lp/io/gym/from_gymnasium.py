@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ssp_lp.arrays import SINGLE_PRECISION_SUM
-from ssp_lp.errors import MissingDependencyError, ModelError, in_short
+from ssp_lp.errors import ModelError, in_short, optional_module
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import SSP
 from ssp_lp.model.within_steps import HorizonSSP, within_steps
@@ -122,17 +122,13 @@ def step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
         MissingDependencyError: gymnasium is not installed.
         ModelError: it is no environment.
     """
-    try:
-        from gymnasium import Wrapper
-        from gymnasium.wrappers import TimeLimit
-    except ImportError as error:
-        raise MissingDependencyError("gymnasium", "gym") from error
+    base, wrappers = (optional_module(name, "gym") for name in ("gymnasium", "gymnasium.wrappers"))
     if not hasattr(env, "unwrapped"):
         told = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
         raise ModelError(f"{told}{in_short(env)}")
     limits, layer = [], env
-    while isinstance(layer, Wrapper):
-        if isinstance(layer, TimeLimit):
+    while isinstance(layer, base.Wrapper):
+        if isinstance(layer, wrappers.TimeLimit):
             limits.append(int(layer._max_episode_steps))
         layer = layer.env
     return min(limits, default=None)

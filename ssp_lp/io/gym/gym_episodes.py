@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.errors import MissingDependencyError, ModelError
+from ssp_lp.errors import ModelError, optional_module
 from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, plain, step_limit_of
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.policies.mixed import MixedPolicy
@@ -142,11 +142,7 @@ def is_vector(env: object) -> TypeIs[VectorEnv[Any, Any, Any]]:
     Raises:
         MissingDependencyError: gymnasium is not installed.
     """
-    try:
-        from gymnasium.vector import VectorEnv
-    except ImportError as error:
-        raise MissingDependencyError("gymnasium", "gym") from error
-    return isinstance(env, VectorEnv)
+    return isinstance(env, optional_module("gymnasium.vector", "gym").VectorEnv)
 
 
 def vector_episodes(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[GymEpisode]:
