@@ -41,8 +41,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
         problem: says the start.
 
     Raises:
-        ModelError: the policy was made for another model, or has no decision in a state that it
-            reaches.
+        ModelError: the policy is for another model, or undecided in a state that it reaches.
 
     Example:
         >>> from ssp_lp import SSP, DeterministicPolicy
@@ -248,6 +247,7 @@ class CostLaw:
 
         return self._followed.asked(atoms)
 
+    @explained
     def all_but(self, mass: float) -> Atoms:
         """The least costs that leave out a mass of at most ``mass`` of the runs that succeed.
 
