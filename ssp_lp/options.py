@@ -36,6 +36,7 @@ LOGGER = "ssp_lp"
 "ssp_lp.search", ...; what is done at level INFO, how far it has come at DEBUG, with the ``share``
 of it that is done as a field of the record where that is known."""
 
+_SEARCH = logging.getLogger(f"{LOGGER}.search")
 _BETWEEN = 0.1  # seconds between two tellings of how far work has come
 _WIDTH, _BAR = 100, 20  # characters of a line, and of a bar in it
 
@@ -190,10 +191,9 @@ def deadline_of(time_limit: float | None, began: float) -> float:
 
 def _logged(progress: Progress | None) -> Progress:
     """The function itself, after the logger has been told the same."""
-    log = logging.getLogger(f"{LOGGER}.search")
 
     def told(calls: int, price: float, objective: float) -> None:
-        log.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
+        _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
         if progress is not None:
             progress(calls, price, objective)
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
-
-import numpy as np
+from math import isfinite
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, until
@@ -18,9 +17,10 @@ from ssp_lp.methods.one_row import (
     solve_by_game,
     solve_for_worth,
 )
-from ssp_lp.methods.risk import solve_for_risk
+from ssp_lp.methods.risk.least_risk import least_risk
 from ssp_lp.methods.rows.optimum import solve_constrained
 from ssp_lp.options import (
+    ColumnGeneration,
     DeterministicPolicies,
     Game,
     LinearProgramming,
@@ -139,7 +139,7 @@ def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution
     if measure is not None and measure.maximised:
         return solve_for_worth(problem, problem.compile(), options)
     if measure is not None:
-        return solve_for_risk(problem, options)
+        return least_risk(problem, options)
     if problem.semantics.aim is not Aim.LEAST_COST:
         return extreme_goal(problem, options)
     if problem.failure_budget is None:
@@ -154,18 +154,17 @@ def _check_method(problem: Problem, method: Method) -> None:
     Raises:
         ModelError: it does not.
     """
-    name, limited = type(problem).__name__, has_rows(problem)
+    if isinstance(method, ColumnGeneration):
+        return
+    name = type(problem).__name__
     if isinstance(method, DeterministicPolicies) and (
         by_rows(problem) or by_sums(problem) or problem.semantics.measure is not None
     ):
         raise ModelError(f"method='deterministic' is not available for {name}")
-    if limited and isinstance(method, Game):
+    if isinstance(method, Game) and has_rows(problem):
         raise ModelError(f"method='game' knows one row only, not {name}: take 'columns' or 'lp'")
-    if (
-        by_rows(problem)
-        and isinstance(method, LinearProgramming)
-        and method.backend == "highs-warm"
-    ):
+    warm = isinstance(method, LinearProgramming) and method.backend == "highs-warm"
+    if warm and by_rows(problem):
         raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
 
 
@@ -184,14 +183,15 @@ def _check_answer(solution: Solution) -> None:
             lottery, or a value that is no number.
     """
     budget, used = solution.problem.failure_budget, solution.budget_used
-    wrong = {
-        f"its value is {solution.objective!r}": not np.isfinite(solution.objective),
-        f"it fails with {used!r}": not 0.0 <= used <= 1.0 + _ROUNDING,
-        f"it fails with {used!r}, {budget!r} allowed": budget is not None
-        and used > budget + LEAST_BUDGET,
-        "its weights are no lottery": not solution.policy.weights.min() >= 0.0
-        or abs(float(solution.policy.weights.sum()) - 1.0) > _ROUNDING,
-    }
-    told = ", ".join(reason for reason, found in wrong.items() if found)
+    weights = solution.policy.weights.tolist()
+    told = []
+    if not isfinite(solution.objective):
+        told.append(f"its value is {solution.objective!r}")
+    if not 0.0 <= used <= 1.0 + _ROUNDING:
+        told.append(f"it fails with {used!r}")
+    if budget is not None and used > budget + LEAST_BUDGET:
+        told.append(f"it fails with {used!r}, {budget!r} allowed")
+    if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= _ROUNDING):
+        told.append("its weights are no lottery")
     if told:
-        raise SolverError(f"the answer fails its check: {told}; please report the model")
+        raise SolverError(f"the answer fails its check: {', '.join(told)}; please report the model")

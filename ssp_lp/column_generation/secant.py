@@ -26,6 +26,8 @@ from ssp_lp.column_generation.pricing.pricing_problem import (
 from ssp_lp.compiled.deadline import STOPS, closing, heed, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 
+_SHARE = 0.25  # of a search that its bounds on the way may take
+_LONG = 0.1  # seconds of a pricing call, below which its proof can wait for the end
 _SAME_COST = 1e-15  # relative
 _SAME_FAILURE = 1e-15  # of columns, one of which is the other, found again
 _SAME_SMALL = 1e-14  # the same, relative to failures that are small and to goals that are rare
@@ -42,13 +44,11 @@ class Secant:
     last: Column | None = None  # found last: a warm start
     calls: int = 0
     work: Work = field(default_factory=Work)
-    proved: AnytimeBound = field(init=False)
+    proof: Proof | None = None  # the best one so far
+    _spent: float = 0.0  # seconds on proofs
+    _since: float = field(default_factory=time.perf_counter)
 
     most_rounds: ClassVar[int] = 200
-
-    def __post_init__(self) -> None:
-        """Nothing is proved yet."""
-        self.proved = AnytimeBound(self.pricing, self.row)
 
     @property
     def slope(self) -> float:
@@ -88,7 +88,7 @@ class Secant:
             known = last, self.inside, self.outside
             began, last = time.perf_counter(), self.pricing.minimise(price, *known)
             self.calls, self.work = self.calls + 1, self.work + last.work
-            self.proved.learn(price, last, began)
+            self._prove_on_the_way(price, last, began)
         self.last = last
         return last
 
@@ -138,11 +138,43 @@ class Secant:
         price = max(price, best) if row.ratio else price
         slack = row.ratio and price <= best  # then prove it just below it: Row.lower_bound
         at = price * (1.0 - 0.25 * tolerance) if slack else price
-        proof = self.proved.concluded(at, last, slack=slack)
+        proof = self._proved(at, last, slack=slack)
         price = price if proof.price == at else max(proof.price, best if row.ratio else 0.0)
         self.work = self.work + proof.work
         bound = least_of(row.lower_bound(proof), best)
         return Generated(columns, weights, np.array([price]), best, bound, finished, proof.values)
+
+    def _prove_on_the_way(self, price: float, best: Column, began: float) -> None:
+        """Prove a bound at a price, if there is a time limit and proofs have taken little so far.
+
+        Args:
+            price: of failure.
+            best: a policy of least value at this price.
+            began: when its pricing began, on the clock of ``time.perf_counter``.
+        """
+        now = time.perf_counter()
+        if not is_limited() or now - began < _LONG or self._spent > _SHARE * (now - self._since):
+            return
+        try:
+            found, bound = self.pricing.prove(price, best), self.row.lower_bound
+            if self.proof is None or bound(found) > bound(self.proof):
+                self.proof = found
+        except STOPS as stop:
+            heed(stop)
+        self._spent += time.perf_counter() - now
+
+    def _proved(self, price: float, best: Column, *, slack: bool) -> Proof:
+        """The proof at the end; where there is no time for it the best one so far, or the trivial.
+
+        The values of a trivial bound ask a certificate for the best that can be had.
+        """
+        try:
+            with closing():
+                return self.pricing.prove(price, best, slack=slack)
+        except STOPS as stop:
+            heed(stop)
+        anything = np.broadcast_to(np.inf, self.pricing.value_shape)
+        return self.proof or Proof(price, price, -np.inf, anything)
 
     def _align(self, price: float) -> None:
         """Let both columns fix what a price fixes by the same one, if they still bracket."""
@@ -157,53 +189,3 @@ class Secant:
             return
         if self.row.breaks(outside) and not self.row.breaks(inside):
             self.inside, self.outside = inside, outside
-
-
-_SHARE = 0.25  # of a search that its bounds on the way may take
-_LONG = 0.1  # seconds of a pricing call, below which its proof can wait for the end
-
-
-@dataclass(eq=False)
-class AnytimeBound:
-    """The best proof so far. Where there is a time limit, long searches prove as they go."""
-
-    pricing: PricingProblem
-    row: Row
-    best: Proof | None = None
-    _spent: float = 0.0  # seconds on proofs
-    _since: float = field(default_factory=time.perf_counter)
-
-    def learn(self, price: float, best: Column, began: float) -> None:
-        """Prove a bound at a price, if there is a limit and proofs have taken little so far.
-
-        Args:
-            price: of failure.
-            best: a policy of least value at this price.
-            began: when its pricing began, on the clock of ``time.perf_counter``.
-        """
-        now = time.perf_counter()
-        if not is_limited() or now - began < _LONG or self._spent > _SHARE * (now - self._since):
-            return
-        try:
-            self._keep(self.pricing.prove(price, best))
-        except STOPS as stop:
-            heed(stop)
-        self._spent += time.perf_counter() - now
-
-    def concluded(self, price: float, best: Column, *, slack: bool) -> Proof:
-        """The proof at the end, or the best one on the way where there is no time for it."""
-        try:
-            with closing():
-                return self.pricing.prove(price, best, slack=slack)
-        except STOPS as stop:
-            heed(stop)
-            return unproved(self.pricing, price) if self.best is None else self.best
-
-    def _keep(self, proof: Proof) -> None:
-        if self.best is None or self.row.lower_bound(proof) > self.row.lower_bound(self.best):
-            self.best = proof
-
-
-def unproved(pricing: PricingProblem, price: float) -> Proof:
-    """No bound but the trivial one; its values ask a certificate for the best that can be had."""
-    return Proof(price, price, -np.inf, np.broadcast_to(np.inf, pricing.value_shape))

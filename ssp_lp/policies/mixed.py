@@ -32,10 +32,11 @@ class MixedPolicy(Playable):
         object.__setattr__(self, "policies", tuple(self.policies))
         object.__setattr__(self, "weights", read_only(self.weights, np.float64))
         check_policies(self.policies)
-        if not self.policies or len(self.policies) != len(self.weights):
+        if not self.policies or self.weights.shape != (len(self.policies),):
             raise ModelError("a mixed policy needs one weight for each of its policies")
-        if not ((self.weights >= 0).all() and abs(float(self.weights.sum()) - 1.0) <= 1e-9):
-            raise ModelError(f"weights must form a distribution, not {self.weights.tolist()}")
+        weights = self.weights.tolist()
+        if not (min(weights) >= 0.0 and abs(sum(weights) - 1.0) <= 1e-9):
+            raise ModelError(f"weights must form a distribution, not {weights}")
         if any(p.model is not self.model for p in self.policies):
             raise ModelError("the members of a mixed policy must act on one model")
 

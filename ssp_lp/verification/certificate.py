@@ -14,7 +14,7 @@ from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, C
 from ssp_lp.column_generation.failure_constraint import CONTRADICTION, Row, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.risk import risk_bound
+from ssp_lp.methods.risk.least_risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
 from ssp_lp.policies.cost_aware import levels_of

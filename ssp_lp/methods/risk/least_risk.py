@@ -12,7 +12,7 @@ from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.solution import Solution
 
 
-def solve_for_risk(problem: Problem, options: SolveOptions) -> Solution:
+def least_risk(problem: Problem, options: SolveOptions) -> Solution:
     """The least quantile, or the least conditional value at risk, of the cost given success.
 
     Args:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -49,54 +48,6 @@ class Trial:
     prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
 
 
-class Question(Protocol):
-    """The policies among which the least risk is sought."""
-
-    @property
-    def thresholds(self) -> Thresholds:
-        """The totals that can occur, or that are tried."""
-        ...
-
-    @property
-    def budget(self) -> float | None:
-        """Of failure; None: only policies of least failure."""
-        ...
-
-    @property
-    def allowed(self) -> float:
-        """The failure that is allowed: the budget, or what is least."""
-        ...
-
-    @property
-    def note(self) -> str:
-        """What a reader should know."""
-        ...
-
-    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
-        """Minimise E[charge | goal].
-
-        Args:
-            charge: of the total cost.
-            options: method, tolerance and limits.
-            kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
-        """
-        ...
-
-    def refuted_below(
-        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
-    ) -> float:
-        """A lower bound of E[charge | goal] at a guess of what failing is worth.
-
-        Args:
-            charge: of the total cost.
-            kappa: the guess.
-            prices: guesses of the multipliers of further rows, by name.
-            slack: the budget is thought to be slack: success is counted rather than failure, which
-                is exact where it is best to fail.
-        """
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class _WithinBudget:
     """Failure alone is limited."""
@@ -119,7 +70,13 @@ class _WithinBudget:
         return self.least if self.budget is None else self.budget
 
     def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
-        """Minimise E[charge | goal] by one search."""
+        """Minimise E[charge | goal] by one search.
+
+        Args:
+            charge: of the total cost.
+            options: method, tolerance and limits.
+            kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
+        """
         compiled = self._charging(charge, kappa)
         if self.budget is None:
             pricing = compiled.pricing()
@@ -136,7 +93,17 @@ class _WithinBudget:
     def refuted_below(
         self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
     ) -> float:
-        """One sweep's bound; policies of least failure all fail alike: there no price matters."""
+        """A lower bound of E[charge | goal] by one sweep at a guess of what failing is worth.
+
+        Policies of least failure all fail alike: there no price matters.
+
+        Args:
+            charge: of the total cost.
+            kappa: the guess.
+            prices: guesses of the multipliers of further rows, by name; there are none.
+            slack: the budget is thought to be slack: success is counted rather than failure, which
+                is exact where it is best to fail.
+        """
         return self._bound(self._charging(charge, kappa), kappa, slack=slack)
 
     def _charging(self, charge: Charge, kappa: float) -> CompiledArrivalCost:
@@ -220,6 +187,10 @@ class _WithinRows:
             return np.array([_expected(charge, law), found.failure_probability, *spent])
 
         return Truth(value, figures)
+
+
+Question = _WithinBudget | _WithinRows
+"""The policies among which the least risk is sought."""
 
 
 def _expected(charge: Charge, law: CostLaw) -> float:

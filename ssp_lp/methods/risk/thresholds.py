@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Protocol
 
 import numpy as np
 
@@ -14,29 +13,12 @@ from ssp_lp.model import SSP
 from ssp_lp.processes.totals.sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
 
 
-class Thresholds(Protocol):
-    """Totals, each with its number, 0, 1, ..."""
-
-    @property
-    def sharp(self) -> bool:
-        """Whether no total can occur between two of them."""
-        ...
-
-    def total(self, number: int) -> float:
-        """The total of a number."""
-        ...
-
-    def number(self, total: float) -> int:
-        """The number of the nearest total."""
-        ...
-
-
 @dataclass(frozen=True)
 class Multiples:
     """Multiples of a unit: of all costs, or, not sharp, of a grid."""
 
     unit: Fraction
-    sharp: bool = True
+    sharp: bool = True  # no total can occur between two of them
 
     def total(self, number: int) -> float:
         """The multiple, as the nearest float."""
@@ -93,3 +75,7 @@ class SumsThatOccur:
         every = every[every < self._cap]
         room = room_of(np.union1d(self._steps, self._last), self._cap)
         return np.asarray(every[np.diff(every, prepend=-np.inf) > room])
+
+
+Thresholds = Multiples | SumsThatOccur
+"""Totals, each with its number, 0, 1, ..."""
