@@ -10,7 +10,7 @@ from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.analysis.occupation import equivalent_randomised_policy
 from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 from ssp_lp.arrays import FloatArray
-from ssp_lp.column_generation.failure_constraint import relative_gap
+from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.html_table import html_table

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray
-from ssp_lp.column_generation.failure_constraint import Row, least_of
+from ssp_lp.column_generation.failure_row import Row, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module

@@ -17,7 +17,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant

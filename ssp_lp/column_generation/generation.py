@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import ClassVar, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +19,10 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProb
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
+
+if TYPE_CHECKING:
+    from ssp_lp.column_generation.secant import Secant
+    from ssp_lp.column_generation.stabilised_master import StabilisedMaster
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,41 +65,7 @@ class Generated:
         return MixedPolicy(tuple(pricing.policy(column) for column in self.columns), self.weights)
 
 
-class PriceRule(Protocol):
-    """Where a search stands, and how it goes on."""
-
-    most_rounds: ClassVar[int]
-
-    @property
-    def calls(self) -> int:
-        """Pricing calls so far."""
-        ...
-
-    def seek(self, tolerance: float) -> Column | None:
-        """The best column at the rule's prices; None where no more is needed.
-
-        Args:
-            tolerance: relative gap to reach.
-
-        Raises:
-            Stop: the time ended.
-        """
-        ...
-
-    def told(self) -> tuple[float, float]:
-        """What the last column was sought at: the price of failure, and the objective so far."""
-        ...
-
-    def learn(self, found: Column, tolerance: float) -> bool:
-        """Take in the column that was sought; whether that ends the search."""
-        ...
-
-    def concluded(self, tolerance: float, *, finished: bool) -> Generated:
-        """What has been found."""
-        ...
-
-
-def generate(rule: PriceRule, options: SolveOptions) -> Generated:
+def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generated:
     """Add columns until the rule finds none that is worth having, or time is up.
 
     Args:

@@ -16,7 +16,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
     LeastFailure,
 )
-from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late

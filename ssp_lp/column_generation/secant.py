@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ssp_lp.column_generation.failure_constraint import Row, least_of
+from ssp_lp.column_generation.failure_row import Row, least_of
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pricing.pricing_problem import (
     Column,

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.compiled_problem import Sense
-from ssp_lp.column_generation.failure_constraint import least_of
+from ssp_lp.column_generation.failure_row import least_of
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import cold_attempts, first_accepted
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer

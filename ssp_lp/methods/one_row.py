@@ -13,12 +13,12 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     Sense,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_constraint import Row, relative_gap
+from ssp_lp.column_generation.failure_row import Row, relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import check_agreement, solve_program
-from ssp_lp.methods.refinement import Outcome, optimise
+from ssp_lp.methods.refinement import Outcome, refined_optimum
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.problem import Problem
@@ -80,7 +80,7 @@ def best_within_budget(
         SolverError: the linear program's answer fails its check.
     """
     budget = problem.failure_budget
-    outcome = optimise(problem.compile(), 1.0 if budget is None else budget, options)
+    outcome = refined_optimum(problem.compile(), 1.0 if budget is None else budget, options)
     found = outcome.found
     price = max(found.price - found.objective, 0.0) if outcome.row.ratio else found.price
     unlimited = options.program is None and not problem.ratio and outcome.row.budget >= 1.0
@@ -117,12 +117,14 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
     if problem.failure_budget is None:
         return _at_least_failure(problem, compiled)
     failing = problem.semantics.failing_worth
-    outcome = optimise(compiled, problem.failure_budget, options)
+    outcome = refined_optimum(compiled, problem.failure_budget, options)
     gained, worth = -outcome.found.objective, failing - outcome.found.objective
     if failing != 0.0 and 0.0 < abs(worth) < gained and not _is_met(outcome, failing, options):
         finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         outcome = outcome.followed_by(
-            optimise(outcome.compiled, problem.failure_budget, replace(options, tolerance=finer))
+            refined_optimum(
+                outcome.compiled, problem.failure_budget, replace(options, tolerance=finer)
+            )
         )
     answer = outcome.answer(outcome.found.price, _note(problem, outcome, options))
     return assembled(problem, answer, outcome.run(options, _reason(outcome)), Sense(failing))

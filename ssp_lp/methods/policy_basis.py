@@ -19,7 +19,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import columns_at, columns_by_pricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column

@@ -17,7 +17,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     checked_least_failure,
 )
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.refinement import optimise
+from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.methods.rows.lottery import truth_of
 from ssp_lp.methods.rows.optimum import rows_optimum
 from ssp_lp.options import CERTIFYING
@@ -132,7 +132,7 @@ def _within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]
     if isinstance(compiled, CompiledFailureLabel):
         least = checked_least_failure(compiled, budget).column.failure if budget < 1.0 else 0.0
         return LabelledModel(compiled.labelled, compiled.start), max(budget, least)
-    found = optimise(compiled, budget, CERTIFYING)
+    found = refined_optimum(compiled, budget, CERTIFYING)
     if found.least is not None and found.row.budget <= found.least.column.failure:
         if compiled.discount is None:  # only policies of least failure are within the budget
             return _at_least_failure(compiled), found.row.budget

@@ -10,7 +10,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     LeastFailure,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_constraint import Row, relative_gap
+from ssp_lp.column_generation.failure_row import Row, relative_gap
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
 from ssp_lp.column_generation.secant import Secant
@@ -74,7 +74,7 @@ class Outcome:
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
 
-def optimise(compiled: CompiledProblem, budget: float, options: SolveOptions) -> Outcome:
+def refined_optimum(compiled: CompiledProblem, budget: float, options: SolveOptions) -> Outcome:
     """Search on finer and finer compiled problems until the gap is met, or refining does not help.
 
     Args:

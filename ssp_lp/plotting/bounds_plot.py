@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import LOOKS, Look, axes_or_new, dress

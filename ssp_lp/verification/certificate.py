@@ -11,7 +11,7 @@ from ssp_lp.arrays import RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
-from ssp_lp.column_generation.failure_constraint import CONTRADICTION, Row, relative_gap
+from ssp_lp.column_generation.failure_row import CONTRADICTION, Row, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.least_risk import risk_bound

@@ -13,7 +13,7 @@ from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
 from random_models import drawn_model
 from ssp_lp import SSP, LinearProgramming, Solution, solve
-from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.linear_programming.highs import solve_with_highs
 from ssp_lp.linear_programming.linear_program import residuals
 from ssp_lp.methods.policy_basis import policy_basis

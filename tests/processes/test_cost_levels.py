@@ -19,7 +19,7 @@ from ssp_lp import (
 from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
     CompiledAccumulatedCost,
 )
-from ssp_lp.methods.refinement import optimise
+from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.totals.ladder import Ladder
@@ -59,7 +59,7 @@ def test_levels_grids_and_the_lattice(block: int) -> None:
         budget = float(rng.choice([0.05, 0.1, 0.2, 0.3, 0.5, 1.0]))
         try:
             lattice = CompiledAccumulatedCost(model, start_distribution(model, "s0"))
-            known = optimise(lattice, budget, CERTIFYING).found.objective
+            known = refined_optimum(lattice, budget, CERTIFYING).found.objective
         except InfeasibleError:
             with pytest.raises(InfeasibleError):
                 solve(S3P(model, "s0", budget, cost_levels=3000))

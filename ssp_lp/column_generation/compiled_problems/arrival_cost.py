@@ -18,12 +18,8 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.goal_reach import (
-    GoalReach,
     ReachPolicy,
-    cheapest,
     goal_directed,
-    greatest_goal_reach,
-    least_goal_reach,
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import Charge, ExponentialReward, TailValues
@@ -78,22 +74,6 @@ class CompiledArrivalCost(CompiledLayered):
         return accumulate_cost(
             self.model, self.start, None, arrivals=True, usable=usable, by_steps=self.by_sums
         )
-
-    @cached_property
-    def greatest(self) -> GoalReach:
-        """The greatest goal probability."""
-        return greatest_goal_reach(self.model)
-
-    @cached_property
-    def _safest(self) -> ReachPolicy:
-        """The cheapest policy of greatest goal probability."""
-        return cheapest(self.model, self.greatest)
-
-    @cached_property
-    def _riskiest(self) -> tuple[GoalReach, ReachPolicy]:
-        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
-        least = least_goal_reach(self.model)
-        return least, cheapest(self.model, least)
 
     @cached_property
     def _moments(self) -> MomentReach | None:
@@ -171,13 +151,13 @@ class CompiledArrivalCost(CompiledLayered):
     @cached_property
     def _tails(self) -> Tails:
         at, moments = self.base.quotient.least_over_members, self._moments
-        first: ReachPolicy | MomentReach = self._safest if moments is None else moments
+        first: ReachPolicy | MomentReach = self.safest_policy if moments is None else moments
         last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None
         if self.safest_only:
             least_goal = at(self.greatest.goal) * (1.0 - _LEAST)
-            least_cost = at(self._safest.cost_bound)
+            least_cost = at(self.safest_policy.cost_bound)
         elif self.ratio:  # else an arrival is never worse than failing
-            least, last = self._riskiest
+            least, last = self.riskiest
             least_goal = at(least.bound)
         both = (first, last)
         return Tails(
@@ -248,17 +228,11 @@ class CompiledArrivalCost(CompiledLayered):
         if charge == self.charge or not any(exponential):
             vars(self)["_tails"] = self._tails
             kept = ("base", "_tails", "_moments", "cost_horizon")
-        return self._handing_on(replace(self, charge=charge, cap=cap), kept)
-
-    def _handing_on(self, other: CompiledArrivalCost, kept: tuple[str, ...]) -> CompiledArrivalCost:
-        """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
-        names = ("greatest", "_safest", "_riskiest", *kept)
-        vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
-        return other
+        return self._handing_on(replace(self, charge=charge, cap=cap), *kept)
 
     def safest(self) -> CompiledArrivalCost:
         """The same among the policies of least failure."""
-        return self._handing_on(replace(self, safest_only=True, cap=None), ())
+        return self._handing_on(replace(self, safest_only=True, cap=None))
 
     def for_program(self) -> CompiledArrivalCost:
         """The compiled itself: its tails are optimal beyond it."""

@@ -18,14 +18,9 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.processes.failure_semantics import survival_of
 from ssp_lp.processes.goal_reach import (
-    GoalReach,
     ReachPolicy,
-    cheapest,
     goal_directed,
-    greatest_goal_reach,
-    least_goal_reach,
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import TailValues
@@ -64,11 +59,6 @@ class CompiledAccumulatedCost(CompiledLayered):
     ratio: bool = field(default=True, init=False)
     lowest: float = field(default=0.0, init=False)
 
-    @property
-    def survival(self) -> float:
-        """The discount, 1 in the exact setting."""
-        return survival_of(self.discount)
-
     @cached_property
     def base(self) -> AccumulatedCost:
         """One layer of the process."""
@@ -94,29 +84,17 @@ class CompiledAccumulatedCost(CompiledLayered):
         guessing = self.cap is None and self.fixed_cap is None
         return guessing and steps > _MOST_STEPS
 
-    @cached_property
-    def safest(self) -> tuple[GoalReach, ReachPolicy]:
-        """The greatest goal probability and the cheapest policy that attains it."""
-        greatest = greatest_goal_reach(self.model, self.survival)
-        return greatest, cheapest(self.model, greatest, self.survival)
-
-    @cached_property
-    def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
-        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
-        least = least_goal_reach(self.model, self.survival)
-        return least, cheapest(self.model, least, self.survival)
-
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least E[cost; goal] among its actions.
 
         At least failure the accumulated cost is not needed: a transition to x' is priced
         ``g * Pmax(x')`` (mathematics, section 4).
         """
-        reach, safest = self.safest
+        safest = self.safest_policy
         cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
         policy = DeterministicPolicy(self.model, safest.decision)
         column = Column(cost, float(self.start @ safest.failure), goal, None, policy=policy)
-        greatest = float(self.start @ reach.bound)
+        greatest = float(self.start @ self.greatest.bound)
         ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
         return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
 
@@ -163,11 +141,10 @@ class CompiledAccumulatedCost(CompiledLayered):
         return self._carry(replace(exact, cap=exact.process.cap))
 
     def _carry(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
-        """Hand what does not depend on the cap to a copy of this compiled."""
-        kept = {"base", "safest", "riskiest", "_directed"}
-        other.__dict__.update((name, self.__dict__[name]) for name in kept & self.__dict__.keys())
-        if "_tails" in self.__dict__ and self._has_exact_tails == other._has_exact_tails:
-            other.__dict__["_tails"] = self._tails
+        """Hand what does not depend on the cap to a copy."""
+        other = self._handing_on(other, "base", "_directed")
+        if "_tails" in vars(self) and self._has_exact_tails == other._has_exact_tails:
+            vars(other)["_tails"] = self._tails
         return other
 
     @cached_property
@@ -176,8 +153,8 @@ class CompiledAccumulatedCost(CompiledLayered):
         least, riskiest = self.riskiest
         exact = self._has_exact_tails
         if exact:
-            reach, first = self.safest
-            greatest = -at(-reach.bound)
+            first = self.safest_policy
+            greatest = -at(-self.greatest.bound)
         else:
             first = self._directed
             greatest = np.full(self.base.n_nodes, self.survival)

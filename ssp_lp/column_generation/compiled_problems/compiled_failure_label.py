@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFailure
-from ssp_lp.column_generation.failure_constraint import relative_gap
+from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, required
 from ssp_lp.errors import InfeasibleError

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
+from typing import Protocol, Self
 
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
@@ -13,7 +14,14 @@ from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.failure_semantics import survival_of
+from ssp_lp.processes.goal_reach import (
+    GoalReach,
+    ReachPolicy,
+    cheapest,
+    greatest_goal_reach,
+    least_goal_reach,
+)
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.materialise import chosen_pairs, materialise
 from ssp_lp.processes.layered.process import LayeredProcess
@@ -187,12 +195,42 @@ def check_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
 
 
 class CompiledLayered(ABC):
-    """An compiled whose process is layered."""
+    """A compiled problem whose process is layered."""
+
+    model: SSP
+    discount: float | None
 
     @property
     @abstractmethod
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
+
+    @property
+    def survival(self) -> float:
+        """The discount, 1 in the exact setting."""
+        return survival_of(self.discount)
+
+    @cached_property
+    def greatest(self) -> GoalReach:
+        """The greatest goal probability."""
+        return greatest_goal_reach(self.model, self.survival)
+
+    @cached_property
+    def safest_policy(self) -> ReachPolicy:
+        """The cheapest policy of greatest goal probability."""
+        return cheapest(self.model, self.greatest, self.survival)
+
+    @cached_property
+    def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
+        least = least_goal_reach(self.model, self.survival)
+        return least, cheapest(self.model, least, self.survival)
+
+    def _handing_on(self, other: Self, *kept: str) -> Self:
+        """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
+        names = ("greatest", "safest_policy", "riskiest", *kept)
+        vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
+        return other
 
     def pricing(self) -> LayeredPricing:
         """One backward sweep over the layers."""

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from ssp_lp.column_generation.failure_constraint import relative_gap
+from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.methods.integer_programming.search import best_single_policy
 from ssp_lp.methods.refinement import Outcome
 from ssp_lp.policies.mixed import as_lottery

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from scipy.sparse import linalg
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.column_generation.failure_constraint import Row, relative_gap
+from ssp_lp.column_generation.failure_row import Row, relative_gap
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.assembling import Found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.quantile import least_quantile, quantile_bound
-from ssp_lp.methods.risk.question import pose
+from ssp_lp.methods.risk.question import question_of
 from ssp_lp.methods.risk.tail_mean import least_tail_mean, tail_mean_bound
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
@@ -23,7 +23,7 @@ def least_risk(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
         ModelError: another measure, or a table of costs that would be too large.
     """
-    question = pose(problem)
+    question = question_of(problem)
     match problem.semantics.measure:
         case CostQuantileOf(level):
             return least_quantile(problem, question, level, options)
@@ -43,7 +43,7 @@ def risk_bound(problem: Problem, attained: float, options: SolveOptions) -> tupl
     Returns:
         The bound, and the failure that is allowed.
     """
-    question = pose(problem)
+    question = question_of(problem)
     match problem.semantics.measure:
         case CostQuantileOf(level):
             return quantile_bound(question, level, attained, options), question.allowed

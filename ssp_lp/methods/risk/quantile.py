@@ -11,7 +11,7 @@ from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
 from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.risk.question import Question, Trial, remarks
+from ssp_lp.methods.risk.question import Question, Trial, question_remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.charges import Late
@@ -48,10 +48,10 @@ def least_quantile(
                 raise Stop(told=_known(question, refuted)) from stop
             break
         calls += trial.calls
-        if trial.value <= allowed(level):
+        if trial.value <= _allowed(level):
             kept, high = trial, middle
         else:
-            low, refuted = middle, middle if is_refuted(trial, level) else refuted
+            low, refuted = middle, middle if _is_refuted(trial, level) else refuted
             high = 2 * middle + 1 if kept is None else high
         late = is_late()
         if late and kept is None:
@@ -66,7 +66,7 @@ def least_quantile(
         value=objective,
         bound=min(_beyond(question, refuted), objective),
         failure=1.0 - law.goal,
-        note=remarks(question, in_time=high - low <= 1),
+        note=question_remarks(question, in_time=high - low <= 1),
     )
     reason = f"bisection over cost bounds, {calls} pricing calls"
     return assembled(problem, found, Run(options.method, reason, calls, 0.0))
@@ -84,7 +84,7 @@ def _greatest_refuted(
         except STOPS as stop:
             heed(stop)
             break
-        calls, is_low = calls + trial.calls, is_refuted(trial, level)
+        calls, is_low = calls + trial.calls, _is_refuted(trial, level)
         low, refuted = (low, middle) if is_low else (middle, refuted)
     return refuted, calls
 
@@ -106,7 +106,7 @@ def quantile_bound(
         options: tolerance and limits.
     """
     below = question.thresholds.number(quantile) - 1
-    if below < 0 or not is_refuted(
+    if below < 0 or not _is_refuted(
         question.attempt(Late(question.thresholds.total(below)), options), level
     ):
         return 0.0
@@ -121,7 +121,7 @@ def _beyond(question: Question, refuted: int) -> float:
     return places.total(refuted) if refuted >= 0 else 0.0
 
 
-def allowed(level: float) -> float:
+def _allowed(level: float) -> float:
     """The share of the successes that may lie beyond the quantile, with the slack of its law.
 
     Below 1, however low the level: some success must be in time, beyond what may be rounding.
@@ -129,6 +129,6 @@ def allowed(level: float) -> float:
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 
 
-def is_refuted(trial: Trial, level: float) -> bool:
+def _is_refuted(trial: Trial, level: float) -> bool:
     """Whether a proof says that no policy has its quantile at the trial's bound."""
-    return trial.lower_bound > allowed(level)
+    return trial.lower_bound > _allowed(level)

@@ -15,9 +15,9 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.failure_constraint import Row
+from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.refinement import optimise
+from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.methods.risk.thresholds import Multiples, SumsThatOccur, Thresholds
 from ssp_lp.methods.rows.lottery import Truth, taken
 from ssp_lp.methods.rows.optimum import rows_optimum
@@ -84,7 +84,7 @@ class _WithinBudget:
             policy = MixedPolicy((pricing.policy(column),), np.ones(1))
             value = column.cost / column.goal
             return Trial(value, min(self._bound(compiled, 0.0), value), policy, 0.0, 2)
-        outcome = optimise(compiled, self.budget, options)
+        outcome = refined_optimum(compiled, self.budget, options)
         found = outcome.found
         return Trial(
             found.objective, found.lower_bound, outcome.lottery, found.price, outcome.calls
@@ -209,7 +209,7 @@ def _expected(charge: Charge, law: CostLaw) -> float:
     raise ModelError(f"{charge!r} is no charge of a risk")
 
 
-def pose(problem: Problem) -> Question:
+def question_of(problem: Problem) -> Question:
     """Check the budget, and say which policies count.
 
     A budget above the least failure by no more than rounding counts as equal to it.
@@ -238,6 +238,6 @@ def pose(problem: Problem) -> Question:
     return _WithinBudget(compiled.safest(), None, least, note)
 
 
-def remarks(question: Question, *, in_time: bool) -> str:
+def question_remarks(question: Question, *, in_time: bool) -> str:
     """The note, and whether time ran out."""
     return "; ".join(told for told in (question.note, "" if in_time else CUT_SHORT) if told)

@@ -30,7 +30,7 @@ import numpy as np
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.risk.question import Question, Trial, remarks
+from ssp_lp.methods.risk.question import Question, Trial, question_remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
@@ -165,7 +165,7 @@ def least_tail_mean(
     sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
     reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
-    note = remarks(question, in_time=search.in_time)
+    note = question_remarks(question, in_time=search.in_time)
     found = Found(
         best.policy,
         best.value,

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.failure_constraint import least_of, relative_gap
+from ssp_lp.column_generation.failure_row import least_of, relative_gap
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pool import Rows
 from ssp_lp.column_generation.stabilised_master import StabilisedMaster, without_trifles
