@@ -105,7 +105,6 @@ __all__ = [
     "failure_probability",
     "goal_probability",
     "is_whole",
-    "parse_give_up",
     "secondary_cost",
     "visits",
 ]
@@ -113,14 +112,11 @@ __all__ = [
 Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
-
 _COMPILING = logging.getLogger("ssp_lp.compiling")
+_FREE = FailureSemantics()
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
-
-
-_FREE = FailureSemantics()
 
 
 class _Inherited:
@@ -156,10 +152,11 @@ class Formulation(_Inherited):
         Raises:
             ModelError: it is no model.
         """
-        first = next(part.name for part in fields(cls) if not part.kw_only)
-        if arguments and first == "model" and not isinstance(arguments[0], SSP):
+        if arguments and not isinstance(arguments[0], SSP):
+            first = next(part.name for part in fields(cls) if not part.kw_only)
             given = in_short(arguments[0])
-            raise ModelError(f"{cls.__name__} takes an SSP first, then the start, not {given}")
+            if first == "model":
+                raise ModelError(f"{cls.__name__} takes an SSP first, then the start, not {given}")
         return super().__new__(cls)
 
     def __init_subclass__(cls) -> None:
@@ -250,6 +247,8 @@ class Formulation(_Inherited):
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
             raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
         every = {**own, **stated} if isinstance(stated, Mapping) else stated
+        if every == {}:
+            return ()
         return conditions(self._asked.model, self._begun, every)
 
     @property

@@ -47,6 +47,8 @@ class Generated:
     @property
     def figures(self) -> FloatArray:
         """Cost, failure and rows of the lottery, [rewards]."""
+        if len(self.columns) == 1:
+            return self.columns[0].figures
         return np.asarray(self.weights @ np.stack([column.figures for column in self.columns]))
 
     @property

@@ -65,8 +65,8 @@ class CostAwarePolicy(Policy, Playable):
             object.__setattr__(self, "tail_table", read_only(self.tail_table))
         everywhere = np.arange(self.model.n_states)
         for layer in self.decision:
-            check_decisions(self.model, self._pairs(layer, everywhere), everywhere)
-        check_decisions(self.model, self.tails, everywhere)
+            check_decisions(self.model, self._pairs(layer, everywhere))
+        check_decisions(self.model, self.tails)
 
     @property
     def cap(self) -> int:

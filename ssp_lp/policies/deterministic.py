@@ -29,7 +29,7 @@ class DeterministicPolicy(Policy, Playable):
         object.__setattr__(self, "decision", read_only(self.decision))
         if self.decision.shape != (self.model.n_states,):
             raise ModelError(f"a decision is needed for each of {self.model.n_states} states")
-        check_decisions(self.model, self.decision, np.arange(self.model.n_states))
+        check_decisions(self.model, self.decision)
 
     @classmethod
     @explained
@@ -92,16 +92,14 @@ def find_pair(model: SSP, state: int, action: Hashable) -> int:
     raise ModelError(model.no_such_action(state, action))
 
 
-def check_decisions(model: SSP, decision: IntArray, states: IntArray) -> None:
+def check_decisions(model: SSP, decision: IntArray) -> None:
     """Raise :class:`ModelError` where a decision is neither a pair of its state nor a code.
 
     Args:
-        decision: [..., len(states)].
-        states: state index of each entry of the last axis.
+        decision: [..., states].
     """
-    low, high = model.pair_offsets[states], model.pair_offsets[states + 1]
+    low, high = model.pair_offsets[:-1], model.pair_offsets[1:]
     wrong = (decision < UNDECIDED) | ((decision >= 0) & ((decision < low) | (decision >= high)))
     if wrong.any():
-        column = int(np.argwhere(wrong)[0][-1])
-        name = model.states[int(states[column])]
+        name = model.states[int(np.argwhere(wrong)[0][-1])]
         raise ModelError(f"the decision in state {name!r} is no pair of that state")

@@ -108,7 +108,8 @@ def label_failure(
     process, departs = _fill(quotient, stage, survival)
     check_time()
     process = _with_start(process, quotient, start, entering)
-    counted = replace(process, cost=_counted(process, semantics))
+    cost = _counted(process, semantics)
+    counted = process if cost is process.cost else replace(process, cost=cost)
     return FailureLabelled(counted, quotient, departs)
 
 

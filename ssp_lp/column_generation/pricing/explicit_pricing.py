@@ -246,7 +246,11 @@ def _weights(price: float | FloatArray) -> FloatArray:
 
 def _rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
     """The relative rounding of a weighted sum of terms >= 0; 0 where it is exact, [pairs]."""
-    terms = np.count_nonzero(rewards[:, weights > 0.0], axis=1)
-    odd = (weights > 0.0) & (weights != 1.0)
-    products = ((rewards[:, odd] != 0.0) & (rewards[:, odd] != 1.0)).any(axis=1)
+    terms, products = np.zeros(len(rewards), dtype=np.int64), np.zeros(len(rewards), dtype=np.bool_)
+    for reward, weight in zip(rewards.T, weights.tolist(), strict=True):
+        if weight > 0.0:
+            counted = reward != 0.0
+            terms += counted
+            if weight != 1.0:
+                products |= counted & (reward != 1.0)
     return np.asarray(MACHINE_EPSILON * np.maximum(terms - 1, products))
