@@ -47,8 +47,8 @@ from ssp_lp.verification.certificate import Certificate, certify
 
 if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier
+    from ssp_lp.analysis.frontier_tracing import trace_frontier
     from ssp_lp.analysis.simulation import simulate
-    from ssp_lp.analysis.tracing import trace_frontier
     from ssp_lp.formulation import Formulation
     from ssp_lp.model.discretisation.continuous_model import ContinuousModel
     from ssp_lp.model.discretisation.discretise import discretise
@@ -147,7 +147,7 @@ _ON_DEMAND = {
     "CrossCheck": "ssp_lp.verification.cross_check",
     "cross_check": "ssp_lp.verification.cross_check",
     "Frontier": "ssp_lp.analysis.frontier",
-    "trace_frontier": "ssp_lp.analysis.tracing",
+    "trace_frontier": "ssp_lp.analysis.frontier_tracing",
     "simulate": "ssp_lp.analysis.simulation",
 }
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
-from ssp_lp.analysis.measuring.layered import LayeredMeasures
-from ssp_lp.analysis.measuring.measures import Measures, mean_of
+from ssp_lp.analysis.layers.chain_of_law import chain_of_law
+from ssp_lp.analysis.layers.layered_measures import Measures, layered_measures, mean_of
 from ssp_lp.analysis.quantity_values import (
     complement,
     counted_nodes,
@@ -18,7 +18,6 @@ from ssp_lp.analysis.quantity_values import (
     until_failure,
 )
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
-from ssp_lp.analysis.total_cost.spine import chain_of_law
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.model.nearest import ByName
@@ -94,9 +93,9 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
     lottery, problem = on_one_model(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
     measure = problem.semantics.measure
-    streams, members, chains = LayeredMeasures(problem, start), [], []
+    members, chains = [], []
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
-        found, chain = streams.of(member), None
+        found, chain = layered_measures(member, problem, start), None
         if found is None:
             chain = policy_chain(problem.model, member, start)
             found = _measure(chain, problem)
