@@ -43,7 +43,8 @@ from ssp_lp.processes.quantities.quantity import (
 )
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
-from ssp_lp.verification.certificate import Certificate, certify
+from ssp_lp.verification.certificate import Certificate
+from ssp_lp.verification.certifying import certify
 
 if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier

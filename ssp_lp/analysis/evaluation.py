@@ -90,6 +90,19 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
             problem forbids it.
     """
+    return evaluate_each(policy, problem)[0]
+
+
+def evaluate_each(
+    policy: Policy | MixedPolicy, problem: Problem = NEEDED
+) -> tuple[Evaluation, list[Evaluation]]:
+    """The evaluation of a policy, and that of each member of the lottery by itself.
+
+    The members' objectives are their costs where the problem has a measure of the law.
+
+    Raises:
+        ModelError: as of :func:`evaluate`.
+    """
     lottery, problem = on_one_model(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
     measure = problem.semantics.measure
@@ -103,10 +116,11 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
         if measure is not None and weight > 0.0:  # the law needs it as well
             chains.append(chain or chain_of_law(problem.model, member, start))
     evaluation = _report(mean_of(members, lottery.weights), problem)
+    each = [_report(member, problem) for member in members]
     if measure is None:
-        return evaluation
+        return evaluation, each
     law = law_of_chains(chains, lottery.weights[lottery.weights > 0.0])
-    return replace(evaluation, objective=measure.of(law))
+    return replace(evaluation, objective=measure.of(law)), each
 
 
 def _report(sums: Measures, problem: Problem) -> Evaluation:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.errors import InfeasibleError
@@ -100,8 +102,14 @@ class CompiledProblem(Protocol):
         """
         ...
 
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
-        """How much of a bound at this price is lost to truncation; 0 where nothing is."""
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
+        """How much of a bound at this price is lost to truncation; 0 where nothing is.
+
+        Args:
+            price: of failure.
+            slack: whether success is counted rather than failure.
+            proved: a bound that was proved at this price, which may save the work.
+        """
         ...
 
 

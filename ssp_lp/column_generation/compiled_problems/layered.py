@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 
+import numpy as np
+
 from ssp_lp.arrays import IntArray
 from ssp_lp.column_generation.pricing.layered import LayeredPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, required
@@ -46,6 +48,6 @@ class CompiledLayered(ABC):
         """The column's pairs in all layers, its tails beyond them and the source's only pair."""
         return chosen_pairs(self.process, required(column.choice), column.tail_price)
 
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
-        return self.pricing().tail_loss(price, slack=slack)
+        return self.pricing().tail_loss(price, slack=slack, proved=proved)
