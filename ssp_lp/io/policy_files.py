@@ -5,12 +5,15 @@ from __future__ import annotations
 from os import PathLike
 from typing import Any
 
+import numpy as np
+
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archives.archive import Archive, ArrayStore, read_archive, write_archive
 from ssp_lp.io.archives.policy_records import AnyPolicy, PolicyRecords, carries_a_memory, made_of
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
 from ssp_lp.model.ssp import check_model
+from ssp_lp.model.within_steps import HorizonSSP, unroll
 
 _VERSION = 1
 
@@ -40,7 +43,8 @@ def load_policy(path: str | PathLike[str], model: SSP, *, check: bool = True) ->
 
     Args:
         path: a file of :func:`save_policy`.
-        model: the model; for a policy that carries the memory of a product, the product.
+        model: the model; for a policy that carries the memory of a product, the product. One that
+            counts the steps of a horizon has its product built anew.
         check: False: the model may differ (other probabilities, costs or names), so long as every
             state has as many actions as before.
 
@@ -60,7 +64,12 @@ def policy_header(policy: AnyPolicy, store: ArrayStore) -> dict[str, Any]:
     records = PolicyRecords(store)
     records.add(policy)
     model = records.model()
+    horizon = None
+    if isinstance(model, HorizonSSP):
+        begin = np.flatnonzero(model.positions[:, 0] >= 0)
+        horizon = {"steps": model.steps, "begin": store.add(begin)}
     return {
+        "horizon": horizon,
         "model": fingerprint(model),
         "pairs": pair_print(model),
         "sizes": repr(model),
@@ -75,7 +84,11 @@ def policy_in(archive: Archive, model: SSP, *, check: bool) -> AnyPolicy:
         ModelError: the model is another one.
     """
     header, arrays = archive
-    records = header["policies"]
+    records, horizon = header["policies"], header.get("horizon")
+    if horizon is not None and not isinstance(model, HorizonSSP):
+        begin = arrays[horizon["begin"]]
+        if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
+            model = unroll(model, horizon["steps"], begin.tolist())
     kept, remedy = f"the file was made for {header['sizes']}", ""
     if carries_a_memory(records):
         remedy = "; its policy carries a memory: load it beside product(model, memory)"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,7 @@ from ssp_lp.column_generation.pricing.explicit import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
-from ssp_lp.options import CERTIFYING
+from ssp_lp.options import CERTIFYING, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
@@ -24,6 +25,8 @@ from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.processes.totals.ladder import Rungs
 from ssp_lp.solution import Solution, as_solved
 from ssp_lp.verification.certificate import Certificate, certificate_of, failure_of
+
+_LOG = logging.getLogger("ssp_lp.certificate")
 
 _ENOUGH = 1e-290  # a bound below it is 0
 _STEEP_PRICES = (1e1, 1e3, 1e5)
@@ -37,7 +40,7 @@ best to fail, so that no rounding enters (see ``Row.lower_bound``)."""
 _SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
 
 
-def certify(solution: Solution) -> Certificate:
+def certify(solution: Solution, *, verbose: bool = False) -> Certificate:
     """Recompute both sides of a solution from its model, policy, price and value function.
 
     The objective and the failure come from an exact evaluation of the policy on the model. The
@@ -47,6 +50,7 @@ def certify(solution: Solution) -> Certificate:
 
     Args:
         solution: a solution, of ``solve`` or put together by hand.
+        verbose: show how far it has come (``ssp_lp.progress_shown``).
 
     Returns:
         The certificate. ``accepted`` is false where the policy breaks the budget or a limit.
@@ -55,8 +59,17 @@ def certify(solution: Solution) -> Certificate:
         ModelError: the policy or the value function does not fit the problem.
     """
     solution = as_solved(solution, "certify")
+    with progress_shown(verbose):
+        found, members = evaluate_each(solution.policy, solution.problem)
+        _LOG.info("%r", found)
+        certificate = _certificate(solution, found, members)
+        _LOG.info("%r", certificate)
+    return certificate
+
+
+def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation]) -> Certificate:
+    """The certificate of a policy that has been evaluated, its members too."""
     problem = solution.problem
-    found, members = evaluate_each(solution.policy, problem)
     measure = problem.semantics.measure
     if by_rows(problem):
         risk = measure is not None and not measure.maximised

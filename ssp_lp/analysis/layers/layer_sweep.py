@@ -7,6 +7,7 @@ and under the tails, the totals are those of a chain of its own and verified as 
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -29,6 +30,8 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE
+
+_LOG = logging.getLogger("ssp_lp.evaluation")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +70,8 @@ class Sweep:
         moves, room = self.moves, self.moves.room
         met, worth, marks = self._met(begins)
         for layer in reversed(range(moves.layers.count)):
+            over = 1.0 - layer / moves.layers.count
+            _LOG.debug("layer %d of %d", layer, moves.layers.count, extra={"share": over})
             here = _listed(np.unpackbits(met[layer]))
             pairs, slots = moves.pairs(layer, here), moves.slots(layer)
             sums, found = moves.expect(pairs, slots, worth, marks, *self._priced)
