@@ -37,6 +37,7 @@ _BELOW = 2.5e-10
 best to fail, so that no rounding enters (see ``Row.lower_bound``)."""
 
 
+_LITTLE = 1e-13  # of the bound: less than this is not looked for beyond the cap
 _SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
 
 
@@ -110,7 +111,7 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     levels = levels_of(solution.policy.policies, len(values))
     compiled = problem.compile().matching(np.asarray(values), levels)
     bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
-    if tail > 0.0:  # it may be less beyond the cap with better policies there
+    if tail > _LITTLE:  # it may be less beyond the cap with better policies there
         compiled = compiled.for_program()
         bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
     if attained < budget * _SURELY:
