@@ -156,11 +156,10 @@ class Policy(Playable):
     """A policy without or with a finite memory, which starts, decides and remembers.
 
     The three abstract methods work on many episodes at once. Memory is an integer whose meaning
-    is the policy's own; it never decreases along an episode unless ``monotone`` is false.
+    is the policy's own.
     """
 
     model: SSP
-    monotone: bool = True
     is_stationary: ClassVar[bool] = False  # whether there is no memory at all
 
     def member(self, rng: np.random.Generator | None) -> Policy:

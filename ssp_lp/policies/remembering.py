@@ -24,7 +24,6 @@ class RememberingPolicy(Policy):
     """
 
     inner: Policy  # on the product
-    monotone = False
 
     def __post_init__(self) -> None:
         check_product(self.inner.model)

@@ -171,7 +171,6 @@ def _joined(
         branch_node=_NOTHING,
         branch_pair=_NOTHING,
         branch_probability=np.zeros(0),
-        layered=False,
     )
 
 
