@@ -4,47 +4,32 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from formulations.alpha_mcmp import AlphaMCMP
-    from formulations.comparison import CriteriaComparison, CriterionRow, compare_criteria
-    from formulations.constrained_cost import ConstrainedCost
-    from formulations.cost_bounded_reach import CostBoundedReach
-    from formulations.cost_budgeted_maxprob import CostBudgetedMaxProb
-    from formulations.cost_quantile import CostQuantile
-    from formulations.cvar import CVaR
-    from formulations.egubs import EGUBS
-    from formulations.finite_penalty import FinitePenalty
-    from formulations.gubs import GUBS
-    from formulations.isspude import ISSPUDE
-    from formulations.least_quantity import LeastQuantity
-    from formulations.maxprob import MaxProb
-    from formulations.mcmp import MCMP
-    from formulations.min_cost import MinCost
-    from formulations.minprob import MinProb
-    from formulations.s3p import S3P
-    from ssp_lp.formulation import CostLimit
-
-__all__ = [
-    "EGUBS",
-    "GUBS",
-    "ISSPUDE",
-    "MCMP",
-    "S3P",
-    "AlphaMCMP",
-    "CVaR",
-    "ConstrainedCost",
-    "CostBoundedReach",
-    "CostBudgetedMaxProb",
-    "CostLimit",
-    "CostQuantile",
-    "CriteriaComparison",
-    "CriterionRow",
-    "FinitePenalty",
-    "LeastQuantity",
-    "MaxProb",
-    "MinCost",
-    "MinProb",
-    "compare_criteria",
-]
+    from formulations.alpha_mcmp import AlphaMCMP as AlphaMCMP
+    from formulations.comparison import (
+        CriteriaComparison as CriteriaComparison,
+    )
+    from formulations.comparison import (
+        CriterionRow as CriterionRow,
+    )
+    from formulations.comparison import (
+        compare_criteria as compare_criteria,
+    )
+    from formulations.constrained_cost import ConstrainedCost as ConstrainedCost
+    from formulations.cost_bounded_reach import CostBoundedReach as CostBoundedReach
+    from formulations.cost_budgeted_maxprob import CostBudgetedMaxProb as CostBudgetedMaxProb
+    from formulations.cost_quantile import CostQuantile as CostQuantile
+    from formulations.cvar import CVaR as CVaR
+    from formulations.egubs import EGUBS as EGUBS
+    from formulations.finite_penalty import FinitePenalty as FinitePenalty
+    from formulations.gubs import GUBS as GUBS
+    from formulations.isspude import ISSPUDE as ISSPUDE
+    from formulations.least_quantity import LeastQuantity as LeastQuantity
+    from formulations.maxprob import MaxProb as MaxProb
+    from formulations.mcmp import MCMP as MCMP
+    from formulations.min_cost import MinCost as MinCost
+    from formulations.minprob import MinProb as MinProb
+    from formulations.s3p import S3P as S3P
+    from ssp_lp.formulation import CostLimit as CostLimit
 
 PAGES = {
     "AlphaMCMP": "alpha_mcmp",
@@ -72,6 +57,8 @@ _ON_DEMAND = {name: f"formulations.{page}" for name, page in PAGES.items()} | {
     "compare_criteria": "formulations.comparison",
     "CostLimit": "ssp_lp.formulation",
 }
+
+__all__ = sorted(_ON_DEMAND)
 
 
 def __getattr__(name: str) -> object:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     BUDGET_OR_SHARE,
@@ -11,8 +12,6 @@ from ssp_lp.formulation import (
     Formulation,
     GiveUp,
     Start,
-    check_setting,
-    parse_give_up,
 )
 
 
@@ -75,12 +74,7 @@ class AlphaMCMP(Formulation):
 
     failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
 
-    def __post_init__(self) -> None:
-        check_setting(None, None, self.reach_fraction)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        super().__post_init__()
-
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
+from typing import Any
 
 from formulations.alpha_mcmp import AlphaMCMP
 from formulations.constrained_cost import ConstrainedCost
@@ -21,9 +22,11 @@ from formulations.min_cost import MinCost
 from formulations.minprob import MinProb
 from formulations.s3p import S3P
 from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
+from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.html_table import html_table
-from ssp_lp.model.nearest import did_you_mean
+from ssp_lp.problem import as_stated
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
 _LOG = logging.getLogger("ssp_lp.comparing")
@@ -110,6 +113,7 @@ class CriteriaComparison:
         return "\n".join([*lines, *self._notes()])
 
 
+@explained
 def compare_criteria(
     model: SSP,
     start: Hashable | Mapping[Hashable, float],
@@ -121,6 +125,7 @@ def compare_criteria(
     levels: Sequence[float] = (),
     exponential_utilities: Sequence[tuple[float, float]] = (),
     limits: Mapping[str, CostLimit] | None = None,
+    horizon: int | None = None,
     verbose: bool = False,
 ) -> CriteriaComparison:
     """Solve a model under every criterion and put the answers side by side.
@@ -135,6 +140,7 @@ def compare_criteria(
         levels: levels of ``CostQuantile`` and ``CVaR``, at least failure and within each budget.
         exponential_utilities: (risk factor, goal bonus) of ``EGUBS``.
         limits: of ``ConstrainedCost``, at least failure and within each budget.
+        horizon: of every criterion: the goal counts only within so many steps.
         verbose: show how far it has come (``ssp_lp.progress_shown``).
 
     Returns:
@@ -176,7 +182,7 @@ def compare_criteria(
     with progress_shown(verbose):
         for number, (name, question) in enumerate(asked, 1):
             _LOG.info("%d of %d: %s", number, len(asked), name)
-            rows.append(_row(name, question))
+            rows.append(_row(name, question, horizon))
     return CriteriaComparison(tuple(rows))
 
 
@@ -226,7 +232,9 @@ def _within(budgets: Sequence[float]) -> list[tuple[float | None, str]]:
     return [(None, "least failure"), *((b, f"failure budget {b:g}") for b in budgets)]
 
 
-def _row(name: str, problem: Problem) -> CriterionRow:
+def _row(name: str, problem: Any, horizon: int | None) -> CriterionRow:
+    if horizon is not None:
+        problem = replace(problem, horizon=horizon, **as_stated(problem))
     try:
         return CriterionRow(name, solve(problem))
     except InfeasibleError as error:

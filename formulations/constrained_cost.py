@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -13,9 +14,7 @@ from ssp_lp.formulation import (
     Formulation,
     GiveUp,
     Start,
-    check_setting,
     constraints_of,
-    parse_give_up,
 )
 
 
@@ -89,17 +88,12 @@ class ConstrainedCost(Formulation):
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = True
 
-    def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        super().__post_init__()
-
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
         """The limits."""
         return constraints_of(self.limits)
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -13,7 +14,6 @@ from ssp_lp.formulation import (
     Start,
     WithinBound,
     check_numbers,
-    check_setting,
 )
 
 
@@ -81,13 +81,12 @@ class CostBoundedReach(Formulation):
     cost_levels: int | None = None
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, None)
         check_numbers(cost_bound=self.cost_bound)
         if not 0 <= self.cost_bound < float("inf"):
             raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """Arriving in time is what counts."""
         measure = WithinBound(self.cost_bound)

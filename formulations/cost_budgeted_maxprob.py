@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -90,7 +91,7 @@ class CostBudgetedMaxProb(Formulation):
         """The budget."""
         return {COST_BUDGET: expected_cost() <= self.cost_budget}
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """Only the goal counts; whoever runs out of budget stops where he is, for nothing."""
         return FailureSemantics(GiveUp.ANYWHERE, aim=Aim.GREATEST_GOAL)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -13,7 +14,6 @@ from ssp_lp.formulation import (
     Start,
     as_percentage,
     check_numbers,
-    check_setting,
 )
 
 
@@ -81,14 +81,13 @@ class CostQuantile(Formulation):
     ratio = True  # given success
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, None)
         check_numbers(level=self.level)
         if not 0.0 < self.level < 1.0:
             hint = as_percentage(self.level)
             raise ModelError(f"level must lie strictly between 0 and 1, not {self.level!r}{hint}")
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """The quantile is what counts."""
         measure = CostQuantileOf(float(self.level))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -13,7 +14,6 @@ from ssp_lp.formulation import (
     TailMeanOf,
     as_percentage,
     check_numbers,
-    check_setting,
 )
 
 
@@ -81,14 +81,13 @@ class CVaR(Formulation):
     ratio = True  # given success
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, None)
         check_numbers(level=self.level)
         if not 0.0 <= self.level < 1.0:
             hint = as_percentage(self.level)
             raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}{hint}")
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """The mean of the tail is what counts."""
         measure = TailMeanOf(float(self.level))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
 
 from ssp_lp.formulation import (
@@ -92,7 +93,7 @@ class EGUBS(Formulation):
         compiled = self.compile()
         return compiled.cost_horizon if isinstance(compiled, CompiledArrivalCost) else 0.0
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """The utility is what counts."""
         measure = ExponentialUtility(float(self.risk_factor), float(self.goal_bonus))

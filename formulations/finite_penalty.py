@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -11,8 +12,6 @@ from ssp_lp.formulation import (
     GiveUp,
     Start,
     check_penalty,
-    check_setting,
-    parse_give_up,
 )
 
 
@@ -81,12 +80,10 @@ class FinitePenalty(Formulation):
     failure_budget = 1.0  # failing is not limited
 
     def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
         check_penalty(self.penalty)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs, penalty included."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step, float(self.penalty))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import isfinite
 
 from ssp_lp.formulation import (
@@ -100,7 +101,7 @@ class GUBS(Formulation):
         """Bonus and limit as floats, whatever numbers were given."""
         return float(self.goal_bonus), float(self.utility_at_infinity)
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """The utility is what counts."""
         measure = ExpectedUtility(self.utility, *self._numbers)

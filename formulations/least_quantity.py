@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -11,8 +12,6 @@ from ssp_lp.formulation import (
     GiveUp,
     Quantity,
     Start,
-    check_setting,
-    parse_give_up,
 )
 
 
@@ -79,12 +78,7 @@ class LeastQuantity(Formulation):
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = False
 
-    def __post_init__(self) -> None:
-        check_setting(self.failure_budget, self.discount)
-        object.__setattr__(self, "give_up", parse_give_up(self.give_up))
-        super().__post_init__()
-
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode counts."""
         return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -72,7 +73,7 @@ class MaxProb(Formulation):
         """States from which no policy reaches the goal, X_{d,all}: the probability is 0."""
         return dead_end_labels(self.model)
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """Only the goal counts."""
         return FailureSemantics(aim=Aim.GREATEST_GOAL)

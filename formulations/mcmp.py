@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     BUDGET_OR_SHARE,
@@ -12,9 +13,6 @@ from ssp_lp.formulation import (
     Formulation,
     GiveUp,
     Start,
-    check_setting,
-    parse_give_up,
-    stated_budget,
 )
 
 
@@ -84,16 +82,14 @@ class MCMP(Formulation):
     reach_fraction: float | None = None
 
     def __post_init__(self) -> None:
-        check_setting(stated_budget(self), self.discount, self.reach_fraction)
         published = self.reach_fraction is not None
         if self.give_up is None:
             object.__setattr__(self, "give_up", "anywhere" if published else "attention")
         if self.charge_failing_step is None:
             object.__setattr__(self, "charge_failing_step", not published)
-        object.__setattr__(self, "give_up", parse_give_up(str(self.give_up)))
         super().__post_init__()
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """What a failing episode costs."""
-        return FailureSemantics(parse_give_up(str(self.give_up)), bool(self.charge_failing_step))
+        return FailureSemantics(GiveUp(str(self.give_up)), bool(self.charge_failing_step))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
@@ -69,7 +70,7 @@ class MinCost(Formulation):
 
     failure_budget = 1.0  # the infinite penalty of ``semantics`` says it all
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
         """Failing is forbidden."""
         return FailureSemantics(GiveUp.DEAD_ENDS, charge_failing_step=False, penalty=float("inf"))

@@ -12,8 +12,6 @@ from ssp_lp.formulation import (
     ModelError,
     Start,
     check_numbers,
-    check_setting,
-    stated_budget,
 )
 
 
@@ -85,7 +83,6 @@ class S3P(Formulation):
     ratio = True  # cost is counted given success
 
     def __post_init__(self) -> None:
-        check_setting(stated_budget(self), self.discount, self.reach_fraction)
         if self.cost_cap is not None:
             check_numbers(cost_cap=self.cost_cap)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):

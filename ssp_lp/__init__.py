@@ -47,110 +47,90 @@ from ssp_lp.verification.certificate import Certificate
 from ssp_lp.verification.certifying import certify
 
 if TYPE_CHECKING:
-    from ssp_lp.analysis.frontier import Frontier
-    from ssp_lp.analysis.frontier_tracing import trace_frontier
-    from ssp_lp.analysis.simulation import simulate
-    from ssp_lp.formulation import Formulation
-    from ssp_lp.model.discretisation.continuous_model import ContinuousModel
-    from ssp_lp.model.discretisation.discretise import discretise
-    from ssp_lp.model.discretisation.distribution import Distribution
-    from ssp_lp.model.discretisation.grid import Axis, Grid
-    from ssp_lp.model.discretisation.points import Quadrature, Samples
-    from ssp_lp.model.discretisation.simulator import WorldSimulator
-    from ssp_lp.model.product import Memory, ProductSSP, product
-    from ssp_lp.model.within_steps import HorizonSSP, within_steps
-    from ssp_lp.policies.remembering import on_original
-    from ssp_lp.programs.occupation_measure import OccupationMeasure
-    from ssp_lp.programs.occupation_program import OccupationProgram
-    from ssp_lp.verification.cross_check import CrossCheck, cross_check
+    from ssp_lp.analysis.frontier import Frontier as Frontier
+    from ssp_lp.analysis.frontier_tracing import trace_frontier as trace_frontier
+    from ssp_lp.analysis.simulation import simulate as simulate
+    from ssp_lp.formulation import Formulation as Formulation
+    from ssp_lp.model.discretisation.continuous_model import ContinuousModel as ContinuousModel
+    from ssp_lp.model.discretisation.discretise import discretise as discretise
+    from ssp_lp.model.discretisation.distribution import Distribution as Distribution
+    from ssp_lp.model.discretisation.grid import Axis as Axis
+    from ssp_lp.model.discretisation.grid import Grid as Grid
+    from ssp_lp.model.discretisation.points import Quadrature as Quadrature
+    from ssp_lp.model.discretisation.points import Samples as Samples
+    from ssp_lp.model.discretisation.simulator import WorldSimulator as WorldSimulator
+    from ssp_lp.model.product import Memory as Memory
+    from ssp_lp.model.product import ProductSSP as ProductSSP
+    from ssp_lp.model.product import product as product
+    from ssp_lp.model.within_steps import HorizonSSP as HorizonSSP
+    from ssp_lp.model.within_steps import within_steps as within_steps
+    from ssp_lp.policies.remembering import on_original as on_original
+    from ssp_lp.programs.occupation_measure import OccupationMeasure as OccupationMeasure
+    from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
+    from ssp_lp.verification.cross_check import CrossCheck as CrossCheck
+    from ssp_lp.verification.cross_check import cross_check as cross_check
 
 __version__ = "0.1.0"
 
 __all__ = [
     "GIVE_UP",
     "SSP",
-    "Axis",
     "Certificate",
     "ColumnGeneration",
     "Constraint",
-    "ContinuousModel",
     "CostAwarePolicy",
     "CostLaw",
-    "CrossCheck",
     "DeterministicPolicies",
     "DeterministicPolicy",
-    "Distribution",
     "Evaluation",
-    "Formulation",
-    "Frontier",
     "Game",
     "GiveUp",
-    "Grid",
-    "HorizonSSP",
     "InfeasibleError",
     "LinearProgramming",
-    "Memory",
     "MissingDependencyError",
     "MixedPolicy",
     "ModelError",
-    "OccupationMeasure",
-    "OccupationProgram",
     "OutOfTimeError",
-    "ProductSSP",
-    "Quadrature",
     "Quantity",
     "SSPError",
-    "Samples",
     "Solution",
     "SolverError",
     "Status",
     "StochasticPolicy",
     "TimedPolicy",
-    "WorldSimulator",
     "certify",
-    "cross_check",
-    "discretise",
     "end_probability",
     "evaluate",
     "expected_cost",
     "failure_probability",
     "goal_probability",
-    "on_original",
-    "product",
     "progress_shown",
     "secondary_cost",
-    "simulate",
     "solve",
     "success_costs",
-    "trace_frontier",
     "visits",
-    "within_steps",
 ]
 
-_ON_DEMAND = {
-    "Axis": "ssp_lp.model.discretisation.grid",
-    "ContinuousModel": "ssp_lp.model.discretisation.continuous_model",
-    "Distribution": "ssp_lp.model.discretisation.distribution",
-    "Grid": "ssp_lp.model.discretisation.grid",
-    "Quadrature": "ssp_lp.model.discretisation.points",
-    "Samples": "ssp_lp.model.discretisation.points",
-    "WorldSimulator": "ssp_lp.model.discretisation.simulator",
-    "discretise": "ssp_lp.model.discretisation.discretise",
-    "Formulation": "ssp_lp.formulation",
-    "Memory": "ssp_lp.model.product",
-    "ProductSSP": "ssp_lp.model.product",
-    "product": "ssp_lp.model.product",
-    "HorizonSSP": "ssp_lp.model.within_steps",
-    "within_steps": "ssp_lp.model.within_steps",
-    "on_original": "ssp_lp.policies.remembering",
-    "OccupationMeasure": "ssp_lp.programs.occupation_measure",
-    "OccupationProgram": "ssp_lp.programs.occupation_program",
-    "CrossCheck": "ssp_lp.verification.cross_check",
-    "cross_check": "ssp_lp.verification.cross_check",
-    "Frontier": "ssp_lp.analysis.frontier",
-    "trace_frontier": "ssp_lp.analysis.frontier_tracing",
-    "simulate": "ssp_lp.analysis.simulation",
+_MODULES = {
+    "analysis.frontier": "Frontier",
+    "analysis.simulation": "simulate",
+    "analysis.frontier_tracing": "trace_frontier",
+    "formulation": "Formulation",
+    "model.discretisation.continuous_model": "ContinuousModel",
+    "model.discretisation.discretise": "discretise",
+    "model.discretisation.distribution": "Distribution",
+    "model.discretisation.grid": "Axis Grid",
+    "model.discretisation.points": "Quadrature Samples",
+    "model.discretisation.simulator": "WorldSimulator",
+    "model.product": "Memory ProductSSP product",
+    "model.within_steps": "HorizonSSP within_steps",
+    "policies.remembering": "on_original",
+    "programs.occupation_measure": "OccupationMeasure",
+    "programs.occupation_program": "OccupationProgram",
+    "verification.cross_check": "CrossCheck cross_check",
 }
+_ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
+__all__ += sorted(_ON_DEMAND)
 
 
 def __getattr__(name: str) -> object:

@@ -82,6 +82,11 @@ def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.i
     return np.repeat(np.asarray(starts, dtype=np.int64) - first, lengths) + np.arange(total)
 
 
+def offsets_of(lengths: IntArray) -> IntArray:
+    """Where each of several segments in a row begins, and the end, [segments + 1]."""
+    return np.concatenate([[0], np.cumsum(lengths)])
+
+
 def sorted_unique(values: IntArray) -> IntArray:
     """The distinct non-negative values in increasing order, by sorting."""
     ordered = np.sort(values)

@@ -1,9 +1,20 @@
-"""The error tree: one class per remedy, all under :class:`SSPError`."""
+"""The error tree, one class per remedy, all under :class:`SSPError`; and the words of errors."""
 
 from __future__ import annotations
 
+import enum
+from collections.abc import Hashable, Iterable, Mapping, Sized
+from difflib import get_close_matches
 from importlib import import_module
+from itertools import islice
 from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+_LONGEST = 60  # characters of a value in an error
+_LISTED = 4  # entries of a table there
+_LOOKED_AT = 20_000  # names that are compared: more would take longer than a hint is worth
 
 
 class SSPError(Exception):
@@ -78,3 +89,44 @@ def optional_module(name: str, extra: str) -> ModuleType:
         return import_module(name)
     except ImportError as error:
         raise MissingDependencyError(name.partition(".")[0], extra) from error
+
+
+def in_short(value: Any) -> str:
+    """The value's repr where it is short; else what it is and how large."""
+    if isinstance(value, enum.Enum):
+        return repr(str(value.value))
+    if isinstance(value, np.ndarray):
+        return f"<array of shape {value.shape}>"
+    if isinstance(value, np.generic):
+        return repr(value.item())
+    if isinstance(value, Mapping) and len(value) <= _LISTED:
+        told = ", ".join(f"{in_short(k)}: {in_short(v)}" for k, v in value.items())
+        return f"{{{told}}}"
+    if callable(value) and hasattr(value, "__name__"):
+        return f"<{value.__name__}>".replace("<<lambda>>", "<lambda>")
+    if isinstance(value, Sized) and not isinstance(value, str) and len(value) > _LISTED:
+        return f"<{type(value).__name__} of {len(value):,}>"
+    told = repr(value)
+    return told if len(told) <= _LONGEST or value is None else f"{told[: _LONGEST - 3]}..."
+
+
+def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
+    """A clause for the end of an error: "; did you mean 'depot'?", or nothing.
+
+    A name that reads the same counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
+    """
+    some = list(islice(names, _LOOKED_AT))
+    plain = _as_read(unknown)
+    found = next((name for name in some if _as_read(name) == plain), None)
+    if found is None and isinstance(unknown, str):
+        words = [name for name in some if isinstance(name, str)]
+        found = next(iter(get_close_matches(unknown, words, n=1)), None)
+    return "" if found is None else f"; did you mean {found!r}?"
+
+
+def _as_read(name: Hashable) -> str:
+    """A name without what people slip on: quotes, brackets, blanks, capitals."""
+    return str(name).translate(_DROPPED).casefold()
+
+
+_DROPPED = str.maketrans("", "", "'\"()[] _-")

@@ -17,13 +17,15 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 
 from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.errors import InfeasibleError, ModelError, in_short
 from ssp_lp.model import SSP
-from ssp_lp.model.in_short import in_short
 from ssp_lp.model.within_steps import check_steps, unroll
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
@@ -96,7 +98,6 @@ __all__ = [
     "attention_labels",
     "check_numbers",
     "check_penalty",
-    "check_setting",
     "constraints_of",
     "dead_end_labels",
     "end_probability",
@@ -106,7 +107,6 @@ __all__ = [
     "is_whole",
     "parse_give_up",
     "secondary_cost",
-    "stated_budget",
     "visits",
 ]
 
@@ -118,6 +118,9 @@ _COMPILING = logging.getLogger("ssp_lp.compiling")
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
+
+
+_FREE = FailureSemantics()
 
 
 class _Inherited:
@@ -184,15 +187,22 @@ class Formulation(_Inherited):
                 yield f"{part.name}={in_short(value)}"
 
     def __post_init__(self) -> None:
-        """Check the start and the constraints.
+        """Check what pages have in common: start, budget, discount, giving up, limits.
 
         Raises:
-            ModelError: no model, an unknown state, no distribution, a horizon that is no number of
-                steps, or a constraint that is stated wrongly.
+            ModelError: no model, an unknown state, no distribution, a budget, a share or a discount
+                out of range, an unknown ``give_up``, a horizon that is no number of steps, or a
+                constraint that is stated wrongly.
         """
+        given = vars(self)
+        share = given.get("reach_fraction")
+        budget = given.get("failure_budget", 1.0 if share is None else None)
+        check_setting(given.get("_stated_budget", budget), given.get("discount"), share)
+        if "give_up" in given:
+            given["give_up"] = parse_give_up(given["give_up"])
         if not isinstance(self._asked.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
-        start_distribution(self._asked.model, self._asked.start)
+        _ = self._begun
         if self.horizon is not None:
             check_steps(self.horizon, "horizon")
         levels = getattr(self, "cost_levels", None)
@@ -211,8 +221,7 @@ class Formulation(_Inherited):
         """
         if self.horizon is None:
             return self._asked
-        start = start_distribution(self._asked.model, self._asked.start)
-        begin = np.flatnonzero(start)
+        start, begin = self._begun, np.flatnonzero(self._begun)
         model = unroll(self._asked.model, self.horizon, begin.tolist())
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
@@ -230,25 +239,29 @@ class Formulation(_Inherited):
             return None
         if self.horizon is not None:
             return cast("Formulation", self.unrolled).objective_condition
-        model, start = self._asked.model, self._asked.start
-        return objective_of(model, start_distribution(model, start), self.quantity)
+        return objective_of(self._asked.model, self._begun, self.quantity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """The constraints, checked, with their costs by outcome."""
         if self.horizon is not None and (self.constraints or self.own_constraints):
             return cast("Formulation", self.unrolled).conditions
-        model, start = self._asked.model, self._asked.start
         own, stated = self.own_constraints, self.constraints
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
             raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
         every = {**own, **stated} if isinstance(stated, Mapping) else stated
-        return conditions(model, start_distribution(model, start), every)
+        return conditions(self._asked.model, self._begun, every)
 
     @property
     def semantics(self) -> FailureSemantics:
         """Failing is free and happens where the goal can be avoided for sure."""
-        return FailureSemantics()
+        return _FREE
+
+    @cached_property
+    def _begun(self) -> FloatArray:
+        """The distribution in which an episode begins, [states]."""
+        found: FloatArray = read_only(start_distribution(self._asked.model, self._asked.start))
+        return found
 
     @property
     def _asked(self) -> Problem:
@@ -263,8 +276,7 @@ class Formulation(_Inherited):
         """
         if self.horizon is not None:
             return self.unrolled.compile()
-        model, semantics = self._asked.model, self.semantics
-        start = start_distribution(model, self._asked.start)
+        model, start, semantics = self._asked.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
         sums = by_sums(self._asked)
         if semantics.measure is not None or sums:

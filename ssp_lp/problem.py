@@ -9,9 +9,8 @@ from typing import Any, Protocol, TypeGuard, cast, overload
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
-from ssp_lp.model.in_short import in_short
 from ssp_lp.model.product import check_product
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy

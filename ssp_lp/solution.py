@@ -11,11 +11,10 @@ from ssp_lp.analysis.visits import equivalent_randomised_policy
 from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import relative_gap
-from ssp_lp.dynamic_programming.work import Work
-from ssp_lp.errors import ModelError
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.html_table import html_table
-from ssp_lp.model.in_short import in_short
-from ssp_lp.model.nearest import ByName
+from ssp_lp.model.naming import ByName
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.remembering import on_original

@@ -11,11 +11,15 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, until
 from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
-from ssp_lp.methods.plain import best_within_budget, cheapest_at_least_failure, extreme_goal
-from ssp_lp.methods.playing import solve_by_game
+from ssp_lp.methods.one_row import (
+    best_within_budget,
+    cheapest_at_least_failure,
+    extreme_goal,
+    solve_by_game,
+    solve_for_worth,
+)
 from ssp_lp.methods.risk import solve_for_risk
-from ssp_lp.methods.rows.solving import solve_constrained
-from ssp_lp.methods.worth import solve_for_worth
+from ssp_lp.methods.rows.optimum import solve_constrained
 from ssp_lp.options import (
     DeterministicPolicies,
     Game,
@@ -104,7 +108,7 @@ def _proved(problem: Problem, method: Method, options: SolveOptions) -> tuple[So
         with until(options.deadline) as deadline:
             solution = _solved(unrolled(problem), method, options)
     except Stop as stop:
-        raise _unanswered(deadline, stop) from None
+        raise _unanswered(problem, deadline, stop) from None
     _check_answer(solution)
     found = solution.run.method, solution.run.pricing_calls, solution.objective
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *found)
@@ -113,14 +117,15 @@ def _proved(problem: Problem, method: Method, options: SolveOptions) -> tuple[So
     return solution, deadline.status(solution.gap, options.tolerance)
 
 
-def _unanswered(deadline: Deadline, stop: Stop) -> BaseException:
+def _unanswered(problem: Problem, deadline: Deadline, stop: Stop) -> BaseException:
     """What to raise where the time ended before there was an answer."""
     if deadline.is_interrupted:
         return KeyboardInterrupt(stop.told)
-    known = stop.told or "nothing but the model was known by then"
+    known, model = stop.told or "nothing but the model was known by then", problem.model
+    size = f"the model has {model.n_states:,} states and {model.n_outcomes:,} outcomes"
     return OutOfTimeError(
-        f"the time limit ended before a policy that keeps to all limits was found ({known}): "
-        "allow more time"
+        f"the time limit of {max(deadline.at - deadline.began, 0.0):.3g} s ended before a policy "
+        f"that keeps to all limits was found ({known}; {size}): allow more time"
     )
 
 

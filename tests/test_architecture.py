@@ -98,7 +98,15 @@ def test_pricing_and_evaluation_never_see_the_lp_path() -> None:
 
 
 def test_a_page_of_formulations_imports_from_one_place() -> None:
-    allowed = {"__future__", "collections", "dataclasses", "fractions", "math", "typing"}
+    allowed = {
+        "__future__",
+        "collections",
+        "dataclasses",
+        "fractions",
+        "functools",
+        "math",
+        "typing",
+    }
     for path in files_of("formulations"):
         if path.name in {"__init__.py", "comparison.py"} or path.parent.name == "command_line":
             continue

@@ -27,6 +27,8 @@ class RobotGrid:
     quadrature: midpoints in each of x, y, theta (within the cell) and the steering error.
     wall_cost: stage cost after a collision with the wall (after any other collision it is 1).
     along_segment: test the whole straight motion of a step, not its end point only.
+    turning_cost: of a radian; with it, a step costs the length of its way and what its turn costs
+        (None: every step costs 1, as in the paper).
     """
 
     segments: int = 20
@@ -34,6 +36,7 @@ class RobotGrid:
     quadrature: int = 4
     wall_cost: float = 1.0
     along_segment: bool = False
+    turning_cost: float | None = None
     arena: Arena = field(default_factory=Arena)
 
     @property

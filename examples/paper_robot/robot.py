@@ -48,20 +48,29 @@ class _Dynamics:
 
     grid: RobotGrid
 
-    def step(self, point: _Point, action: int, noise: _Point) -> tuple[_Point, float, PlaceArray]:
-        """Turn by the action and an error, then move straight on by one step length, at cost 1.
+    def step(
+        self, point: _Point, action: int, noise: _Point
+    ) -> tuple[_Point, float | FloatArray, PlaceArray]:
+        """Turn by the action and an error, then move straight on by one step length.
 
         The numbers of `Place` are those that the library gives to ends: goal, then dead-ends.
         With `along_segment` a robot that meets something stops there.
         """
         (x, y, theta), (error,) = point, noise
-        heading = theta + (action - N_ACTIONS // 2) * TURN_STEP + error
+        turn = (action - N_ACTIONS // 2) * TURN_STEP
+        heading = theta + turn + error
         across, up = STEP_LENGTH * np.cos(heading), STEP_LENGTH * np.sin(heading)
-        if self.grid.along_segment:
-            place, time = self.grid.arena.first_contact(x, y, across, up)
-            return (x + time * across, y + time * up, heading), 1.0, place
-        moved_x, moved_y = x + across, y + up
-        return (moved_x, moved_y, heading), 1.0, self.grid.arena.classify(moved_x, moved_y)
+        if not self.grid.along_segment:
+            moved_x, moved_y = x + across, y + up
+            place, cost = self.grid.arena.classify(moved_x, moved_y), self._cost(turn, 1.0)
+            return (moved_x, moved_y, heading), cost, place
+        place, time = self.grid.arena.first_contact(x, y, across, up)
+        return (x + time * across, y + time * up, heading), self._cost(turn, time), place
+
+    def _cost(self, turn: float, share: float | FloatArray) -> float | FloatArray:
+        """Of a turn, in radians, and a share of a step: 1, or its length and the turning."""
+        turning = self.grid.turning_cost
+        return 1.0 if turning is None else share * STEP_LENGTH + turning * abs(turn)
 
     def alike(self, cell: tuple[_IntArray, ...], action: _IntArray) -> _IntArray:
         """Number the pairs so that those from one position with one total turn are the same."""
@@ -81,7 +90,7 @@ def continuous_robot(grid: RobotGrid) -> ContinuousModel:
         dynamics.step,
         noise=[Distribution.uniform(-NOISE, NOISE)],
         dead_ends={"obstacle": 1.0, "wall": grid.wall_cost},
-        alike=dynamics.alike,
+        alike=dynamics.alike if grid.turning_cost is None else None,
     )
 
 
@@ -89,7 +98,8 @@ def grid_model(grid: RobotGrid, progress: Progress | None = None) -> SSP:
     """Return the robot's grid model as an SSP whose states are 0 .. n_cells + 2.
 
     The cells come first, then the goal, the obstacles and the wall (`RobotGrid.end_state`). Every
-    step costs 1; the dead-end "wall" costs `wall_cost` per stage.
+    step costs 1, or its length and its turn (`turning_cost`); the dead-end "wall" costs
+    `wall_cost` per stage.
 
     progress: told how far the transitions are.
     """

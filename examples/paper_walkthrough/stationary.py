@@ -22,7 +22,7 @@ from examples.paper_walkthrough.model import (
 from formulations import MCMP, S3P
 from ssp_lp import Solution, evaluate, solve
 from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
-from ssp_lp.game.models import label_models
+from ssp_lp.game.label_player import label_models
 from ssp_lp.processes.failure_semantics import start_distribution
 
 GAMMAS = tuple(1 - Fraction(1, 10**k) for k in (2, 3, 4, 5))

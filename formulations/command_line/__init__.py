@@ -4,8 +4,8 @@
 ends with 0, with 2 for wrong arguments or models, with 3 where no policy keeps to the budget, with
 1 where a method failed, and with 130 or 141 where it was interrupted or nobody reads on.
 
-Each command is a module with a function ``run`` from its arguments to lines of text, imported when
-it is asked for: the library takes longer to load than most commands take.
+The commands are imported once the arguments are parsed: the library takes longer to load than most
+commands take, and help is to come at once.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from importlib import import_module
 
-from formulations.command_line.arguments import parser
+from formulations.command_line.arguments import argument_parser
 
 FAILED, WRONG_INPUT, INFEASIBLE, INTERRUPTED, UNREAD = 1, 2, 3, 130, 141
 """Exit codes besides 0; the last two are a shell's for SIGINT and SIGPIPE."""
@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: those of the command line, if left out.
     """
     try:
-        return _run(parser().parse_args(arguments))
+        return _run(argument_parser().parse_args(arguments))
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # what is left would be flushed at exit, and complained of
@@ -45,7 +45,7 @@ def _run(asked: Namespace) -> int:
     try:
         with warnings.catch_warnings(), progress_shown(asked.verbose):
             warnings.showwarning = _warn
-            for line in import_module(f"{__name__}.{asked.command}").run(asked):
+            for line in import_module(f"{__name__}.commands").COMMANDS[asked.command](asked):
                 print(line)
         sys.stdout.flush()
     except BrokenPipeError:

@@ -121,7 +121,7 @@ class _Version(Action):
         parser.exit()
 
 
-def parser() -> ArgumentParser:
+def argument_parser() -> ArgumentParser:
     """The parser of the whole command line; what it parses has the command's name."""
     whole = ArgumentParser(
         prog="ssp-lp",

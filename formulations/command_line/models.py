@@ -12,11 +12,9 @@ from functools import cache
 from typing import Any
 
 from ssp_lp import SSP, ModelError, within_steps
-from ssp_lp.errors import MissingDependencyError
-from ssp_lp.io import from_gymnasium
+from ssp_lp.errors import optional_module
+from ssp_lp.io import from_gymnasium, read_any
 from ssp_lp.io.model_files.json_model import parse_json
-from ssp_lp.io.model_files.named_json import StatedModel
-from ssp_lp.io.reading import read_any
 
 ENVIRONMENT = "gym:"
 """What stands before the name of an environment of Gymnasium's."""
@@ -25,12 +23,13 @@ Start = Hashable | Mapping[Hashable, float]
 
 
 @dataclass(frozen=True)
-class Setting:
+class CommandModel:
     """A model, where it begins, and the environment that it is of, if it is of one."""
 
     asked: Namespace
     model: SSP
     stated_start: Start | None
+    horizon: int | None  # steps within which the goal is to be reached
     environment: Any = None
 
     @property
@@ -50,20 +49,29 @@ class Setting:
         start = self.stated_start
         return next(iter(start)) if isinstance(start, Mapping) and len(start) == 1 else start
 
-    def state_named(self, word: str) -> Hashable:
-        """The state that prints as a word; the word itself where there is none, to be told of."""
-        return _state_named(self.model, word)
+    @property
+    def written_out(self) -> tuple[SSP, Start | None]:
+        """A model that needs no horizon beside it, its states counting the steps, and its start.
 
-    def with_cost(self, name: str) -> SSP:
+        Raises:
+            ModelError: a horizon without a start.
+        """
+        if self.horizon is None:
+            return self.model, self.stated_start
+        begin = self.start if isinstance(self.start, Mapping) else {self.start: 1.0}
+        counting = within_steps(self.model, self.horizon, start=begin)
+        return counting, counting.start(begin)
+
+    def model_with_cost(self, name: str) -> SSP:
         """The same model with another of its costs.
 
         Raises:
             ModelError: it has no such cost.
         """
-        return setting_of(Namespace(**{**vars(self.asked), "cost": name})).model
+        return command_model(Namespace(**{**vars(self.asked), "cost": name})).model
 
 
-def setting_of(asked: Namespace) -> Setting:
+def command_model(asked: Namespace) -> CommandModel:
     """Read the model that a command names.
 
     Raises:
@@ -79,19 +87,8 @@ def setting_of(asked: Namespace) -> Setting:
         stated = read_any(asked.model, asked.goal, asked.cost, asked.constants)
     model, start = stated
     if asked.start is not None:
-        start = _state_named(model, asked.start)
-    if asked.horizon in ("env", None):
-        return Setting(asked, model, start)
-    return Setting(asked, *_within(StatedModel(model, start), asked.horizon))
-
-
-def _within(stated: StatedModel, steps: int) -> tuple[SSP, Start]:
-    """The model that counts steps, and its start."""
-    if stated.start is None:
-        raise ModelError("--horizon needs a start: --start STATE")
-    begin = stated.start if isinstance(stated.start, Mapping) else {stated.start: 1.0}
-    counting = within_steps(stated.model, steps, start=begin)
-    return counting, counting.start(begin)
+        start = state_named(model, asked.start)
+    return CommandModel(asked, model, start, None if asked.horizon == "env" else asked.horizon)
 
 
 @cache
@@ -100,11 +97,8 @@ def _standard_input() -> str:
     return sys.stdin.read()
 
 
-def _of_environment(asked: Namespace) -> Setting:
-    try:
-        import gymnasium
-    except ImportError as error:
-        raise MissingDependencyError("gymnasium", "gym") from error
+def _of_environment(asked: Namespace) -> CommandModel:
+    gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
     arguments = {key: _value(word) for key, _, word in (w.partition("=") for w in words)}
     try:
@@ -116,10 +110,11 @@ def _of_environment(asked: Namespace) -> Setting:
         environment,
         goal=(lambda state: str(state) in goals) if goals else None,
         cost=asked.cost or "step",
-        horizon=asked.horizon,
+        horizon=None,
         start=None if asked.start is None else _value(asked.start),
     )
-    return Setting(asked, world.model, world.start, environment)
+    horizon = world.step_limit if asked.horizon == "env" else asked.horizon
+    return CommandModel(asked, world.model, world.start, horizon, environment)
 
 
 def _value(word: str) -> Any:
@@ -132,5 +127,6 @@ def _value(word: str) -> Any:
     return word
 
 
-def _state_named(model: SSP, word: str) -> Hashable:
+def state_named(model: SSP, word: str) -> Hashable:
+    """The state that prints as a word; the word itself where there is none, to be told of."""
     return next((state for state in model.states if str(state) == word), word)

@@ -20,8 +20,8 @@ from ssp_lp.analysis.quantity_values import (
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
-from ssp_lp.model.nearest import ByName
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.graph.reachability import end_marks
+from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model

@@ -12,7 +12,7 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray
 from ssp_lp.column_generation.failure_constraint import Row, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
 from ssp_lp.model.html_table import html_table
 from ssp_lp.options import Status

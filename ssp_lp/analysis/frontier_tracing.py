@@ -22,7 +22,7 @@ from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, until
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.options import SolveOptions, deadline_of, progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, is_whole, unrolled

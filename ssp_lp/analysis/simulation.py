@@ -17,10 +17,10 @@ from ssp_lp.analysis.failure_costs import state_give_up_charges
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.simulator import WorldSimulator
-from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.nearest import ByName
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.graph.reachability import dead_ends, end_marks
+from ssp_lp.model.naming import ByName
 from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
@@ -138,6 +138,7 @@ class SimulationReport:
         )
 
 
+@explained
 def simulate(
     policy: Policy | MixedPolicy,
     problem: Problem,

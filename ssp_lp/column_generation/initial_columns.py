@@ -20,7 +20,7 @@ from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.options import SolveOptions
 
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
@@ -64,8 +64,14 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    pricing = compiled.pricing()
-    last, price = _beginning(pricing, row, guess)
+    doing = "the process was still being built"
+    try:
+        pricing = compiled.pricing()
+        doing = "the totals of a first policy were being worked out"
+        last, price = _beginning(pricing, row, guess)
+    except STOPS as stop:
+        heed(stop)
+        raise Stop(told=doing) from stop
     if price is None:
         return None
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)

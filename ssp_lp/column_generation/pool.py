@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, weighted
-from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
+from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 
 _TRIFLE = 1e-9  # of what policies take of a row: no bound is taken to be smaller
 

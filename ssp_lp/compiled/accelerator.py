@@ -30,7 +30,7 @@ _CALL: Final = 3_000
 _LOOPS: Final = 300
 """Loops as long as is worth loading, or compiling, for one: many short ones are worth it too."""
 
-_INDEX: Final = "**/bellman.back_up*.nbi"  # numba's index of the loop that every solve needs
+_INDEX: Final = "**/backups.back_up*.nbi"  # numba's index of the loop that every solve needs
 
 
 @cache
@@ -62,7 +62,7 @@ def accelerated(entries: int) -> bool:
 def least_entries() -> int:
     """Entries from which a loop is run compiled, the start of compiled code counted."""
     worth = _CACHED if _is_compiled_before() else _COLD
-    is_loaded = worth == _CACHED and "ssp_lp.compiled.loops" in sys.modules
+    is_loaded = worth == _CACHED and "ssp_lp.compiled.cores" in sys.modules
     return 0 if is_loaded or _interpreted.entries > _LOOPS * worth else worth
 
 
@@ -79,7 +79,7 @@ _interpreted: Final = _Interpreted()
 def _is_compiled_before() -> bool:
     """Whether numba's cache holds the compiled loops of this version of the library."""
     sources = Path(__file__).parent
-    changed = (sources / "bellman.py").stat().st_mtime
+    changed = (sources / "backups.py").stat().st_mtime
     wished = os.environ.get("NUMBA_CACHE_DIR")
     places = [Path(wished)] if wished else [sources / "__pycache__", Path.home() / ".cache/numba"]
     found = (index for place in places for index in place.glob(_INDEX))

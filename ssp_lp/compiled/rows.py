@@ -1,17 +1,19 @@
-"""Compiled selection of a process's rows from a model's outcomes: ``processes.live_rows``."""
+"""Compiled selection of rows: a process's from a model's outcomes, a policy's from a process."""
 
 from __future__ import annotations
 
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
+
+from ssp_lp.compiled.cores import one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
 
 @njit(cache=True)
-def count(
+def count_rows(
     outcome_offsets: Array,
     successors: Array,
     probabilities: Array,
@@ -49,7 +51,7 @@ def count(
 
 
 @njit(cache=True)
-def fill(
+def fill_rows(
     outcome_offsets: Array,
     successors: Array,
     probabilities: Array,
@@ -64,7 +66,7 @@ def fill(
     indices: Array,
     data: Array,
 ) -> None:
-    """Columns and probabilities of the entries that ``count`` counted."""
+    """Columns and probabilities of the entries that ``count_rows`` counted."""
     departing, layered = home.size > 0, ahead.size > 0
     for row in range(pair_at.size):
         place, end = indptr[row], indptr[row + 1]
@@ -89,3 +91,59 @@ def fill(
                 indices[place] = column
                 data[place] = probabilities[k] / departs[row] * survival
                 place += 1
+
+
+@one_or_all_cores
+def row_product(
+    choice: Array, indptr: Array, indices: Array, data: Array, x: Array, result: Array
+) -> None:
+    """Chosen rows times one vector."""
+    for s in prange(choice.size):
+        row = choice[s]
+        total = 0.0
+        for k in range(indptr[row], indptr[row + 1]):
+            total += data[k] * x[indices[k]]
+        result[s] = total
+
+
+@one_or_all_cores
+def row_products(
+    choice: Array, indptr: Array, indices: Array, data: Array, x: Array, result: Array
+) -> None:
+    """Chosen rows times several vectors, [states, vectors]."""
+    if x.shape[1] == 3:  # each entry is read once
+        for s in prange(choice.size):
+            row = choice[s]
+            first, second, third = 0.0, 0.0, 0.0
+            for k in range(indptr[row], indptr[row + 1]):
+                weight, column = data[k], indices[k]
+                first += weight * x[column, 0]
+                second += weight * x[column, 1]
+                third += weight * x[column, 2]
+            result[s, 0], result[s, 1], result[s, 2] = first, second, third
+        return
+    for s in prange(choice.size):
+        row = choice[s]
+        for j in range(x.shape[1]):
+            total = 0.0
+            for k in range(indptr[row], indptr[row + 1]):
+                total += data[k] * x[indices[k], j]
+            result[s, j] = total
+
+
+@one_or_all_cores
+def copy_rows(
+    choice: Array,
+    indptr: Array,
+    indices: Array,
+    data: Array,
+    own_indptr: Array,
+    own_indices: Array,
+    own_data: Array,
+) -> None:
+    """Copy the chosen rows one after the other, so that products read memory in order."""
+    for s in prange(choice.size):
+        begin, place = indptr[choice[s]], own_indptr[s]
+        for k in range(own_indptr[s + 1] - place):
+            own_indices[place + k] = indices[begin + k]
+            own_data[place + k] = data[begin + k]

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numba import njit, prange
 
-from ssp_lp.compiled.loops import one_or_all_cores
+from ssp_lp.compiled.cores import one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
 
 @njit(cache=True)
-def send(
+def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
     classes: Array, slots: Array, waiting: Array,
 ) -> None:  # fmt: skip
@@ -38,7 +38,7 @@ def send(
 
 
 @njit(cache=True)
-def reach(
+def stream_arrivals(
     pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
     slots: Array, arriving: Array,
 ) -> None:  # fmt: skip
@@ -62,7 +62,7 @@ def reach(
 
 
 @one_or_all_cores
-def expect(
+def stream_totals(
     pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
     slots: Array, costs: Array, worth: Array, marks: Array, priced: Array,
     sums: Array, found: Array,

@@ -78,7 +78,7 @@ def best_pairs(
         choice = np.array(pair_offsets[:-1], dtype=np.int32)
         choice[np.diff(pair_offsets) > 0] = first_minimisers(ahead, minima, pair_offsets)
         return Backup(minima, choice, _NONE if held is None else ahead[held])
-    from ssp_lp.compiled import bellman as compiled
+    from ssp_lp.compiled import backups as compiled
 
     minima, choice = np.empty(n), np.empty(n, dtype=np.int32)
     here = np.empty(0 if held is None else n)
@@ -118,7 +118,7 @@ def safe_minima(
         ahead = (pair_cost.fixed + growth) + transitions @ values
         ahead = np.where(size == alone, ahead, ahead - backup_rounding(transitions) * size)
         return segment_minima(ahead, pair_offsets)
-    from ssp_lp.compiled import bellman as compiled
+    from ssp_lp.compiled import backups as compiled
 
     minima = np.empty(len(pair_offsets) - 1)
     fixed, slope, factor = pair_cost.parts
@@ -175,14 +175,14 @@ class ChosenRows:
     def _copied(self) -> sp.csr_array:
         if not self._is_compiled:
             return sp.csr_array(self._transitions[self._choice])
-        from ssp_lp.compiled import bellman as compiled
+        from ssp_lp.compiled import rows as compiled
 
         begin = self._transitions.indptr
         lengths = begin[self._choice + 1] - begin[self._choice]
         indptr = np.append(0, np.cumsum(lengths)).astype(begin.dtype)
         indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
         data = np.empty(indices.size)
-        run, (choice, *arrays) = compiled.extract(indices.size), self._arrays
+        run, (choice, *arrays) = compiled.copy_rows(indices.size), self._arrays
         own = unsigned(indptr)
         for some in pieces(len(choice), indices.size):
             ends = own[some.start : some.stop + 1]
@@ -195,10 +195,10 @@ class ChosenRows:
         self.products += 1
         if not self._is_compiled:
             return np.asarray(self.matrix @ x)
-        from ssp_lp.compiled import bellman as compiled
+        from ssp_lp.compiled import rows as compiled
 
         result = np.empty((self.shape[0], *x.shape[1:]))
-        run = compiled.product if x.ndim == 1 else compiled.products
+        run = compiled.row_product if x.ndim == 1 else compiled.row_products
         run(self._entries)(*self._arrays, x, result)
         return result
 
@@ -228,3 +228,15 @@ def unsigned_parts(
 
 def _parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:
     return unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
+
+
+@dataclass(frozen=True)
+class Work:
+    """Passes over a process: what most of a pricing problem's time is spent on."""
+
+    backups: int = 0  # over all pairs
+    products: int = 0  # over one pair per state
+
+    def __add__(self, other: Work) -> Work:
+        """Both together."""
+        return Work(self.backups + other.backups, self.products + other.products)

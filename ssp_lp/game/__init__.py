@@ -1,10 +1,8 @@
 """The paper's own construction as a second opinion: value iteration and a game, no LP anywhere."""
 
-from ssp_lp.game.bayes_adaptive.belief import belief_at, posterior
-from ssp_lp.game.bayes_adaptive.iteration import bayes_adaptive, bayes_player
-from ssp_lp.game.equilibrium import Equilibrium, Game, play
-from ssp_lp.game.mixture import DeltaMixture, delta_mixture
-from ssp_lp.game.solution import GameSolution
+from ssp_lp.game.bayes_adaptive import bayes_adaptive, bayes_player, belief_at, posterior
+from ssp_lp.game.equilibrium import DeltaMixture, Equilibrium, Game, delta_mixture, play
+from ssp_lp.game.optimum import GameSolution
 from ssp_lp.game.stationary import stationary_game, stationary_player, thresholds
 
 __all__ = [

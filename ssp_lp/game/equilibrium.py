@@ -1,4 +1,4 @@
-"""The two-person zero-sum game at a fixed c (paper, section 3.2).
+"""The two-person zero-sum game at a fixed c (paper, section 3.2), and mixtures of section 3.4.
 
 The adversary mixes the objective MDP, with weight alpha, and the failure MDP; the player chooses a
 policy. The payoff ``alpha * J_obj + (1 - alpha) * (eta / epsilon) * J_cond`` is linear in alpha for
@@ -13,12 +13,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.game.best_responses.best_response import BestResponse, Player
+from ssp_lp.game.best_response import BestResponse, Player
+from ssp_lp.policies import MixedPolicy
 
 _MOST_ROUNDS = 1_000
 _LEVEL = 1e-12
 """Slopes this small, as a share of eta, are rounding: such a line is level and counts as rising,
 so that of all alpha that attain a flat maximum the greatest is found, which bounds c* best."""
+
+_ACCURACY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -222,3 +225,55 @@ def _closest(
     pays = (1.0 - share) * objective[left][:, None] + share * objective[right][None, :]
     i, j = np.unravel_index(int(np.argmin(pays)), pays.shape)
     return responses[left[i]], responses[right[j]]
+
+
+@dataclass(frozen=True, eq=False)
+class DeltaMixture:
+    """A lottery over the best responses to alpha* - delta and alpha* + delta (Theorem 3-4)."""
+
+    delta: float
+    game: Game
+    minus: BestResponse  # best response to alpha* - delta
+    plus: BestResponse  # best response to alpha* + delta
+    weight: float  # of ``plus``: the player's solution of the 2 x 2 game
+
+    @property
+    def objective(self) -> float:
+        """J_obj(x'; z*_delta)."""
+        return (1.0 - self.weight) * self.minus.objective + self.weight * self.plus.objective
+
+    @property
+    def condition(self) -> float:
+        """J_cond(x'; z*_delta)."""
+        return (1.0 - self.weight) * self.minus.condition + self.weight * self.plus.condition
+
+    @property
+    def value(self) -> float:
+        """What the lottery pays at worst; it tends to the value of the game as delta goes to 0."""
+        return max(self.objective, self.game.scale * self.condition)
+
+    def policy(self, player: Player) -> MixedPolicy:
+        """The lottery on the original states."""
+        weights = np.array([1.0 - self.weight, self.weight])
+        used = np.flatnonzero(weights > 0.0)
+        members = tuple(player.policy((self.minus, self.plus)[k]) for k in used)
+        return MixedPolicy(members, weights[used])
+
+
+def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> DeltaMixture:
+    """Mix the best responses on the two sides of alpha*.
+
+    Where no other kink of ``J*(alpha)`` lies within delta of alpha*, the two are the policies that
+    meet there and the mixture is optimal. Otherwise each pays at alpha* at most delta times its
+    slope more than the game is worth, and so does the mixture, which pays at worst what both pay
+    where they cross (the proof of Theorem 3-4 allows 2 delta times the steepest slope).
+
+    Args:
+        player: finds best responses.
+        game: at c*, and in case S at epsilon*.
+        alpha: alpha*.
+        delta: distance from it, above 0; the two sides end at 0 and 1.
+    """
+    minus = game.best_response(player, max(alpha - delta, 0.0), _ACCURACY)
+    plus = game.best_response(player, min(alpha + delta, 1.0), _ACCURACY)
+    return DeltaMixture(delta, game, minus, plus, matrix_game(game, minus, plus))

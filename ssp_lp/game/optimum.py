@@ -5,13 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import cast
 
+import numpy as np
+
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.compiled.deadline import STOPS, closing, heed, is_late
 from ssp_lp.errors import SolverError
-from ssp_lp.game.best_responses.best_response import BestResponse, Player, RatioPlayer
+from ssp_lp.game.best_response import BestResponse, Player, RatioPlayer
 from ssp_lp.game.setting import infeasible
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.options import Progress
+from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 
 _MOST_STEPS = 100
@@ -168,3 +171,34 @@ def _is_hopeful(response: BestResponse) -> bool:
 
 def _ratio(response: BestResponse) -> float:
     return response.objective / response.success
+
+
+@dataclass(frozen=True, eq=False)
+class GameSolution:
+    """c* of a problem under one construction of the paper."""
+
+    problem: Problem
+    player: Player  # the construction: which policies there are and how their costs are counted
+    optimum: Optimum
+
+    @property
+    def objective(self) -> float:
+        """c*, attained by the policy; under the stationary construction c-hat."""
+        return self.optimum.objective
+
+    @property
+    def lower_bound(self) -> float:
+        """No policy whose J_cond keeps to the budget has less."""
+        return self.optimum.lower_bound
+
+    @property
+    def alpha(self) -> float:
+        """alpha*: the adversary's weight of the objective MDP at epsilon*."""
+        return self.optimum.alpha
+
+    @property
+    def policy(self) -> MixedPolicy:
+        """A lottery over one or two deterministic policies on the original states."""
+        threshold = self.optimum.threshold
+        members = tuple(self.player.policy(r) for r in threshold.members)
+        return MixedPolicy(members, np.array(threshold.weights))

@@ -1,12 +1,14 @@
-"""What a problem must bring so that the paper's game can be played on it."""
+"""What a problem must bring so that the paper's game can be played on it, and its two MDPs."""
 
 from __future__ import annotations
 
 from ssp_lp.analysis.goal_probability import max_goal_probability
 from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.game.label_player import LabelModels, label_models
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
@@ -70,3 +72,18 @@ def check_reachable(problem: Problem) -> None:
         least_failure=1.0,
         least_discounted_failure=1.0,
     )
+
+
+def construct(problem: Problem) -> LabelModels | AccumulatedCost:
+    """Build M_o and M_{d,gamma} of section 3.1: labelled in case M, with the cost in case S.
+
+    Raises:
+        ModelError: no discount, or a budget that is not above 0.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    discount, problem = checked_setting(problem)[1], unrolled(problem)
+    start = start_distribution(problem.model, problem.start)
+    if not problem.ratio:
+        return label_models(problem.model, start, problem.semantics, discount)
+    check_reachable(problem)
+    return accumulate_cost(problem.model, start, discount)

@@ -9,14 +9,11 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray
 from ssp_lp.compiled.deadline import STOPS, closing, heed
 from ssp_lp.errors import ModelError
-from ssp_lp.game.best_responses.accumulated_cost import CostPlayer
-from ssp_lp.game.best_responses.best_response import BestResponse, Player
-from ssp_lp.game.best_responses.failure_label import LabelPlayer
-from ssp_lp.game.construction import construct
-from ssp_lp.game.models import LabelModels
-from ssp_lp.game.optimum import find_optimum
-from ssp_lp.game.setting import check_tolerance, infeasible
-from ssp_lp.game.solution import GameSolution
+from ssp_lp.game.best_response import BestResponse, Player
+from ssp_lp.game.cost_player import CostPlayer
+from ssp_lp.game.label_player import LabelModels, LabelPlayer
+from ssp_lp.game.optimum import GameSolution, find_optimum
+from ssp_lp.game.setting import check_tolerance, construct, infeasible
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.options import Progress
 from ssp_lp.problem import Problem

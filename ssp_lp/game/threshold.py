@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
-from ssp_lp.game.best_responses.best_response import BestResponse, Player
+from ssp_lp.game.best_response import BestResponse, Player
 from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed
 from ssp_lp.options import Progress
 

@@ -4,94 +4,79 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ssp_lp.io.controller import Controller
-    from ssp_lp.io.controller_files import write_controller
-    from ssp_lp.io.dot import write_dot
-    from ssp_lp.io.drn import read_drn, write_drn
-    from ssp_lp.io.environments.gym_environments import GymnasiumWorld, from_gymnasium
-    from ssp_lp.io.environments.gym_rollout import RolloutReport, StepLimitWarning, rollout
-    from ssp_lp.io.matrices import from_matrices
-    from ssp_lp.io.model_archive import load_model, save_model
-    from ssp_lp.io.model_files.model_file import ModelFile
-    from ssp_lp.io.model_fingerprint import fingerprint
-    from ssp_lp.io.policy_files import load_policy, save_policy
-    from ssp_lp.io.prism import read_prism, write_prism
-    from ssp_lp.io.reading import read_any, write_any
-    from ssp_lp.io.solution_files import load_solution, save_solution
-    from ssp_lp.io.storm.from_storm import from_stormpy
-    from ssp_lp.io.storm.induced_chain import induced_chain
-    from ssp_lp.io.storm.programs import read_with_storm
-    from ssp_lp.io.storm.schedulers import write_scheduler
-    from ssp_lp.io.storm.to_storm import to_stormpy, write_umb
-    from ssp_lp.io.tables import policy_table, to_frame
+    from ssp_lp.io.any_format import read_any as read_any
+    from ssp_lp.io.any_format import write_any as write_any
+    from ssp_lp.io.controller import Controller as Controller
+    from ssp_lp.io.controller_files import write_controller as write_controller
+    from ssp_lp.io.dot import write_dot as write_dot
+    from ssp_lp.io.gym.from_gymnasium import (
+        GymnasiumWorld as GymnasiumWorld,
+    )
+    from ssp_lp.io.gym.from_gymnasium import (
+        from_gymnasium as from_gymnasium,
+    )
+    from ssp_lp.io.gym.rollout import (
+        RolloutReport as RolloutReport,
+    )
+    from ssp_lp.io.gym.rollout import (
+        StepLimitWarning as StepLimitWarning,
+    )
+    from ssp_lp.io.gym.rollout import (
+        rollout as rollout,
+    )
+    from ssp_lp.io.matrices import from_matrices as from_matrices
+    from ssp_lp.io.model_archive import load_model as load_model
+    from ssp_lp.io.model_archive import save_model as save_model
+    from ssp_lp.io.model_files.drn_reader import read_drn as read_drn
+    from ssp_lp.io.model_files.drn_writer import write_drn as write_drn
+    from ssp_lp.io.model_files.prism_reader import read_prism as read_prism
+    from ssp_lp.io.model_files.prism_writer import write_prism as write_prism
+    from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
+    from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
+    from ssp_lp.io.policy_files import load_policy as load_policy
+    from ssp_lp.io.policy_files import save_policy as save_policy
+    from ssp_lp.io.solution_files import (
+        load_solution as load_solution,
+    )
+    from ssp_lp.io.solution_files import (
+        save_solution as save_solution,
+    )
+    from ssp_lp.io.storm.from_storm import from_stormpy as from_stormpy
+    from ssp_lp.io.storm.induced_chain import induced_chain as induced_chain
+    from ssp_lp.io.storm.programs import read_with_storm as read_with_storm
+    from ssp_lp.io.storm.schedulers import write_scheduler as write_scheduler
+    from ssp_lp.io.storm.to_storm import to_stormpy as to_stormpy
+    from ssp_lp.io.storm.to_storm import write_umb as write_umb
+    from ssp_lp.io.tables import policy_table as policy_table
+    from ssp_lp.io.tables import to_frame as to_frame
 
-__all__ = [
-    "Controller",
-    "GymnasiumWorld",
-    "ModelFile",
-    "RolloutReport",
-    "StepLimitWarning",
-    "fingerprint",
-    "from_gymnasium",
-    "from_matrices",
-    "from_stormpy",
-    "induced_chain",
-    "load_model",
-    "load_policy",
-    "load_solution",
-    "policy_table",
-    "read_any",
-    "read_drn",
-    "read_prism",
-    "read_with_storm",
-    "rollout",
-    "save_model",
-    "save_policy",
-    "save_solution",
-    "to_frame",
-    "to_stormpy",
-    "write_any",
-    "write_controller",
-    "write_dot",
-    "write_drn",
-    "write_prism",
-    "write_scheduler",
-    "write_umb",
-]
-
-_ON_DEMAND = {
-    "from_stormpy": "ssp_lp.io.storm.from_storm",
-    "to_stormpy": "ssp_lp.io.storm.to_storm",
-    "write_umb": "ssp_lp.io.storm.to_storm",
-    "read_with_storm": "ssp_lp.io.storm.programs",
-    "write_scheduler": "ssp_lp.io.storm.schedulers",
-    "induced_chain": "ssp_lp.io.storm.induced_chain",
-    "read_any": "ssp_lp.io.reading",
-    "write_any": "ssp_lp.io.reading",
-    "Controller": "ssp_lp.io.controller",
-    "write_controller": "ssp_lp.io.controller_files",
-    "write_dot": "ssp_lp.io.dot",
-    "GymnasiumWorld": "ssp_lp.io.environments.gym_environments",
-    "from_gymnasium": "ssp_lp.io.environments.gym_environments",
-    "RolloutReport": "ssp_lp.io.environments.gym_rollout",
-    "StepLimitWarning": "ssp_lp.io.environments.gym_rollout",
-    "rollout": "ssp_lp.io.environments.gym_rollout",
-    "fingerprint": "ssp_lp.io.model_fingerprint",
-    "load_policy": "ssp_lp.io.policy_files",
-    "save_policy": "ssp_lp.io.policy_files",
-    "policy_table": "ssp_lp.io.tables",
-    "to_frame": "ssp_lp.io.tables",
-    "load_solution": "ssp_lp.io.solution_files",
-    "save_solution": "ssp_lp.io.solution_files",
-    "ModelFile": "ssp_lp.io.model_files.model_file",
-    "from_matrices": "ssp_lp.io.matrices",
-    "load_model": "ssp_lp.io.model_archive",
-    "save_model": "ssp_lp.io.model_archive",
-    "read_drn": "ssp_lp.io.drn",
-    "write_drn": "ssp_lp.io.drn",
-    "read_prism": "ssp_lp.io.prism",
-    "write_prism": "ssp_lp.io.prism",
+_MODULES = {
+    "any_format": "read_any write_any",
+    "controller": "Controller",
+    "controller_files": "write_controller",
+    "dot": "write_dot",
+    "gym.from_gymnasium": "GymnasiumWorld from_gymnasium",
+    "gym.rollout": "RolloutReport StepLimitWarning rollout",
+    "matrices": "from_matrices",
+    "model_archive": "load_model save_model",
+    "model_files.drn_reader": "read_drn",
+    "model_files.drn_writer": "write_drn",
+    "model_files.prism_reader": "read_prism",
+    "model_files.prism_writer": "write_prism",
+    "model_files.raw_model": "ModelFile",
+    "model_fingerprint": "fingerprint",
+    "policy_files": "load_policy save_policy",
+    "solution_files": "load_solution save_solution",
+    "storm.from_storm": "from_stormpy",
+    "storm.induced_chain": "induced_chain",
+    "storm.programs": "read_with_storm",
+    "storm.schedulers": "write_scheduler",
+    "storm.to_storm": "to_stormpy write_umb",
+    "tables": "policy_table to_frame",
 }
+_ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
+
+__all__ = sorted(_ON_DEMAND)
 
 
 def __getattr__(name: str) -> object:

@@ -15,11 +15,16 @@ writes the files that it reads:
       the last one where the layer has reached the state's ``threshold`` (null: never), else the
       first; or by ``table``, from the cap on, [layer][state]. With ``levels``, totals, the layer is
       the one nearest to the last level plus the cost of the step, the last of them the cap, and a
-      threshold is a total;
+      threshold is a total; ``acting``: for each state 1 where the memory moves, else 0;
+    - "steps": how many were taken, of ``steps``, and one more where they are used up in a state
+      that is ``acting``, 1 or 0 for each;
+    - "task": a number, at first ``start``; ``moves``: [number, state, action, successor, cost, next
+      number] of each step that changes it, the cost null where any will do;
 
-    with ``acting``: for each state 1 where the memory moves, else 0;
-  - ``decision``: [memory][state], the position of an action, -1 to give up, -2 for none, or a list
-    of [position, probability].
+    the last two with ``place``: [number][state], the situation that both make, -1 for none, and
+    ``inner``: null or the memory that is kept besides, for which situations are the states;
+  - ``decision``: [memory][state], of the innermost memory and its states, the position of an
+    action, -1 to give up, -2 for none, or a list of [position, probability].
 """
 
 from __future__ import annotations
@@ -28,7 +33,7 @@ import json
 import random
 from bisect import bisect_left
 from collections.abc import Hashable
-from math import inf, isfinite
+from math import inf, isclose, isfinite
 from os import PathLike
 from typing import Any
 
@@ -53,8 +58,11 @@ class Controller:
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
-        with open(path, encoding="utf-8") as file:
-            told = json.load(file)
+        try:
+            with open(path, encoding="utf-8") as file:
+                told = json.load(file)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{path!r} is no ssp-lp controller file") from error
         if not isinstance(told, dict) or told.get("format") != "ssp-lp controller":
             raise ValueError(f"{path} is no ssp-lp controller file")
         if told["version"] > _VERSION:
@@ -66,7 +74,8 @@ class Controller:
         self._members: list[dict[str, Any]] = told["members"]
         self._rng = random.Random()
         self._member: dict[str, Any] | None = None
-        self._memory: int | None = None
+        self._memory: Any = None  # a number, or [number, inner memory]
+        self._step = -1, -1  # the last state and action
 
     def reset(self, seed: int | None = None) -> None:
         """Begin an episode.
@@ -90,7 +99,8 @@ class Controller:
         member, here = self._current(), self._state(state)
         if self._memory is None:
             self._memory = _start_memory(member["memory"], here)
-        choice = member["decision"][self._memory][here]
+        memory, place = _innermost(member["memory"], self._memory, here)
+        choice = member["decision"][memory][place]
         if isinstance(choice, list):
             codes, shares = zip(*choice, strict=True)
             choice = self._rng.choices(codes, shares)[0]
@@ -98,6 +108,7 @@ class Controller:
             return GIVE_UP
         if choice < _GIVE_UP_CODE:
             raise ValueError(f"the policy has no decision in state {state!r}")
+        self._step = here, choice
         found: Hashable = self._actions[choice]
         return found
 
@@ -105,13 +116,14 @@ class Controller:
         """Tell where the step led and what it cost; this moves the memory.
 
         Raises:
-            ValueError: unknown state, or a cost that is no whole number of units.
+            ValueError: unknown state, a cost that is no whole number of units, or a step that leads
+                to a memory that the policy does not have.
             RuntimeError: no action was asked for yet.
         """
         member, there = self._current(), self._state(successor)
         if self._memory is None:
             raise RuntimeError("observe() was called before the first action() of the episode")
-        self._memory = _after(member["memory"], self._memory, there, float(cost))
+        self._memory = _after(member["memory"], self._memory, (*self._step, there), float(cost))
 
     def _current(self) -> dict[str, Any]:
         if self._member is None:
@@ -132,17 +144,44 @@ def _label(value: Any) -> Hashable:
     return found
 
 
-def _start_memory(memory: dict[str, Any] | None, state: int) -> int:
-    if memory is None or memory["levels"] is not None:
+def _start_memory(memory: dict[str, Any] | None, state: int) -> Any:
+    if memory is None:
         return 0
-    return _at_layer(memory, 0, state)
+    if "place" in memory:
+        number = memory.get("start", 0)
+        return [number, _start_memory(memory["inner"], _place(memory, number, state))]
+    return 0 if memory["levels"] is not None else _at_layer(memory, 0, state)
 
 
-def _after(memory: dict[str, Any] | None, number: int, successor: int, cost: float) -> int:
-    """The memory after a step."""
-    if memory is None or not memory["acting"][successor]:
-        return number
-    if number >= memory["cap"]:
+def _place(memory: dict[str, Any], number: int, state: int) -> int:
+    """The situation of a state and the number of a memory."""
+    place: int = memory["place"][number][state]
+    if place < 0:
+        raise ValueError("a state was reached with a memory that the policy does not know there")
+    return place
+
+
+def _innermost(memory: dict[str, Any] | None, value: Any, state: int) -> tuple[int, int]:
+    """The innermost memory, and the state that it is for."""
+    while memory is not None and "place" in memory:
+        state, memory, value = _place(memory, value[0], state), memory["inner"], value[1]
+    return value, state
+
+
+def _after(
+    memory: dict[str, Any] | None, value: Any, step: tuple[int, int, int], cost: float
+) -> Any:
+    """The memory after a step from a state by an action to a successor."""
+    if memory is None:
+        return value
+    state, action, successor = step
+    if "place" in memory:
+        number, inner = value
+        then = _counted(memory, number, step, cost)
+        place, there = _place(memory, number, state), _place(memory, then, successor)
+        return [then, _after(memory["inner"], inner, (place, action, there), cost)]
+    number = value
+    if not memory["acting"][successor] or number >= memory["cap"]:
         return number
     if memory["levels"] is not None:
         return _nearest_level(memory, number, successor, cost if isfinite(cost) else 0.0)
@@ -151,6 +190,24 @@ def _after(memory: dict[str, Any] | None, number: int, successor: int, cost: flo
     if steps < 0 or abs(paid - steps) > _OFF_LATTICE:
         raise ValueError(f"observed cost {cost!r} is no whole number of units {memory['unit']!r}")
     return _at_layer(memory, number + steps, successor)
+
+
+def _counted(memory: dict[str, Any], number: int, step: tuple[int, int, int], cost: float) -> int:
+    """The number of a memory after a step."""
+    if memory["kind"] == "steps":
+        steps: int = memory["steps"]
+        late = memory["acting"][step[2]] and number + 1 >= steps
+        return steps + 1 if late else number + 1
+    if "table" not in memory:  # by what it depends on, once for all steps
+        memory["table"] = {}
+        for *key, paid, then in memory["moves"]:
+            memory["table"].setdefault(tuple(key), []).append((paid, then))
+    moves = memory["table"].get((number, *step), [(None, number)])
+    for paid, then in moves:
+        if paid is None or isclose(paid, cost, rel_tol=_OFF_LATTICE):
+            found: int = then
+            return found
+    raise ValueError(f"observed cost {cost!r} is none that this step may have")
 
 
 def _at_layer(memory: dict[str, Any], layer: int, state: int) -> int:

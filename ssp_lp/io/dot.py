@@ -12,6 +12,7 @@ import numpy as np
 from ssp_lp.analysis.chain import Chain, policy_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.io.tables import memories_of
+from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy
@@ -21,6 +22,7 @@ _MOST_NODES = 300
 """More than this no picture shows; Graphviz would take minutes, too."""
 
 
+@explained
 def write_dot(
     policy: Policy | MixedPolicy,
     path: str | PathLike[str],

@@ -9,13 +9,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.model_file import absorbed
-from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
+from ssp_lp.errors import ModelError, in_short
+from ssp_lp.io.model_files.raw_model import RawModel, absorbed
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 
 
+@explained
 def from_matrices(
     transitions: Sequence[Any] | npt.NDArray[Any],
     goal: npt.ArrayLike,
@@ -109,7 +110,10 @@ def _paid(
                 paid[mine] = np.asarray(sp.csr_matrix(part)[state[mine], target[mine]]).reshape(-1)
             return paid
         raise ModelError("sparse costs or rewards must be one matrix for each action")
-    table = np.asarray(given, dtype=np.float64)
+    try:
+        table = np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"costs or rewards are no numbers: {in_short(given)}") from error
     if table.shape == (n_states,):
         return np.asarray(table[state])
     if table.shape == (n_states, n_actions):

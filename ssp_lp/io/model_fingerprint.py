@@ -9,8 +9,9 @@ from hashlib import sha256
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.io.archives.labels import are_numbers_in_turn, stated_value
+from ssp_lp.io.json_labels import are_numbers_in_turn, stated_value
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.kept import kept
 from ssp_lp.model.product import ProductSSP
 
@@ -20,6 +21,7 @@ _PIECE = 1 << 20
 """Entries of an array that are converted at a time, so that large models need little room."""
 
 
+@explained
 @kept
 def fingerprint(model: SSP) -> str:
     """The SHA-256 of a model's content, in hexadecimal; worked out once and kept with the model.

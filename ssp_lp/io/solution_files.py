@@ -5,15 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from math import isclose
-from os import PathLike
 from typing import Any
 
 import numpy as np
 
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.io.archives.archive import ArrayStore, read_archive, write_archive
-from ssp_lp.io.policy_files import policy_header, policy_in
+from ssp_lp.io.archive import damage_named, read_archive, write_archive
+from ssp_lp.io.model_files.text_file import FilePath
+from ssp_lp.io.policy_files import PolicyRecords, policy_in
+from ssp_lp.model.arguments import explained
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, conditions_of, unrolled
@@ -35,7 +36,8 @@ _ROUNDING = 1e-9
 """Relative; a budget that is a share of the greatest goal probability is worked out afresh."""
 
 
-def save_solution(solution: Solution, path: str | PathLike[str]) -> None:
+@explained
+def save_solution(solution: Solution, path: FilePath) -> None:
     """Write a solution to a file: its policy, numbers, prices, value function and run.
 
     The model and the problem are not in it: :func:`load_solution` is given the problem.
@@ -48,18 +50,19 @@ def save_solution(solution: Solution, path: str | PathLike[str]) -> None:
         ModelError: its policy is of a class that cannot be saved.
     """
     as_solved(solution, "save_solution")
-    store, values = ArrayStore(), solution.value_function
-    header = policy_header(solution.policy, store)
+    records, values = PolicyRecords(), solution.value_function
+    header = records.header(solution.policy)
     header["problem"] = _words_of(solution.problem)
-    header["start"] = store.add(_start_of(solution.problem))
+    header["start"] = records.add_array(_start_of(solution.problem))
     header["numbers"] = {name: getattr(solution, name) for name in _NUMBERS}
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
-    header["value_function"] = None if values is None else store.add(np.asarray(values))
+    header["value_function"] = None if values is None else records.add_array(np.asarray(values))
     header["run"], header["status"] = asdict(solution.run), solution.status.name
-    write_archive(path, "solution", _VERSION, header, store.arrays)
+    write_archive(path, "solution", _VERSION, header, records.arrays)
 
 
-def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
+@explained
+def load_solution(path: FilePath, problem: Problem) -> Solution:
     """Read a solution beside its problem, stated again; ``certify`` says of it what it said before.
 
     Args:
@@ -70,22 +73,23 @@ def load_solution(path: str | PathLike[str], problem: Problem) -> Solution:
         ModelError: the file is none of a solution, the model is another one, or the problem has
             another criterion, start, budget, discount, penalty, or other limits.
     """
-    archive = read_archive(path, "solution", _VERSION)
-    header, arrays = archive
-    policy = policy_in(archive, unrolled(problem).model, check=True)
-    _check_problem(problem, header["problem"], arrays[header["start"]])
-    if not isinstance(policy, MixedPolicy):
-        raise ModelError(f"{path} holds no lottery: it is damaged")
-    run, values = header["run"], header["value_function"]
-    return Solution(
-        problem=problem,
-        policy=policy,
-        value_function=None if values is None else arrays[values],
-        run=Run(**{**run, "work": Work(**run["work"])}),
-        prices=header["prices"],
-        status=Status[header["status"]],
-        **header["numbers"],
-    )
+    model = unrolled(problem).model
+    header, arrays = read_archive(path, "solution", _VERSION)
+    with damage_named(path):
+        policy = policy_in(header, arrays, model, check=True)
+        _check_problem(problem, header["problem"], arrays[header["start"]])
+        if not isinstance(policy, MixedPolicy):
+            raise TypeError("no lottery")
+        run, values = header["run"], header["value_function"]
+        return Solution(
+            problem=problem,
+            policy=policy,
+            value_function=None if values is None else arrays[values],
+            run=Run(**{**run, "work": Work(**run["work"])}),
+            prices=header["prices"],
+            status=Status[header["status"]],
+            **header["numbers"],
+        )
 
 
 def _words_of(problem: Problem) -> dict[str, Any]:

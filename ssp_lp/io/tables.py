@@ -10,6 +10,7 @@ import numpy as np
 
 from ssp_lp.arrays import IntArray
 from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.model.arguments import explained
 from ssp_lp.policies import (
     GIVE_UP,
     CostAwarePolicy,
@@ -34,6 +35,7 @@ class PolicyRow(NamedTuple):
     member: int = 0  # of a lottery
 
 
+@explained
 def policy_table(policy: Policy | MixedPolicy) -> list[PolicyRow]:
     """The decisions of a policy, in the order of members, memories and states.
 
@@ -60,6 +62,7 @@ def policy_table(policy: Policy | MixedPolicy) -> list[PolicyRow]:
     return [row for k, member in members for row in _rows(member, k)]
 
 
+@explained
 def to_frame(policy: Policy | MixedPolicy) -> Any:
     """:func:`policy_table` as a pandas ``DataFrame``, with a column for each field of a row.
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, read_only
-from ssp_lp.column_generation.compiled_problems.sense import Sense
+from ssp_lp.column_generation.compiled_problems.compiled_problem import Sense
 from ssp_lp.column_generation.failure_constraint import least_of
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy

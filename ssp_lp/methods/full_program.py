@@ -9,9 +9,8 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.errors import SolverError
-from ssp_lp.linear_programming.answer import LPAnswer
-from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.linear_programming.solving import cold_attempts, first_accepted
+from ssp_lp.linear_programming.backends import cold_attempts, first_accepted
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.methods.policy_basis import policy_basis
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.compiling import occupation_program, rows_program

@@ -23,7 +23,7 @@ from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import columns_at, columns_by_pricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column
-from ssp_lp.linear_programming.basis import PolicyBasis
+from ssp_lp.linear_programming.linear_program import PolicyBasis
 from ssp_lp.options import SolveOptions
 from ssp_lp.processes.explicit import ExplicitProcess
 

@@ -6,17 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    CompiledLayered,
     CompiledProblem,
     checked_least_failure,
 )
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.column_generation.compiled_problems.layered import CompiledLayered
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
-from ssp_lp.methods.rows.solving import optimum_of
+from ssp_lp.methods.rows.lottery import truth_of
+from ssp_lp.methods.rows.optimum import rows_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, unrolled
 from ssp_lp.processes.failure_semantics import Aim
@@ -79,7 +82,7 @@ def _constrained(problem: Problem) -> OccupationProgram:
     """A row for each constraint, on as many layers of accumulated cost as the proof needs."""
     compiled = compiled_constrained(problem).settled()
     if compiled.charge is not None:
-        compiled = optimum_of(problem, compiled, CERTIFYING).compiled
+        compiled = rows_optimum(compiled, CERTIFYING, truth_of(problem, compiled)).compiled
         if compiled.ladder is not None and not compiled.ladder.exact:
             raise ModelError(
                 f"the costs have more than {compiled.layers:,} sums: on a grid of totals the "

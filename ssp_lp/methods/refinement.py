@@ -15,7 +15,7 @@ from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import SolverError
 from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import check_agreement, solve_program
@@ -110,7 +110,8 @@ def optimise(compiled: CompiledProblem, budget: float, options: SolveOptions) ->
             refined = outcome
         if is_late():
             best = refined if refined.gap <= outcome.gap else outcome
-            return replace(best, found=replace(best.found, finished=False))
+            met = best.gap <= options.tolerance
+            return replace(best, found=replace(best.found, finished=met))
         if refined.found is outcome.found:
             return refined
         outcome = refined

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import logging
 from bisect import bisect_right
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from fractions import Fraction
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
-from ssp_lp.errors import ModelError
-from ssp_lp.model.in_short import in_short
-from ssp_lp.model.nearest import did_you_mean
+from ssp_lp.errors import ModelError, did_you_mean, in_short
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 
@@ -18,24 +16,13 @@ _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
 
 
-class FlatModel(NamedTuple):
-    """A model as flat lists: labels, offsets and outcomes."""
-
-    states: Sequence[Hashable]  # [states]
-    actions: Sequence[Hashable]  # [pairs]
-    goal_states: Sequence[int]
-    pair_offsets: Sequence[int]  # [states + 1]
-    outcome_offsets: Sequence[int]  # [pairs + 1]
-    successors: Sequence[int]  # [outcomes]
-    probabilities: Sequence[float]  # [outcomes]
-    costs: Sequence[float]  # [outcomes]
-    exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
-
-
 def flatten_transitions(
     transitions: Mapping[Hashable, Mapping[Hashable, Outcomes]], goal: Iterable[Hashable]
-) -> FlatModel:
+) -> dict[str, Any]:
     """Flatten ``{state: {action: [(probability, successor, cost), ...]}}``.
+
+    Returns:
+        What :meth:`SSP.from_arrays` takes, by name.
 
     Raises:
         ModelError: an outcome is no triple, or its successor is neither a key nor a goal.
@@ -61,7 +48,7 @@ def flatten_successors(
     goal: Callable[[Any], bool] | Iterable[Hashable],
     state_limit: int,
     progress: Callable[[int], None] | None,
-) -> FlatModel:
+) -> dict[str, Any]:
     """Explore breadth-first from ``start`` and flatten what is found.
 
     Raises:
@@ -117,7 +104,13 @@ class _Found:
                 if type(outcome) is not tuple or len(outcome) != 3:
                     outcome = _triple(outcome, state, action)
                 probability, successor, cost = outcome
-                place = index.get(successor)
+                try:
+                    place = index.get(successor)
+                except TypeError as error:
+                    raise ModelError(
+                        f"action {action!r} of state {state!r} leads to {in_short(successor)}: a "
+                        "state holds no list, dict or set"
+                    ) from error
                 if place is None:
                     place = index[successor] = len(states)
                     states.append(successor)
@@ -152,19 +145,19 @@ class _Found:
             f"{did_you_mean(self.states[known], self.states[:known])}"
         )
 
-    def flat(self) -> FlatModel:
+    def flat(self) -> dict[str, Any]:
         """The model as flat lists."""
-        return FlatModel(
-            states=self.states,
-            actions=self._actions,
-            goal_states=self._goals,
-            pair_offsets=self._pair_offsets,
-            outcome_offsets=self._outcome_offsets,
-            successors=self._successors,
-            probabilities=self._probabilities,
-            costs=self._costs,
-            exact_costs=self._exact,
-        )
+        return {
+            "states": self.states,
+            "actions": self._actions,
+            "goal_states": self._goals,
+            "pair_offsets": self._pair_offsets,
+            "outcome_offsets": self._outcome_offsets,
+            "successors": self._successors,
+            "probabilities": self._probabilities,
+            "costs": self._costs,
+            "exact_costs": self._exact,
+        }
 
 
 def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:

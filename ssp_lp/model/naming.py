@@ -1,19 +1,30 @@
-"""States, actions and pairs by their names: what a model tells a person."""
+"""Things by their names: states, actions and pairs of a model, and tables that a person asks."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
-from typing import cast
+from typing import TypeVar, cast
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, did_you_mean
 from ssp_lp.model.html_table import html_table
-from ssp_lp.model.nearest import did_you_mean
+
+_Value = TypeVar("_Value")
 
 _LISTED = 5  # actions that an error names
+
+
+class ByName(dict[str, _Value]):
+    """Values by name, whose KeyError says which name was probably meant."""
+
+    def __missing__(self, name: object) -> _Value:
+        """Raise :class:`KeyError`."""
+        names = ", ".join(map(repr, self)) or "none"
+        nearest = did_you_mean(name, self) or f"; there are {names}"
+        raise KeyError(f"{name!r} is no name here{nearest}")
 
 
 class Naming:
@@ -67,8 +78,12 @@ class Naming:
         return np.array([self.index_of(state)])
 
     def action_of(self, pair: int) -> Hashable:
-        """Label of the action of a pair."""
-        return self.action_names[int(self.pair_action[pair])]
+        """Label of the action of a pair; raises :class:`ModelError` if there is no such pair."""
+        try:
+            return self.action_names[int(self.pair_action[pair])]
+        except (IndexError, TypeError) as error:
+            last = len(self.pair_action) - 1
+            raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
 
     def no_such_action(self, state: int, action: Hashable) -> str:
         """What to say of an action that a state does not have: the nearest one, or some."""

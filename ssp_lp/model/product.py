@@ -16,6 +16,7 @@ import numpy as np
 
 from ssp_lp.arrays import IntArray, concatenated_ranges
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.builders import no_lone_string
 from ssp_lp.model.ssp import SSP, check_model
 
@@ -62,6 +63,10 @@ class Memory:
     update: Callable[[Any, Any, Any, Any, float], Hashable]
     accepts: Callable[[Any], bool] = _always
     fails: Callable[[Any], bool] = _never
+
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for what is no function, or one of other arguments."""
+        check_fields(self)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,6 +156,7 @@ class ProductSSP(SSP):
         return table
 
 
+@explained
 def product(
     model: SSP,
     memory: Memory,

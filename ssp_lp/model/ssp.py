@@ -12,24 +12,26 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.builders import (
-    FlatModel,
     Outcomes,
     flatten_successors,
     flatten_transitions,
 )
-from ssp_lp.model.checks import (
+from ssp_lp.model.checked_arrays import (
+    action_table,
     check_idle_states,
     check_offsets,
     check_outcomes,
+    check_state_names,
     cost_array,
+    goal_mask_of,
+    indexed_labels,
     successor_array,
     unit_sums,
 )
 from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
-from ssp_lp.model.in_short import in_short
-from ssp_lp.model.labels import action_table, check_state_names, goal_mask_of, indexed_labels
 from ssp_lp.model.naming import Naming
 
 
@@ -57,6 +59,7 @@ class SSP(Naming):
     exact_costs: Mapping[float, Fraction]  # costs that were given as fractions
 
     @classmethod
+    @explained
     def from_transitions(
         cls,
         transitions: Mapping[Hashable, Mapping[Hashable, Iterable[tuple[float, Hashable, float]]]],
@@ -89,10 +92,15 @@ class SSP(Naming):
             >>> model.n_states, model.n_pairs, model.n_outcomes
             (3, 1, 2)
         """
-        flat = flatten_transitions(transitions, goal)
-        return cls._from_flat(flat, state_labels, treat_actionless_as_dead_ends, normalise)
+        return cls.from_arrays(
+            **flatten_transitions(transitions, goal),
+            state_labels=state_labels,
+            treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
+            normalise=normalise,
+        )
 
     @classmethod
+    @explained
     def from_successors(
         cls,
         start: Hashable | Iterable[Hashable],
@@ -122,27 +130,18 @@ class SSP(Naming):
         """
         flat = flatten_successors(start, successors, goal, state_limit, progress)
         marked = {
-            name: [s for s in flat.states if holds(s)]
+            name: [s for s in flat["states"] if holds(s)]
             for name, holds in (state_labels or {}).items()
         }
-        return cls._from_flat(flat, marked, treat_actionless_as_dead_ends, normalise)
-
-    @classmethod
-    def _from_flat(
-        cls,
-        flat: FlatModel,
-        state_labels: Mapping[str, Iterable[Hashable]] | None,
-        treat_actionless_as_dead_ends: bool,
-        normalise: bool,
-    ) -> SSP:
         return cls.from_arrays(
-            **flat._asdict(),
-            state_labels=state_labels,
+            **flat,
+            state_labels=marked,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
         )
 
     @classmethod
+    @explained
     def from_arrays(
         cls,
         *,

@@ -15,6 +15,7 @@ from ssp_lp.arrays import (
     IntArray,
     concatenated_ranges,
     least_integer_type,
+    offsets_of,
     read_only,
     segment_ids,
 )
@@ -259,7 +260,7 @@ def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
 
 
 def _offsets(counts: IntArray) -> IntArray:
-    return read_only(np.concatenate([[0], np.cumsum(counts)]), np.int64)
+    return read_only(offsets_of(counts), np.int64)
 
 
 def _labels(model: SSP, state: IntArray, late: BoolArray) -> dict[str, IntArray]:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_constraint import Row
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import LOOKS, Look, axes_or_new, dress
 from ssp_lp.problem import Problem, by_rows
 from ssp_lp.processes.failure_semantics import Aim
@@ -35,31 +36,8 @@ class BoundsRecord:
         self.objectives.append(objective)
 
 
-class Answer(Protocol):
-    """What is asked of a ``Solution``."""
-
-    @property
-    def problem(self) -> Problem:
-        """What was solved."""
-        ...
-
-    @property
-    def objective(self) -> float:
-        """Of its policy."""
-        ...
-
-    @property
-    def seconds(self) -> float:
-        """Of the call."""
-        ...
-
-    @property
-    def lower_bound(self) -> float:
-        """Of the optimum."""
-        ...
-
-
-def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = None) -> Axes:
+@explained
+def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) -> Axes:
     """Draw the upper and the lower bound on the optimum against seconds.
 
     The upper bound is the objective of the best policy known by then; the lower one is what the
@@ -70,7 +48,7 @@ def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = Non
 
     Args:
         record: that ``solve`` reported to.
-        solution: what that call handed back.
+        solution: the ``Solution`` that this call handed back.
         ax: where to draw; None: a new figure.
 
     Raises:
@@ -85,6 +63,8 @@ def plot_bounds(record: BoundsRecord, solution: Answer, *, ax: Axes | None = Non
         >>> record = BoundsRecord()
         >>> axes = plot_bounds(record, solve(MCMP(model, "s", 0.1), progress=record))
     """
+    if not hasattr(solution, "lower_bound"):
+        raise ModelError(f"plot_bounds takes a solution after its record, not {in_short(solution)}")
     if solution.problem.semantics.measure is not None:
         name = type(solution.problem).__name__
         raise ModelError(f"{name} is solved as a search over problems: nothing to draw but its end")

@@ -9,6 +9,7 @@ import numpy as np
 from ssp_lp.analysis.total_cost.cost_law import CostLaw
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import INK, LOOKS, axes_or_new, dress
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ _PALE = "#b5d6ea"  # behind lines
 _UNSEEN = 1e-3  # share of the successes that are costlier than what is drawn
 
 
+@explained
 def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -> Axes:
     """Draw the law of the total cost given success, its quantile and the mean of its tail.
 

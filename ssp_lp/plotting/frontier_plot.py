@@ -9,6 +9,7 @@ import numpy as np
 from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import SolverError
+from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ _TANGENT = 0.4  # of the height: how far a tangent rises and falls
 _MANY = 40  # turning points, beyond which each has a small marker
 
 
+@explained
 def plot_frontier(
     frontier: Frontier,
     budget: float | None = None,

@@ -10,6 +10,7 @@ import numpy as np
 from ssp_lp.analysis.visits import pair_visits
 from ssp_lp.arrays import FloatArray, segment_ids
 from ssp_lp.errors import optional_module
+from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.cells import (
     Places,
     Point,
@@ -46,6 +47,7 @@ class _Seen(NamedTuple):
     shares: FloatArray  # [cells, actions and giving up] of the visits
 
 
+@explained
 def plot_grid_policy(
     policy: Policy | MixedPolicy,
     problem: Problem,
@@ -96,6 +98,7 @@ def plot_grid_policy(
     return ax
 
 
+@explained
 def plot_lottery(
     policy: MixedPolicy,
     problem: Problem,

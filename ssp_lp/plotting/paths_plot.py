@@ -10,8 +10,9 @@ import numpy as np
 
 from ssp_lp.analysis.simulation import simulate
 from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import optional_module
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.plotting.cells import Places, Point, add_legend, cells_of, draw_ground, size_of
 from ssp_lp.plotting.style import INK, LOOKS, axes_or_new
 from ssp_lp.policies import MixedPolicy
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 _SPREAD = 0.3  # of a cell's side: how far from its middle a path may be moved
 
 
+@explained
 def plot_paths(
     paths: Sequence[Any],
     ends: Sequence[str],
@@ -45,16 +47,22 @@ def plot_paths(
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
+        ModelError: a path is no such array, or has no end.
     """
+    drawn = [np.asarray(path, dtype=np.float64) for path in paths]
+    if len(drawn) != len(ends):
+        raise ModelError(f"{len(drawn)} paths cannot have {len(ends)} ends")
+    if not all(path.size == 0 or (path.ndim == 2 and path.shape[1] >= 2) for path in drawn):
+        raise ModelError("a path must be an array [points, 2 or more]")
     ax = axes_or_new(ax, 5.6, 5.6)
     lines, legend, counts = optional_module("matplotlib.lines", "plot"), [], Counter(ends)
     ways = dict.fromkeys([*order, *(end for end, _ in counts.most_common())])
     for rank, end in enumerate(ways):
         look, usual = LOOKS[rank % len(LOOKS)], rank == 0
         style: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "linewidth": 0.9}
-        for path, own in zip(paths, ends, strict=True):
+        for path, own in zip(drawn, ends, strict=True):
             if own == end and len(path):
-                x, y = np.asarray(path, dtype=np.float64)[:, :2].T
+                x, y = path[:, :2].T
                 ax.plot(x, y, alpha=0.45 if usual else 0.95, zorder=3 if usual else 4, **style)
                 ax.plot(x[-1:], y[-1:], look.marker, color=look.colour, zorder=5,
                         markeredgecolor=look.colour if usual else INK,
@@ -66,6 +74,7 @@ def plot_paths(
     return ax
 
 
+@explained
 def plot_episodes(
     policy: Policy | MixedPolicy,
     problem: Problem,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
-from ssp_lp.errors import optional_module
+from ssp_lp.errors import ModelError, optional_module
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +36,10 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
 
     Raises:
         MissingDependencyError: matplotlib is not installed.
+        ModelError: these are no axes.
     """
+    if ax is not None and not hasattr(ax, "plot"):
+        raise ModelError(f"ax must be axes of matplotlib, or None for a new figure, not {ax!r}")
     if ax is not None:
         return ax
     pyplot = optional_module("matplotlib.pyplot", "plot")

@@ -10,6 +10,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained_class
 from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy
 
@@ -21,6 +22,7 @@ def _is_uniform(model: SSP) -> bool:
     return model.costs.strides == (0,)
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class CostAwarePolicy(Policy):
     """A deterministic decision for each (state, accumulated cost) below a cap, then a tail policy.

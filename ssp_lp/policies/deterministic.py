@@ -11,6 +11,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Branches, Policy
 
@@ -30,6 +31,7 @@ class DeterministicPolicy(Policy):
         check_decisions(self.model, self.decision, np.arange(self.model.n_states))
 
     @classmethod
+    @explained
     def from_actions(cls, model: SSP, actions: Mapping[Hashable, Hashable]) -> DeterministicPolicy:
         """Build a policy from ``{state: action}``; an action may be :data:`GIVE_UP`.
 

@@ -9,11 +9,13 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained_class
 from ssp_lp.policies.policy import Playable, Policy, check_policies
 
 _LISTED = 3  # members that a repr names
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class MixedPolicy(Playable):
     """A lottery at the start over a few policies (paper, section 2.2).

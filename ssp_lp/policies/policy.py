@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
-from ssp_lp.model.in_short import in_short
 from ssp_lp.policies.randomness import Randomness, generator_of
 
 if TYPE_CHECKING:

@@ -10,6 +10,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, read_only, segment_sums
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Branches, Policy
@@ -39,6 +40,7 @@ class StochasticPolicy(Policy):
             raise ModelError("the decisions of each state need probabilities that sum to one")
 
     @classmethod
+    @explained
     def from_actions(
         cls, model: SSP, actions: Mapping[Hashable, Mapping[Hashable, float]]
     ) -> StochasticPolicy:

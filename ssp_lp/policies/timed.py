@@ -9,9 +9,11 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained_class
 from ssp_lp.policies.policy import Branches, Policy, check_policies
 
 
+@explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class TimedPolicy(Policy):
     """One policy for each time step, the last of them for good (paper, section 3.4).

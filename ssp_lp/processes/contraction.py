@@ -17,10 +17,10 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import DualBound, dual_bound
+from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.model.graph.approach import nearer_pairs
 from ssp_lp.model.graph.predecessors import find_predecessors
+from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
 

@@ -42,11 +42,7 @@ class Counting:
         Args:
             model: the model with the other costs.
         """
-        charges = give_up_charges(
-            model, attention_states(model), self.quotient.merged, self.semantics
-        )
-        entering = dead_end_charges(model, self.quotient.dead, self.semantics)
-        cost = stage_costs(model, self.quotient, charges, entering, self.survival)
+        cost, entering = stage_costs(model, self.quotient, self.semantics, self.survival)
         return cost / self.departs, float(self.start @ entering)
 
     def arrivals(self, states: BoolArray) -> tuple[FloatArray, float]:
@@ -69,18 +65,23 @@ class Counting:
 
 
 def stage_costs(
-    model: SSP, quotient: Quotient, charges: FloatArray, entering: FloatArray, survival: float
-) -> FloatArray:
-    """Expected cost of each pair, charges included, [quotient pairs].
+    model: SSP, quotient: Quotient, semantics: FailureSemantics, survival: float
+) -> tuple[FloatArray, FloatArray]:
+    """Expected cost of each pair, charges included, and what entering each dead-end costs.
 
     Args:
         model: the model whose costs are meant.
         quotient: the live part of it.
-        charges: of giving up, [states].
-        entering: of entering dead-ends, [states].
+        semantics: what giving up and entering a dead-end is charged.
         survival: the discount.
+
+    Returns:
+        [quotient pairs] and [states].
     """
-    stage = quotient.at_pairs(cost_means(model), quotient.least_over_members(charges))
+    means = cost_means(model)
+    charges = give_up_charges(model, attention_states(model), quotient.merged, semantics, means)
+    entering = dead_end_charges(model, quotient.dead, semantics, means)
+    stage = quotient.at_pairs(means, quotient.least_over_members(charges))
     if entering.any():
         stage = stage + survival * quotient.at_pairs(successor_means(model, entering))
-    return stage
+    return stage, entering

@@ -7,6 +7,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, segment_sums
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import segment_chunks
 from ssp_lp.model.graph.predecessors import narrow
@@ -24,6 +25,7 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
     Args:
         values: [states], finite.
     """
+    check_time()
     values = np.asarray(values, dtype=np.float64)
     if not accelerated(model.n_outcomes):
         shape = (model.n_pairs, model.n_states)
@@ -31,11 +33,11 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
             (model.probabilities, model.successors, narrow(model.outcome_offsets)), shape=shape
         )
         return np.asarray(matrix @ values)
-    from ssp_lp.compiled import bellman as compiled
+    from ssp_lp.compiled import rows as compiled
 
     every, result = np.arange(model.n_pairs, dtype=np.uint32), np.empty(model.n_pairs)
     offsets, successors = model.outcome_offsets.view(np.uint64), model.successors.view(np.uint32)
-    run = compiled.product(model.n_outcomes)
+    run = compiled.row_product(model.n_outcomes)
     run(every, offsets, successors, model.probabilities, values, result)
     return result
 
@@ -53,6 +55,7 @@ def cost_means(model: SSP, weights: FloatArray | BoolArray | None = None) -> Flo
         return cost * successor_means(model, weights)
     result = np.zeros(model.n_pairs)
     for pairs in segment_chunks(model.outcome_offsets):
+        check_time()
         offsets = model.outcome_offsets[pairs.start : pairs.stop + 1]
         some = slice(offsets[0], offsets[-1])
         terms = model.probabilities[some] * model.costs[some]
@@ -73,6 +76,7 @@ def costless_pairs(model: SSP, weights: FloatArray | BoolArray | None = None) ->
         return np.zeros(model.n_pairs, dtype=np.bool_)
     result = np.zeros(model.n_pairs, dtype=np.bool_)
     for pairs in segment_chunks(model.outcome_offsets):
+        check_time()
         offsets = model.outcome_offsets[pairs.start : pairs.stop + 1]
         some = slice(offsets[0], offsets[-1])
         paid = (model.probabilities[some] > 0) & (model.costs[some] > 0)

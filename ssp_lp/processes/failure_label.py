@@ -12,8 +12,14 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import attention_states, goal_pairs, surely_reaching
+from ssp_lp.model.graph.reachability import (
+    attention_states,
+    goal_pairs,
+    pairs_into,
+    surely_reaching,
+)
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.processes.counting import Counting, stage_costs
 from ssp_lp.processes.expectations import costless_pairs, successor_means
@@ -22,8 +28,6 @@ from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
     GiveUp,
-    dead_end_charges,
-    give_up_charges,
     survival_of,
 )
 from ssp_lp.processes.quotient import Quotient, build_quotient
@@ -46,13 +50,20 @@ class FailureLabelled:
         decision = self.quotient.pull_back(choice[: self.quotient.n_nodes])
         return DeterministicPolicy(self.quotient.model, decision)
 
-    def nearer_goal(self) -> IntArray | None:
+    def nearer_goal(self, *, safely: bool = False) -> IntArray | None:
         """A pair of each state by which it may come nearer to the goal; -1: none, [states].
 
         None where it has to be found on the process itself (see ``Quotient.nearer``).
+
+        Args:
+            safely: by pairs that risk no dead-end, where these are enough.
         """
         model = self.quotient.model
         found = self.quotient.nearer(goal_pairs(model))
+        if safely and found is not None:
+            safe = ~pairs_into(model, self.quotient.dead)
+            guarded = self.quotient.nearer(goal_pairs(model) & safe, safe)
+            found = found if guarded is None else np.where(guarded >= 0, guarded, found)
         if found is None or self.process.n_states == len(found):
             return found
         return np.append(found, self.process.n_pairs - 1)  # the source state's only pair
@@ -84,7 +95,7 @@ def label_failure(
         free = free & also_free
     attention, unsure = attention_states(model), None
     if semantics.forbids_failing:
-        sure, keeping = surely_reaching(model)
+        sure, keeping, _ = surely_reaching(model)
         usable, unsure = keeping if usable is None else usable & keeping, ~sure
     exits = ~model.goal_mask & (attention | (semantics.give_up is GiveUp.ANYWHERE))
     if semantics.give_up is GiveUp.DEAD_ENDS or usable is not None:
@@ -92,9 +103,10 @@ def label_failure(
     quotient = build_quotient(
         model, usable=usable, free=free, exits=exits, free_exits=usable is None, ended=unsure
     )
-    charges = give_up_charges(model, attention, quotient.merged, semantics)
-    entering = dead_end_charges(model, quotient.dead, semantics)
-    process, departs = _fill(model, quotient, charges, entering, survival_of(discount))
+    survival = survival_of(discount)
+    stage, entering = stage_costs(model, quotient, semantics, survival)
+    process, departs = _fill(quotient, stage, survival)
+    check_time()
     process = _with_start(process, quotient, start, entering)
     counted = replace(process, cost=_counted(process, semantics))
     return FailureLabelled(counted, quotient, departs)
@@ -141,10 +153,10 @@ def _counted(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArra
 
 
 def _fill(
-    model: SSP, quotient: Quotient, charges: FloatArray, entering: FloatArray, survival: float
+    quotient: Quotient, stage: FloatArray, survival: float
 ) -> tuple[ExplicitProcess, FloatArray]:
-    """The process without its start, and what its rows were divided by, [pairs]."""
-    stage = stage_costs(model, quotient, charges, entering, survival)
+    """The process without its start, of stage costs [pairs], and its rows' divisors, [pairs]."""
+    model = quotient.model
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))
     leaks = np.where(quotient.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)

@@ -83,19 +83,30 @@ def parse_give_up(value: str | GiveUp) -> GiveUp:
         raise ModelError(f"give_up must be one of {choices}, not {value!r}") from error
 
 
-def dead_end_charges(model: SSP, dead: BoolArray, semantics: FailureSemantics) -> FloatArray:
+def dead_end_charges(
+    model: SSP, dead: BoolArray, semantics: FailureSemantics, costs: FloatArray | None = None
+) -> FloatArray:
     """What entering each dead-end costs once: its least expected stage cost, [states].
 
     Zero for other states, for dead-ends without actions and without ``charge_failing_step``.
+
+    Args:
+        dead: dead-ends, [states].
+        semantics: whether they are charged.
+        costs: expected stage costs, [pairs]; None: worked out here.
     """
     if not semantics.charge_failing_step:
         return np.zeros(model.n_states)
-    least = segment_minima(cost_means(model), model.pair_offsets)
+    least = segment_minima(cost_means(model) if costs is None else costs, model.pair_offsets)
     return np.where(dead & np.isfinite(least), least, 0.0)
 
 
 def give_up_charges(
-    model: SSP, attention: BoolArray, wandering: BoolArray, semantics: FailureSemantics
+    model: SSP,
+    attention: BoolArray,
+    wandering: BoolArray,
+    semantics: FailureSemantics,
+    costs: FloatArray | None = None,
 ) -> FloatArray:
     """What giving up in each state costs, infinite where it is not allowed, [states].
 
@@ -103,6 +114,7 @@ def give_up_charges(
         attention: attention states, [states].
         wandering: states of zero-cost end components, where staying for ever is free, [states].
         semantics: where giving up is allowed and whether it is charged.
+        costs: expected stage costs, [pairs]; None: worked out here.
     """
     charge = np.full(model.n_states, np.inf)
     if semantics.give_up is not GiveUp.DEAD_ENDS:
@@ -110,7 +122,7 @@ def give_up_charges(
         allowed = ~model.goal_mask & (anywhere | attention)
         charge[allowed] = 0.0
         if semantics.charge_failing_step:
-            costs = cost_means(model)
+            costs = cost_means(model) if costs is None else costs
             if not anywhere:
                 costs = np.where(staying_pairs(model, attention), costs, np.inf)
             charge[allowed] = segment_minima(costs, model.pair_offsets)[allowed]

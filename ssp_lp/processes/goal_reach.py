@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import dual_bound
-from ssp_lp.dynamic_programming.dual_bounds.extreme_reach import Exits, extreme_reach
+from ssp_lp.dynamic_programming.dual_bound import dual_bound
+from ssp_lp.dynamic_programming.extreme_reach import Exits, extreme_reach
+from ssp_lp.dynamic_programming.leaving import approach
 from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.policy_iteration.approach import approach
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import (
     approach_pairs,
@@ -71,10 +71,11 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
         survival: the discount; 1 for probabilities.
     """
     exact = survival == 1.0
-    sure, keeping = surely_reaching(model) if exact else (model.goal_mask, _no_pairs(model))
-    into_goal = goal_pairs(model)
+    if exact:
+        sure, keeping, nearer = surely_reaching(model)
+    else:
+        sure, keeping = model.goal_mask, np.zeros(model.n_pairs, dtype=np.bool_)
     if exact and not (~sure & ~dead_ends(model)).any():  # the graph decides it all
-        nearer = approach_pairs(model, into_goal & keeping, keeping)
         reached = sure.astype(np.float64)
         usable = keeping & (sure & ~model.goal_mask)[model.pair_state]
         return GoalReach(reached, reached, usable, np.where(nearer < 0, UNDECIDED, nearer))
@@ -82,12 +83,11 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     # moving about in a component risks nothing
     quotient = build_quotient(model, free=everything, ended=sure)
     found = _extreme(quotient, sure, survival, greatest=True)
-    nearer = approach_pairs(model, into_goal & keeping, keeping) if exact else found.decision
     inside = sure & ~model.goal_mask
     return replace(
         found,
         usable=np.where(inside[model.pair_state], keeping, found.usable),
-        decision=np.where(inside, nearer, found.decision),
+        decision=np.where(inside, nearer, found.decision) if exact else found.decision,
     )
 
 
@@ -144,10 +144,6 @@ def _extreme(
         usable=usable,
         decision=quotient.pull_back(reach.choice),
     )
-
-
-def _no_pairs(model: SSP) -> BoolArray:
-    return np.zeros(model.n_pairs, dtype=np.bool_)
 
 
 def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:

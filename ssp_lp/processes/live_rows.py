@@ -62,7 +62,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
 
         model, home = rows.model, _array(rows.home)
         for some in pieces(n_rows, model.n_outcomes):
-            compiled.fill(
+            compiled.fill_rows(
                 model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
                 _array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
                 home[some] if home.size else home, departs[some], survival,
@@ -89,7 +89,7 @@ def _count(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
 
         home = _array(rows.home)
         for some in pieces(len(counts), model.n_outcomes):
-            compiled.count(
+            compiled.count_rows(
                 model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
                 rows.node_of, rows.pair_at[some], home[some] if home.size else home,
                 counts[some], departs[some], leaks[some],

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.end_components import end_components
@@ -90,7 +91,7 @@ class Quotient:
             here &= self.pair_node == self.node_of[state]
         return np.flatnonzero(here)
 
-    def nearer(self, leaving: BoolArray) -> IntArray | None:
+    def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
         """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].
 
         Found on the model's graph, which is turned round once for all searches; so there is no
@@ -98,13 +99,15 @@ class Quotient:
 
         Args:
             leaving: [model pairs].
+            usable: pairs that may be taken, [model pairs]; all of them if left out.
         """
         if self.merged.any():
             return None
         position = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = np.flatnonzero(self.pair_at >= 0)
         position[self.pair_at[acting]] = acting
-        taken = approach_pairs(self.model, leaving, position >= 0)[self.node_of >= 0]
+        kept = position >= 0 if usable is None else (position >= 0) & usable
+        taken = approach_pairs(self.model, leaving, kept)[self.node_of >= 0]
         return np.where(taken >= 0, position[taken], -1)
 
     def least_over_members(self, values: FloatArray) -> FloatArray:
@@ -187,6 +190,7 @@ def build_quotient(
     leaving = np.zeros(model.n_states, dtype=np.bool_) if exits is None else exits & live
     if free_exits:
         leaving = leaving | merged
+    check_time()
     node_of = _numbered(live, component)
     return _with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
 

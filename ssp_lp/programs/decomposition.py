@@ -21,10 +21,10 @@ from ssp_lp.arrays import (
     segment_minima,
     segment_sums,
 )
+from ssp_lp.dynamic_programming.leaving import leaving_choice
 from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
 from ssp_lp.errors import SolverError
-from ssp_lp.model.graph.approach import nearer_pairs
+from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
 _SEEN = 1e-9  # outflow that a solver's tolerance leaves meaningful

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
+from ssp_lp.dynamic_programming.leaving import leaving_choice
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.errors import SolverError
 from ssp_lp.processes.contraction import bound_of, contract
 from ssp_lp.processes.explicit import ExplicitProcess

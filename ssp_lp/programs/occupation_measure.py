@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.dynamic_programming.policy_iteration.approach import leaving_choice
-from ssp_lp.model.nearest import ByName
+from ssp_lp.dynamic_programming.leaving import leaving_choice
+from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.programs.decomposition import decomposed

@@ -20,9 +20,9 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
-from ssp_lp.linear_programming.answer import LPAnswer
-from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.linear_programming.solving import cold_attempts, run
+from ssp_lp.linear_programming.backends import cold_attempts, run
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.html_table import html_text
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
@@ -38,7 +38,6 @@ if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import ConvexProgram
 
 _ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
-
 _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
 _BELOW = 2.5e-10  # relative step below a ratio
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
@@ -263,6 +262,7 @@ class OccupationProgram:
 
         return ConvexProgram(self)
 
+    @explained
     def write(self, path: str | Path) -> None:
         """Write the program as ``.mps`` or ``.lp``, columns and rows named.
 
@@ -270,7 +270,7 @@ class OccupationProgram:
             ModelError: another ending.
             SolverError: HiGHS cannot write there.
         """
-        from ssp_lp.linear_programming.writing import write_program
+        from ssp_lp.linear_programming.highs import write_program
 
         names = [f"x{k}.{self.label(k)}" for k in range(self.process.n_pairs)]
         write_program(self.linear, Path(path), names + ["t"] * self.ratio)

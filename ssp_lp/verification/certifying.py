@@ -9,11 +9,11 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
 from ssp_lp.arrays import RELATIVE_GAP, FloatArray
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.failure_constraint import Row, relative_gap
-from ssp_lp.column_generation.pricing.explicit import LARGEST
+from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk import risk_bound
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound

@@ -6,7 +6,9 @@ import time
 from dataclasses import dataclass, replace
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.game.setting import checked_setting
 from ssp_lp.options import BACKENDS, LinearProgramming, parse_method

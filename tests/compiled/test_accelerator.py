@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import ModelError, certify, solve
-from ssp_lp.column_generation.pricing import layered
+from ssp_lp.column_generation.pricing import layered_pricing
 from ssp_lp.compiled import accelerator
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
 from ssp_lp.dynamic_programming.linear_systems.system import System
@@ -159,7 +159,7 @@ def test_solutions_are_the_same_with_and_without(
     assert compiled.run.backups > 0
     assert compiled.run.products > 0
     if discount is None:  # the same loops once more, on all cores
-        from ssp_lp.compiled.loops import on_all_cores
+        from ssp_lp.compiled.cores import on_all_cores
 
         with on_all_cores():
             everywhere = solve(problem)
@@ -167,12 +167,12 @@ def test_solutions_are_the_same_with_and_without(
 
 
 def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ssp_lp.column_generation.pricing import layered
+    from ssp_lp.column_generation.pricing import layered_pricing
 
     grid = RobotGrid(segments=10, headings=6)
     problem = S3P(grid_model(grid), start_state(grid), 0.2)
     kept = solve(problem)
-    monkeypatch.setattr(layered, "_KEPT_VALUES", 0)
+    monkeypatch.setattr(layered_pricing, "_KEPT_VALUES", 0)
     dropped = solve(problem)
     assert np.isinf(dropped.value_function).all()
     assert dropped.value_function.shape == kept.value_function.shape
@@ -203,9 +203,9 @@ def test_rows_are_filled_within_their_arrays() -> None:
     node_of, pair_at = np.zeros(1, dtype=np.int32), numbers[:n]
     indices, data = np.empty(n, dtype=np.int32), np.empty(n)
     for home, kept in ((none, n), (np.ones(n, dtype=np.int32), n)):
-        rows.count.py_func(*outcomes, node_of, pair_at, home, counts, departs, np.empty(n))
+        rows.count_rows.py_func(*outcomes, node_of, pair_at, home, counts, departs, np.empty(n))
         assert counts.sum() == kept
-        rows.fill.py_func(
+        rows.fill_rows.py_func(
             *outcomes, none, node_of, 1, pair_at, home, departs, 1.0, numbers, indices, data
         )
         np.testing.assert_array_equal(data, np.ones(n))
@@ -232,7 +232,7 @@ def test_all_layers_in_one_pass_are_as_layer_by_layer(
     problem = S3P(model, start=0, failure_budget=least + budget * (1.0 - least))
     accelerate(True)
     passed = solve(problem)
-    monkeypatch.setattr(layered, "one_pass", lambda process: None)
+    monkeypatch.setattr(layered_pricing, "one_pass", lambda process: None)
     layer_by_layer = solve(problem)
     accelerate(False)
     interpreted = solve(problem)

@@ -13,12 +13,12 @@ from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.linear_systems.components import strong_components
-from ssp_lp.dynamic_programming.linear_systems.precise import advantage_bounds
+from ssp_lp.dynamic_programming.howard_rounds import improve_along_chain
+from ssp_lp.dynamic_programming.linear_systems.advantages import advantage_bounds
+from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_components
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
-from ssp_lp.dynamic_programming.policy_iteration.block_sweeps import improve_along_chain
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
+from ssp_lp.dynamic_programming.policy_iteration import improve
 
 Switch = Callable[[bool], None]
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import sub_solution
-from ssp_lp.dynamic_programming.dual_bounds.lowering import shortfall
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.lowering import shortfall
 
 
 def test_ties_between_a_cost_and_a_free_step_do_not_drop_the_bound() -> None:

@@ -14,9 +14,9 @@ import formulations
 from formulations import MCMP, S3P
 from formulations.command_line import main
 from formulations.command_line.arguments import CRITERIA
-from ssp_lp import SSP, ModelError, solve
-from ssp_lp.io import save_model, write_drn, write_prism
-from ssp_lp.io.reading import read_any
+from ssp_lp import SSP, ModelError, evaluate, solve
+from ssp_lp.io import Controller, load_policy, save_model, write_drn, write_prism
+from ssp_lp.io.any_format import read_any
 
 ROADS = {
     "depot": {
@@ -287,7 +287,7 @@ def test_limits_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--penalty", "3"], "mcmp takes no --penalty; its options: --failure-budget"),
         (["--criterion", "cvar"], "cvar needs --level"),
         (["--policy-out", "policy.txt"], "a policy is written as .storm.json"),
-        (["--horizon", "0"], "steps must be a whole number"),
+        (["--horizon", "0"], "horizon must be a whole number"),
     ],
 )
 def test_what_is_asked_wrongly_ends_with_2(
@@ -323,6 +323,34 @@ def test_within_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     code, out, _ = run(capsys, *asked, "--start", "lock")
     assert (code, json.loads(out)["least failure"]) == (0, pytest.approx(0.125))
     assert run(capsys, *asked)[0] == 2
+
+
+def test_a_horizon_is_that_of_the_criterion(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Answers and policies are those of ``horizon=``: on the model's states, steps counted."""
+    lock = {"lock": {"try": [[0.5, "open", 1], [0.5, "lock", 1]]}}
+    words = ("--goal", "open", "--start", "lock", "--horizon", 3)
+    model, policy = str(written(tmp_path, lock)), tmp_path / "policy.npz"
+    asked = ("solve", model, *words, "--failure-budget", 0.2)
+    code, out, _ = run(capsys, *asked, "--policy-out", policy)
+    assert (code, "out of time 0.125" in out, "within 3 steps" in out) == (0, True, True)
+    assert json.loads(run(capsys, *asked, "--json")[1])["ends"]["out of time"] == 0.125
+    stated = MCMP(read_any(model, ["open"]).model, "lock", 0.2, horizon=3)
+    loaded = load_policy(policy, stated.unrolled.model)
+    assert evaluate(loaded, stated).failure_probability == pytest.approx(0.125)
+    told = json.loads(run(capsys, "simulate", model, *words, "--policy", policy, "--json")[1])
+    assert told["failure_probability"]["low"] < 0.125 < told["failure_probability"]["high"]
+    runner = tmp_path / "runner.json"
+    assert run(capsys, *asked, "--policy-out", runner)[0] == 0
+    player = Controller(runner)
+    player.reset()
+    for _ in range(3):
+        assert player.action("lock") == "try"
+        player.observe("lock", 1.0)
+    assert player.action("lock") == "give up"
+    rows = json.loads(run(capsys, "compare", model, *words, "--json")[1])
+    assert rows[0] == {**rows[0], "criterion": "MaxProb", "objective": pytest.approx(0.875)}
 
 
 def test_the_frontier_in_three_forms(roads: Path, capsys: pytest.CaptureFixture[str]) -> None:

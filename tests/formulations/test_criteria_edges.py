@@ -22,7 +22,7 @@ from ssp_lp import (
     solve,
     trace_frontier,
 )
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp
 from ssp_lp.processes.failure_semantics import start_distribution as distribution_of
 

@@ -14,8 +14,20 @@ import numpy as np
 import pytest
 
 import ssp_lp.io.controller
+from formulations import MCMP, S3P
 from played import START, ferry, hall, level_policy, policies, remembering, step, task
-from ssp_lp import GIVE_UP, SSP, CostAwarePolicy, DeterministicPolicy, MixedPolicy, ModelError
+from ssp_lp import (
+    GIVE_UP,
+    SSP,
+    CostAwarePolicy,
+    DeterministicPolicy,
+    Memory,
+    MixedPolicy,
+    ModelError,
+    on_original,
+    product,
+    solve,
+)
 from ssp_lp.io import Controller, policy_table, write_controller
 from ssp_lp.io.tables import memories_of
 from ssp_lp.policies.mixed import as_lottery
@@ -29,7 +41,11 @@ def written(policy: object, tmp_path: Path) -> Controller:
 
 
 def acts_the_same(
-    policy: object, controller: Controller, start: object, episodes: int = 60
+    policy: object,
+    controller: Controller,
+    start: object,
+    episodes: int = 60,
+    surprise: float = 20.0,
 ) -> None:
     """Side by side, through random episodes of the model."""
     rng, model = np.random.default_rng(1), policy.model
@@ -45,7 +61,7 @@ def acts_the_same(
             if action is GIVE_UP:
                 break
             state, cost = step(model, state, action, rng)
-            cost += 20.0 * (rng.random() < 0.1)  # so that all of a memory is seen
+            cost += surprise * (rng.random() < 0.1)  # so that all of a memory is seen
             policy.observe(state, cost)
             controller.observe(state, cost)
 
@@ -80,6 +96,31 @@ def test_every_memory_of_a_cost_aware_policy(tmp_path: Path) -> None:
     only_tails = replace(policy, decision=np.zeros((0, model.n_states), dtype=np.int64))
     for some in (policy, table, only_tails):
         acts_the_same(some, written(some, tmp_path), START, 300)
+
+
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+@pytest.mark.parametrize("horizon", [3, 6])
+def test_policies_that_count_their_steps(criterion: type, horizon: int, tmp_path: Path) -> None:
+    solution = solve(criterion(hall(), START, failure_budget=0.7, horizon=horizon))
+    for member in solution.policy.policies:
+        acts_the_same(member, written(member, tmp_path), START, 100)
+
+
+def dear(count, state, action, successor, cost):
+    """How often a step was dear: it depends on the cost alone."""
+    return min(count + (cost == 2.0), 1)
+
+
+def test_policies_that_carry_the_memory_of_a_task(tmp_path: Path) -> None:
+    """By the action, by the cost, and one within the other, with a horizon around both."""
+    counted = task(hall())
+    for member in remembering(counted).policies:
+        acts_the_same(member, written(member, tmp_path), START)
+    both = product(counted, Memory(start=0, update=dear))
+    start = both.start((START, 0))
+    inner = solve(S3P(both, start, failure_budget=0.6, horizon=6)).policy
+    for member in on_original(on_original(inner)).policies:
+        acts_the_same(member, written(member, tmp_path), START, 300, surprise=0.0)
 
 
 @pytest.mark.parametrize("name", ["mixed", "stochastic", "carried"])
@@ -192,8 +233,6 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
     path = tmp_path / "controller.json"
     with pytest.raises(ModelError, match="TimedPolicy"):
         write_controller(policies(hall())["timed"], path)
-    with pytest.raises(ModelError, match="RememberingPolicy"):
-        write_controller(remembering(task(hall())), path)
     for state, action, words in ((frozenset("a"), "go", "cannot be"), ("a", "give up", "called")):
         model = SSP.from_transitions({state: {action: [(1.0, "b", 1.0)]}}, goal={"b"})
         with pytest.raises(ModelError, match=words):

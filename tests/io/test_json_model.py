@@ -15,8 +15,7 @@ import pytest
 from cases import FOLDER, load_case
 from formulations import MCMP
 from ssp_lp import SSP, ModelError, SSPError, solve
-from ssp_lp.io.model_files.json_model import parse_json, read_json
-from ssp_lp.io.model_files.named_json import json_text
+from ssp_lp.io.model_files.json_model import model_in_json, parse_json, read_json
 
 ROADS = {
     "depot": {
@@ -71,7 +70,7 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
         state_labels={"first": [(0, "a")]},
     )
     with gzip.open(tmp_path / "m.json.gz", "wt", encoding="utf-8") as file:
-        file.writelines(json_text(model, {(0, "a"): 1.0}))
+        file.writelines(model_in_json(model, {(0, "a"): 1.0}))
     again = read_json(tmp_path / "m.json.gz", ())
     assert again.start == {"(0, 'a')": 1.0}
     for name in ("successors", "probabilities", "costs", "goal_mask", "pair_offsets"):
@@ -83,10 +82,10 @@ def test_what_is_written_is_read_again(tmp_path: Path) -> None:
 def test_names_that_read_the_same_are_refused() -> None:
     twice = SSP.from_transitions({1: {"a": [(1.0, "1", 1.0)]}}, goal=["1"])
     with pytest.raises(ModelError, match="two states"):
-        list(json_text(twice))
+        list(model_in_json(twice))
     twice = SSP.from_transitions({0: {1: [(1.0, 2, 1.0)], "1": [(1.0, 2, 1.0)]}}, goal=[2])
     with pytest.raises(ModelError, match="two actions of state '0'"):
-        list(json_text(twice))
+        list(model_in_json(twice))
 
 
 EXPLICIT = {"format": "explicit-mdp-v1", "init": 0, "goal": [1]}

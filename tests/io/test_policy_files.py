@@ -31,7 +31,7 @@ from played import (
 )
 from ssp_lp import SSP, MixedPolicy, ModelError, evaluate, product, solve
 from ssp_lp.io import fingerprint, load_policy, save_policy
-from ssp_lp.io.archives.policy_records import SAVED_CLASSES
+from ssp_lp.io.policy_files import SAVED_CLASSES
 from ssp_lp.policies.policy import Policy
 
 NAMES = sorted(policies(hall()))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
 from pathlib import Path
 
 import numpy as np
@@ -97,3 +99,24 @@ def test_a_policy_file_is_no_solution(tmp_path: Path) -> None:
     save_policy(solve(PROBLEMS["mcmp"]()).policy, tmp_path / "policy.npz")
     with pytest.raises(ModelError, match="no ssp-lp solution file"):
         load_solution(tmp_path / "policy.npz", PROBLEMS["mcmp"]())
+
+
+@pytest.mark.parametrize("junk", [None, 0, "x", [], {}, [7], 10**12])
+def test_a_file_that_says_what_cannot_be_is_damaged(junk: object, tmp_path: Path) -> None:
+    """Each entry of the header in turn, and of what the policies are made of."""
+    path, problem = tmp_path / "solution.npz", PROBLEMS["s3p"]()
+    save_solution(solve(problem), path)
+    with np.load(path) as found:
+        arrays = dict(found)
+    header = json.loads(arrays["header"].tobytes())
+    damaged = [{**header, name: junk} for name in header if header[name] != junk]
+    for k, record in enumerate(header["policies"]):
+        for name in record:
+            parts = [*header["policies"]]
+            parts[k] = {**record, name: junk}
+            damaged.append({**header, "policies": parts})
+    for told in damaged:
+        arrays["header"] = np.frombuffer(json.dumps(told).encode(), dtype=np.uint8)
+        np.savez(path, **arrays)
+        with contextlib.suppress(ModelError):
+            load_solution(path, problem)

@@ -14,8 +14,8 @@ from formulations import MCMP, S3P
 from random_models import drawn_model
 from ssp_lp import SSP, LinearProgramming, Solution, solve
 from ssp_lp.column_generation.failure_constraint import Row
-from ssp_lp.linear_programming.answer import residuals
 from ssp_lp.linear_programming.highs import solve_with_highs
+from ssp_lp.linear_programming.linear_program import residuals
 from ssp_lp.methods.policy_basis import policy_basis
 from ssp_lp.programs.compiling import occupation_program
 

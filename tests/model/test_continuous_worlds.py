@@ -218,7 +218,7 @@ def test_leaving_the_box_may_be_an_end() -> None:
         (lambda: discretise(walk(Distribution(lambda u: u / 0.0))), "finite number"),
         (lambda: replace(walk(), actions=[]), "needs actions"),
         (lambda: replace(walk(), actions=["hop", "hop"]), "needs actions"),
-        (lambda: replace(walk(), noise=[0.1]), "distributions"),
+        (lambda: replace(walk(), noise=[0.1]), r"noise\[0\] must be a Distribution"),
         (lambda: replace(walk(), outside="hole"), "none of the dead-ends"),
         (lambda: walk().end_state("hole"), "goal, pit"),
         (lambda: walk().end_state(3), r"1 \.\. 2"),

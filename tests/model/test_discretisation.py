@@ -9,7 +9,21 @@ import pytest
 from scipy.stats import norm
 
 from examples.paper_robot.robot import RobotGrid, continuous_robot
-from ssp_lp import SSP, Axis, ContinuousModel, Distribution, Grid, Quadrature, Samples, discretise
+from formulations import MCMP
+from ssp_lp import (
+    SSP,
+    Axis,
+    ContinuousModel,
+    Distribution,
+    Grid,
+    ModelError,
+    Quadrature,
+    Samples,
+    WorldSimulator,
+    discretise,
+    simulate,
+    solve,
+)
 from ssp_lp.io import fingerprint
 from ssp_lp.model.discretisation import discretise as building
 
@@ -173,3 +187,57 @@ def test_every_centre_lies_in_its_cell() -> None:
     assert (grid.cell_of(grid.centre(cells)) == cells).all()
     assert grid.cell_of((2.0, 0.0)) == 30  # the upper end belongs to the last cell
     assert grid.cell_of((0.0, -0.1)) == 4 == grid.cell_of((0.0, 4 * np.pi - 0.1))
+
+
+def corridor(**more: object) -> ContinuousModel:
+    """Six cells and a goal behind them; hopping takes two cells, creeping one."""
+
+    def hop(at, action, noise):
+        there = at[0] + (2.0 if action == "hop" else 1.0)
+        return (there,), 1.0, (there >= 6.0).astype(np.int64)
+
+    axis = Axis(0.0, 6.0, 6)
+    return ContinuousModel(Grid([axis]), ("creep", "hop"), hop, **more)
+
+
+def no_hopping_beyond(limit: float) -> object:
+    return lambda middle, action: (middle[0] < limit) | (action == "creep")
+
+
+def test_actions_that_are_allowed_in_some_cells_only() -> None:
+    """The model is that of all actions without the pairs that are not there."""
+    whole, some = discretise(corridor()), discretise(corridor(allowed=no_hopping_beyond(3.0)))
+    assert (whole.n_pairs, some.n_pairs) == (12, 9)
+    for state in range(6):
+        names = [some.action_of(k) for k in range(*some.pair_offsets[state : state + 2].tolist())]
+        assert names == (["creep", "hop"] if state < 3 else ["creep"])
+        for number in range(len(names)):
+            assert row(some, state, number) == row(whole, state, number)
+    assert solve(MCMP(some, 0, 0.0)).objective == 4.0  # two hops, two steps
+    assert fingerprint(discretise(corridor(allowed=lambda *_: np.True_))) == fingerprint(whole)
+    alike = corridor(allowed=no_hopping_beyond(3.0), alike=lambda c, a: 6 * a + c[0])
+    assert fingerprint(discretise(alike)) == fingerprint(some)
+
+
+def test_the_world_takes_the_actions_that_its_cells_allow() -> None:
+    world = corridor(allowed=no_hopping_beyond(3.0))
+    model = discretise(world)
+    problem = MCMP(model, 0, failure_budget=0.0)
+    played = simulate(
+        solve(problem).policy, problem, episodes=20, rng=0, simulator=WorldSimulator(world, [0.5])
+    )
+    assert played.conditional_cost.value == 4.0
+
+
+@pytest.mark.parametrize(
+    ("allowed", "words"),
+    [
+        (lambda middle, action: middle[0] < 3.0, r"no action is allowed in the cell about \[3.5\]"),
+        (lambda middle, action: 1.0, "allowed must return a truth value"),
+        (lambda middle, action: [True], "allowed must return a truth value"),
+        (lambda middle: True, "allowed must be a function of 2 arguments"),
+    ],
+)
+def test_what_allows_nothing_or_says_no_truth_is_refused(allowed: object, words: str) -> None:
+    with pytest.raises(ModelError, match=words):
+        discretise(corridor(allowed=allowed))

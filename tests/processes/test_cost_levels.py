@@ -16,7 +16,9 @@ from ssp_lp import (
     simulate,
     solve,
 )
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
 from ssp_lp.methods.refinement import optimise
 from ssp_lp.options import CERTIFYING
 from ssp_lp.processes.failure_semantics import start_distribution

@@ -13,7 +13,7 @@ from references.frontier import Point
 from small_models import model_of
 from ssp_lp import InfeasibleError
 from ssp_lp.game import Equilibrium, Game, bayes_adaptive
-from ssp_lp.game.best_responses.best_response import BestResponse
+from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.stationary import stationary_player
 from strategies import Draw
 

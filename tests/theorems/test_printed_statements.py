@@ -10,7 +10,7 @@ from references.chain import plain_model
 from small_models import TWO_MOVES
 from ssp_lp import ModelError, evaluate, solve
 from ssp_lp.game import Game, delta_mixture, play, stationary_game
-from ssp_lp.game.best_responses.best_response import BestResponse
+from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.stationary import stationary_player, thresholds
 from ssp_lp.policies import DeterministicPolicy
 

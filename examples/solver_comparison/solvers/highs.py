@@ -13,9 +13,8 @@ from examples.solver_comparison.instances.models import ReadyInstance
 from examples.solver_comparison.solvers.answer import Answer, Prepared
 from examples.solver_comparison.solvers.catalogue import Order
 from examples.solver_comparison.solvers.explicit import describe, size_of, written_out
-from ssp_lp.linear_programming.answer import LPAnswer, residuals
 from ssp_lp.linear_programming.highs import highs_lp
-from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, residuals
 from ssp_lp.programs.compiling import occupation_program
 
 

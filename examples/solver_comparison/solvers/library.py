@@ -38,7 +38,7 @@ def prepare(ready: ReadyInstance, order: Order, *, method: str, backend: str | N
     def warm_up() -> Solution:
         problem = (small or build(ready.instance.warm_up)).problem()
         if small is None and has_accelerator():  # the loops of large models, on a small one
-            from ssp_lp.compiled.loops import on_all_cores
+            from ssp_lp.compiled.cores import on_all_cores
 
             with on_all_cores():
                 solve(problem, "columns")

@@ -104,9 +104,9 @@ class Moves:
         check_time()
         sums, found = np.zeros((len(pairs), worth.shape[2])), np.zeros(len(pairs), dtype=np.uint8)
         if accelerated(self.model.n_outcomes):
-            from ssp_lp.compiled.streaming import expect
+            from ssp_lp.compiled.streaming import stream_totals
 
-            expect(self.model.n_outcomes)(
+            stream_totals(self.model.n_outcomes)(
                 pairs, *self._outcomes, slots, costs, worth, marks, priced, sums, found
             )
             return sums, found
@@ -126,9 +126,9 @@ class Moves:
         """Mark where pairs, [k], may lead in later layers, in place, [slots, states]."""
         check_time()
         if accelerated(self.model.n_outcomes):
-            from ssp_lp.compiled.streaming import reach
+            from ssp_lp.compiled.streaming import stream_arrivals
 
-            reach(pairs, *self._outcomes, slots, arriving)
+            stream_arrivals(pairs, *self._outcomes, slots, arriving)
             return
         _, outcome, kind = self._taken(pairs, slots >= 0)
         arriving[slots[kind], self.model.successors[outcome]] = True
@@ -137,9 +137,9 @@ class Moves:
         """Send the mass of a layer, [states], on to later ones, in place, [slots, states]."""
         check_time()
         if accelerated(self.model.n_outcomes):
-            from ssp_lp.compiled.streaming import send
+            from ssp_lp.compiled.streaming import stream_mass
 
-            send(mass, pairs, *self._outcomes, slots, waiting)
+            stream_mass(mass, pairs, *self._outcomes, slots, waiting)
             return
         source, outcome, kind = self._taken(np.where(mass > 0.0, pairs, -1), slots >= 0)
         place = slots[kind], self.model.successors[outcome]

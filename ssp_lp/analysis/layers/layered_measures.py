@@ -12,8 +12,7 @@ from ssp_lp.analysis.layers.layer_moves import ENDLESS, FAILS, WRONG, Moves
 from ssp_lp.analysis.layers.layer_sweep import Column, Sweep
 from ssp_lp.analysis.quantity_values import complement
 from ssp_lp.arrays import FloatArray
-from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.graph.reachability import dead_ends, end_marks
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy
 from ssp_lp.problem import Problem, conditions_of, objective_of
 from ssp_lp.processes.expectations import cost_means

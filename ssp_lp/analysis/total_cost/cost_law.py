@@ -17,6 +17,7 @@ from ssp_lp.analysis.total_cost.followed_sums import Followed, Sweep, cost_of
 from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import explained
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
@@ -40,8 +41,7 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
         problem: says the start.
 
     Raises:
-        ModelError: the policy was made for another model, or has no decision in a state that it
-            reaches.
+        ModelError: the policy is for another model, or undecided in a state that it reaches.
 
     Example:
         >>> from ssp_lp import SSP, DeterministicPolicy
@@ -152,6 +152,7 @@ class CostLaw:
 
         return self._followed.asked(beyond)
 
+    @explained
     def quantile(self, level: float) -> float:
         """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached.
 
@@ -180,6 +181,7 @@ class CostLaw:
 
         return self._followed.asked(reached)
 
+    @explained
     def tail_mean(self, level: float) -> float:
         """The mean of the costliest ``1 - level`` of the runs that succeed; level 0: of them all.
 
@@ -245,6 +247,7 @@ class CostLaw:
 
         return self._followed.asked(atoms)
 
+    @explained
     def all_but(self, mass: float) -> Atoms:
         """The least costs that leave out a mass of at most ``mass`` of the runs that succeed.
 

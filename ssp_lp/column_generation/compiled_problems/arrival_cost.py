@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, read_only
-from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFailure
-from ssp_lp.column_generation.compiled_problems.layered import (
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     MOST_ENTRIES,
     CompiledLayered,
+    LeastFailure,
     check_table,
 )
 from ssp_lp.compiled.deadline import check_time
@@ -40,7 +40,6 @@ _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safes
 _MOST_LAYERS = 100_000
 """Layers of a charge that does not settle, after which the gap that is left is left."""
 
-_MOST_PLACES = 5_000_000  # nodes times sums
 _DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
 _LOWER = 0.5  # cap, times the one whose sums are too many
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
@@ -128,7 +127,7 @@ class CompiledArrivalCost(CompiledLayered):
 
     def _ladder(self, cap: float) -> Ladder | None:
         """The sums of steps below a cap; None: there are too many."""
-        room = min(MOST_SUMS, _MOST_PLACES // max(self.base.n_nodes, 1))
+        room = min(MOST_SUMS, MOST_ENTRIES // max(self.base.n_nodes, 1))
         sums, steps = sums_in(self.model, cap, room), step_lattice(self.model)[1]
         if sums is None:
             return None

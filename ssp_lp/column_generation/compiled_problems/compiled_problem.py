@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
-from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
-from ssp_lp.errors import InfeasibleError
+from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, required
+from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.layered.materialise import chosen_pairs, materialise
+from ssp_lp.processes.layered.process import LayeredProcess
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,3 +158,62 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
         least_discounted_failure=failure,
         conflicting_rows=("failure",),
     )
+
+
+_ROUNDED = 4e-15  # of what a complement is taken from
+
+
+@dataclass(frozen=True)
+class Sense:
+    """A minimum in place of a maximum, or of a quantity with negative weights on ends."""
+
+    constant: float | None = None  # what is maximised is this, less what is minimised
+    shift: float = 0.0  # what every episode is charged on top, so that no charge is negative
+    offset: float = 0.0  # what is minimised is so much more than what is asked
+
+    def worth(self, value: float) -> float:
+        """The problem's objective where what is minimised has a value."""
+        return value - self.offset if self.constant is None else self.constant - value
+
+    def settled_bound(self, value: float, bound: float) -> float:
+        """The bound, or the value where only the rounding of a complement parts them."""
+        taken = self.offset if self.constant is None else self.constant
+        return value if abs(value - bound) <= _ROUNDED * abs(taken) else bound
+
+
+MOST_ENTRIES = 800_000_000
+"""Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""
+
+
+def check_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
+    """Raise :class:`ModelError` with a remedy where a table of so many layers is too large."""
+    if (layers + base.width) * base.n_nodes > MOST_ENTRIES:
+        raise ModelError(
+            f"{layers:.6g} layers of accumulated cost (unit {base.unit:g}) on {base.n_nodes:,} "
+            f"states are too many; a coarser grid of costs, or a smaller {remedy}, makes it less"
+        )
+
+
+class CompiledLayered(ABC):
+    """An compiled whose process is layered."""
+
+    @property
+    @abstractmethod
+    def process(self) -> LayeredProcess:
+        """The process cut at the cap."""
+
+    def pricing(self) -> LayeredPricing:
+        """One backward sweep over the layers."""
+        return LayeredPricing(self.process)
+
+    def explicit(self) -> ExplicitProcess:
+        """All layers below the cap, written out."""
+        return materialise(self.process)
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The column's pairs in all layers, its tails beyond them and the source's only pair."""
+        return chosen_pairs(self.process, required(column.choice), column.tail_price)
+
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
+        """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
+        return self.pricing().tail_loss(price, slack=slack, proved=proved)

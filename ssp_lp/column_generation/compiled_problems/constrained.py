@@ -9,13 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     LeastFailure,
+    Sense,
     checked_least_failure,
 )
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
-from ssp_lp.column_generation.compiled_problems.sense import Sense
-from ssp_lp.column_generation.pricing.explicit import ExplicitPricing
+from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure

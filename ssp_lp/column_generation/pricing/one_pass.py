@@ -49,7 +49,7 @@ class OnePass:
             measures: charge, failure and goal of the tails, [layers beyond, nodes, 3].
             choice: written, [cap, nodes].
         """
-        from ssp_lp.compiled.layers import back_up_layers
+        from ssp_lp.compiled.backups import back_up_layers
 
         run: Callable[..., None] = back_up_layers
         base, measured = self.process.base, self._with_room(measures)
@@ -70,7 +70,7 @@ class OnePass:
             given: values that are not to be exceeded, [cap, nodes].
             beyond: lower bounds beyond the cap, [layers beyond, nodes].
         """
-        from ssp_lp.compiled.layers import back_up_layers_safely
+        from ssp_lp.compiled.backups import back_up_layers_safely
 
         run: Callable[..., None] = back_up_layers_safely
         values = self._with_room(beyond)
@@ -116,17 +116,13 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
 def _order(base: AccumulatedCost) -> IntArray | None:
     """Nodes, each after those that its free steps lead to; None where these go round."""
     n, instant = base.n_nodes, base.instant
-    order = np.arange(n, dtype=np.uint32)
     if instant.nnz == 0:
-        return order
-    from ssp_lp.compiled.graphs.order import order_components
+        return np.arange(n, dtype=np.uint32)
+    from ssp_lp.compiled.graph_components import order_components
 
     owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
     if (instant.indices == owner).any():
         return None
     first = unsigned(instant.indptr)[base.pair_offsets]
-    label = np.empty(n, dtype=np.int32)
-    found = order_components(
-        first[:-1], first[1:], unsigned(instant.indices), instant.data, label, order
-    )
-    return order if found == n else None
+    _, order, found = order_components(first[:-1], first[1:], instant.indices, instant.data)
+    return unsigned(order) if found == n else None

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 

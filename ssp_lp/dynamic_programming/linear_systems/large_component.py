@@ -17,7 +17,7 @@ from scipy.sparse import csgraph, linalg
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time, pieces
-from ssp_lp.dynamic_programming.linear_systems.direct import Band, Factors
+from ssp_lp.dynamic_programming.linear_systems.direct_solvers import Band, Factors
 from ssp_lp.errors import SolverError
 
 _TRIAL = 6  # sweeps over which the contraction is judged
@@ -110,7 +110,7 @@ class LargeComponent:
             departs = leaving + np.bincount(row, weights=data, minlength=size)
             own = sp.csr_array((data / departs[row], (row, column)), shape=(size, size))
             return own, departs, leaving
-        from ssp_lp.compiled.linear_systems import sweeps as compiled
+        from ssp_lp.compiled import sweeps as compiled
 
         arrays, members = self._arrays, unsigned(states)
         counts = np.empty(size, dtype=np.int64)
@@ -140,7 +140,7 @@ class LargeComponent:
             outside = np.where((self._place < 0)[:, None], x, 0.0)
             beyond = rewards[self._states] + self._chain[self._states] @ outside
             return np.asarray(beyond / self._departs[:, None])
-        from ssp_lp.compiled.linear_systems.sweeps import from_beyond
+        from ssp_lp.compiled.sweeps import from_beyond
 
         right = np.empty((len(self._states), rewards.shape[1]))
         states = unsigned(self._states)
@@ -152,7 +152,7 @@ class LargeComponent:
         check_time()
         self._products += 1
         if self._is_compiled:
-            from ssp_lp.compiled.linear_systems.sweeps import sweep
+            from ssp_lp.compiled.sweeps import sweep
 
             return sweep(*self._own_arrays, right, y)
         ahead = right + self.own @ y
@@ -212,7 +212,7 @@ class LargeComponent:
     def _step(self, residual: FloatArray, target: float) -> FloatArray:
         """What BiCGStab adds until the residual is at most the target, [members]."""
         if self._is_compiled:
-            from ssp_lp.compiled.linear_systems.sweeps import bicgstab, start_bicgstab
+            from ssp_lp.compiled.sweeps import bicgstab, start_bicgstab
 
             step, state, most = np.zeros_like(residual), start_bicgstab(residual), _KRYLOV_STEPS
             at_once = max(_AT_ONCE // max(self.own.nnz, 1), 1)
@@ -240,7 +240,7 @@ class LargeComponent:
         size = len(self._states)
         widest = int((_BAND_WORK / size) ** 0.5)
         if self._is_compiled:
-            from ssp_lp.compiled.linear_systems.sweeps import widest_level
+            from ssp_lp.compiled.sweeps import widest_level
 
             if widest_level(*self._own_arrays[:2], widest) > widest:
                 return None

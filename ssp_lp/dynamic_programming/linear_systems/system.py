@@ -18,17 +18,20 @@ from scipy.sparse import linalg
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.linear_systems.components import Components, strong_components
-from ssp_lp.dynamic_programming.linear_systems.equations import (
+from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
     HOLDS_MASS,
     Solver,
     dense_solver,
     equations,
     factorised,
+    reduce_states,
     transposed_solve,
 )
 from ssp_lp.dynamic_programming.linear_systems.large_component import LargeComponent
-from ssp_lp.dynamic_programming.linear_systems.state_reduction import reduce_states
+from ssp_lp.dynamic_programming.linear_systems.strong_components import (
+    Components,
+    strong_components,
+)
 from ssp_lp.errors import SolverError
 
 _DENSE_STATES = 40
@@ -94,7 +97,7 @@ class System:
         found, rows = self.components, self.matrix
         left = np.zeros(found.n_components, dtype=np.bool_)
         if accelerated(rows.nnz):
-            from ssp_lp.compiled.graphs.order import mark_left
+            from ssp_lp.compiled.graph_components import mark_left
 
             arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
             mark_left(*arrays, self.exits, found.label, left)
@@ -258,10 +261,10 @@ class System:
         return {}
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
-        from ssp_lp.compiled.linear_systems.elimination import solve_components
+        from ssp_lp.compiled.elimination import solve_by_elimination
 
         found, rows = self.components, self.matrix
-        stuck = solve_components(
+        stuck = solve_by_elimination(
             unsigned(rows.indptr), unsigned(rows.indices), rows.data, self.exits,
             unsigned(self.home),
             unsigned(found.order), found.offsets, first, last,

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
-from ssp_lp.dynamic_programming.linear_systems.precise import (
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.linear_systems.advantages import (
     advantage_bounds,
     exact_sum,
     precise_advantages,
@@ -144,6 +145,7 @@ def _missed_at_most(system: System, rewards: FloatArray, x: FloatArray) -> Float
     """The most by which totals miss their equations, bounded in working precision, [rewards]."""
     most = np.empty(rewards.shape[1])
     for j in range(most.size):
+        check_time()
         columns = np.ascontiguousarray(rewards[:, j]), np.ascontiguousarray(x[:, j])
         bounds = advantage_bounds(system.home, system.matrix, system.exits, *columns)
         most[j] = max(float(np.abs(bound).max(initial=0.0)) for bound in bounds)
@@ -157,6 +159,7 @@ def _missed(
     off = np.empty_like(x)
     most = np.zeros(rewards.shape[1])
     for j in range(rewards.shape[1]):
+        check_time()
         columns = (np.ascontiguousarray(part[:, j]) for part in (rewards, x, low))
         off[:, j], rounding = precise_advantages(system.home, system.matrix, system.exits, *columns)
         most[j] = (np.abs(off[:, j]) + rounding).max(initial=0.0)

@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum, distinct_pairs
-from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, PAY, PAYING, offsets_of
+from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, PAY, PAYING
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
 

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import gzip
 import json
+import re
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.named_json import (
-    UNIT,
-    StatedModel,
-    chosen_cost,
-    named_model,
-    stated_model,
-)
+from ssp_lp.errors import ModelError, did_you_mean
+from ssp_lp.model import SSP
 
 EXPLICIT = "explicit-mdp-v1"
 """Where the "format" of a file begins so, it lists the choices of numbered states."""
@@ -108,4 +104,187 @@ def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         names = [name for name, _ in pairs]
         twice = next(name for name in found if names.count(name) > 1)
         raise ModelError(f"{twice!r} stands twice in one object")
+    return found
+
+
+UNIT = "unit"
+"""The cost of 1 for each step, which is never written down."""
+
+_TABLE = "{state: {action: [[probability, successor, cost], ...]}}"
+_FRACTION = re.compile(r"-?\d{1,300}([./]\d{1,300})?")
+
+
+class StatedModel(NamedTuple):
+    """A model as a file states it, and where it begins, if the file says so."""
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float] | None = None
+
+
+def named_model(table: Any, source: str, goal: Sequence[str], cost: str | None) -> StatedModel:
+    """The model of a table by name, whose names are words.
+
+    A cost is a number or ``{name: number}``; a number may be a fraction in words, "1/3".
+
+    Args:
+        table: what the JSON holds.
+        source: what to call it in errors.
+        goal: names of the goal states, or of a label of them; none: as the text says.
+        cost: the name of the cost; None: the only one.
+
+    Raises:
+        ModelError: no such table, no goal, or one that does not occur.
+    """
+    if not isinstance(table, dict):
+        raise ModelError(f"{source} must hold {_TABLE}")
+    if isinstance(table.get("goal"), list):
+        return _document(table, source, goal, cost)
+    return stated_model(table, source, goal, {}, None, cost)
+
+
+def _document(
+    table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
+) -> StatedModel:
+    """A table of transitions with its goal, start and labels beside it."""
+    transitions, labels = table.get("transitions"), table.get("labels", {})
+    for what, found in (("transitions", transitions), ("labels", labels)):
+        if not isinstance(found, dict):
+            raise ModelError(f"{source}: {what!r} must be an object")
+    for name, members in labels.items():
+        if not isinstance(members, list):
+            raise ModelError(f"{source}: the label {name!r} must be a list of states")
+    labels = {name: [str(state) for state in members] for name, members in labels.items()}
+    start = table.get("start")
+    if not isinstance(start, dict) and start is not None:
+        start = str(start)
+    goals = goal or [str(name) for name in table["goal"]]
+    return stated_model(dict(transitions or {}), source, goals, labels, start, cost)
+
+
+def stated_model(
+    table: dict[str, Any],
+    source: str,
+    goal: Sequence[str],
+    labels: Mapping[str, Any],
+    start: Hashable | Mapping[Hashable, float] | None,
+    cost: str | None,
+) -> StatedModel:
+    """The model of a table of actions by state, with the labels and the start that go with it.
+
+    Raises:
+        ModelError: see :func:`named_model`.
+    """
+    if not goal:
+        raise ModelError(f"{source} does not say which states are goals: name them")
+    transitions: dict[Hashable, Any] = {
+        state: _actions(state, actions, cost) for state, actions in table.items()
+    }
+    met = {to for actions in transitions.values() for some in actions.values() for _, to, _ in some}
+    goals = [name for one in goal for name in labels.get(one, [one])]
+    for name in goals:
+        if name not in transitions and name not in met:
+            names = [*transitions, *(to for to in met if to not in transitions)]
+            raise ModelError(f"the goal {name!r} does not occur{did_you_mean(name, names)}")
+    model = SSP.from_transitions(
+        transitions, goals, state_labels=labels, treat_actionless_as_dead_ends=True
+    )
+    return StatedModel(model, start)
+
+
+def _actions(
+    state: str, actions: Any, cost: str | None
+) -> dict[Hashable, list[tuple[Any, Hashable, Any]]]:
+    """The actions of a state, successors given as numbers read as words."""
+    if not isinstance(actions, dict):
+        raise ModelError(f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}")
+    return {
+        name: [
+            _outcome(f"action {name!r} of state {state!r}", outcome, cost)
+            for outcome in (outcomes if isinstance(outcomes, list) else [outcomes])
+        ]
+        for name, outcomes in actions.items()
+    }
+
+
+def _outcome(where: str, outcome: Any, cost: str | None) -> tuple[Any, Hashable, Any]:
+    """An outcome, checked for its form."""
+    fits = isinstance(outcome, list) and len(outcome) == 3
+    if not fits or not isinstance(outcome[1], (str, int)):
+        raise ModelError(
+            f"{where}: an outcome must be [probability, successor, cost], not {json.dumps(outcome)}"
+        )
+    paid = outcome[2]
+    if not isinstance(paid, dict):
+        paid = {None: paid}
+    return _number(outcome[0]), str(outcome[1]), _number(chosen_cost(where, paid, cost))
+
+
+def chosen_cost(where: str, costs: Mapping[Any, Any], cost: str | None) -> Any:
+    """The cost of a name, or the only one."""
+    if cost == UNIT:
+        return 1.0
+    if cost in costs:
+        return costs[cost]
+    if cost is None and len(costs) == 1:
+        return next(iter(costs.values()))
+    known = ", ".join(repr(name) for name in costs if name is not None) or "none by name"
+    raise ModelError(f"{where}: choose one of the costs, {known}, not {cost!r}")
+
+
+def _number(value: Any) -> Any:
+    """A number in words as the fraction that it is; anything else as it stands."""
+    if isinstance(value, str) and _FRACTION.fullmatch(value) and not re.search(r"/0+$", value):
+        return Fraction(value)
+    return value
+
+
+def model_in_json(
+    model: SSP, start: Hashable | Mapping[Hashable, float] | None = None
+) -> Iterator[str]:
+    """A model as the text of a JSON file that says all that it holds, a line for each state.
+
+    States and actions become words.
+
+    Args:
+        model: the model.
+        start: where episodes begin, if that is to be said.
+
+    Raises:
+        ModelError: two states, or two actions of one state, make the same word.
+    """
+    names = [str(state) for state in model.states]
+    if len(set(names)) < len(names):
+        raise ModelError("two states of the model read the same as words: name them differently")
+    stated: dict[str, Any] = {
+        "goal": [names[k] for k in model.goal_mask.nonzero()[0].tolist()],
+        "labels": {word: [names[k] for k in at] for word, at in model.state_labels.items()},
+    }
+    if isinstance(start, Mapping):
+        stated["start"] = {names[model.index_of(state)]: share for state, share in start.items()}
+    elif start is not None:
+        stated["start"] = names[model.index_of(start)]
+    yield json.dumps(stated, ensure_ascii=False)[:-1] + ', "transitions": {'
+    for state, name in enumerate(names):
+        rows = json.dumps({name: _rows(model, state, names)}, ensure_ascii=False)[1:-1]
+        yield ("\n" if state == 0 else ",\n") + rows
+    yield "\n}}\n"
+
+
+def _rows(model: SSP, state: int, names: Sequence[str]) -> dict[str, list[list[Any]]]:
+    """The actions of a state, as the file has them."""
+    found: dict[str, list[list[Any]]] = {}
+    for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
+        part = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
+        action = str(model.action_names[int(model.pair_action[pair])])
+        if action in found:
+            raise ModelError(f"two actions of state {names[state]!r} read {action!r} as words")
+        found[action] = [
+            [chance, names[to], str(model.exact_costs.get(cost, "")) or cost]
+            for chance, to, cost in zip(
+                model.probabilities[part].tolist(),
+                model.successors[part].tolist(),
+                model.costs[part].tolist(),
+                strict=True,
+            )
+        ]
     return found

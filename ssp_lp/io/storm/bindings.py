@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from ssp_lp.errors import MissingDependencyError, ModelError
+from ssp_lp.errors import ModelError, optional_module
 
 _OF_OUTCOMES = "Transition rewards are not supported"
 _AVERAGED = (
@@ -21,14 +21,10 @@ def storm() -> Any:
     Raises:
         MissingDependencyError: it is not installed.
     """
-    try:
-        import stormpy
-    except ImportError as error:
-        raise MissingDependencyError("stormpy", "storm") from error
-    return stormpy
+    return optional_module("stormpy", "storm")
 
 
-def asked(source: object, call: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
+def ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **options: Any) -> Any:
     """Ask Storm for something.
 
     Args:

@@ -7,16 +7,22 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
-from ssp_lp.io.model_files.model_file import ModelFile, distinct_actions, finished
-from ssp_lp.io.model_files.raw_model import RawModel, offsets_of
-from ssp_lp.io.storm.bindings import asked, storm
+from ssp_lp.io.model_files.raw_model import (
+    ModelFile,
+    RawModel,
+    distinct_actions,
+    finished,
+)
+from ssp_lp.io.storm.bindings import ask_storm, storm
+from ssp_lp.model.arguments import explained
 
 _KINDS = ("MDP", "DTMC")
 
 
+@explained
 def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile:
     """Make a model of a sparse model of Storm's, a Markov decision process or Markov chain.
 
@@ -52,7 +58,7 @@ def label_formula(goal: str) -> Any:
     """
     if '"' not in goal:
         return None
-    formula, *_ = asked(f"goal {goal!r}", storm().parse_properties, goal)
+    formula, *_ = ask_storm(f"goal {goal!r}", storm().parse_properties, goal)
     return formula
 
 
@@ -72,7 +78,7 @@ def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) ->
     _check_sparse(model, source)
     labels = {name: _members(model.labeling.get_states(name)) for name in _label_names(model)}
     if formula is not None:
-        labels[goal] = asked(source, _states_of, model, formula, goal, source)
+        labels[goal] = ask_storm(source, _states_of, model, formula, goal, source)
     reward, paid = _chosen_reward(model, cost, source)
     matrix = model.transition_matrix
     offsets, pair_offsets = _offsets(model, matrix)
@@ -85,9 +91,9 @@ def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) ->
         successors=successors,
         probabilities=np.array([entry.value for entry in entries]),
         costs=_costs(reward, state, offsets, successors),
-        actions=_action_names(model, state, pair_offsets),
+        actions=ask_storm(source, _action_names, model, state, pair_offsets),
         labels=labels,
-        states=asked(source, _state_names, model),
+        states=ask_storm(source, _state_names, model),
     )
     return finished(raw, goal, f"{source}, cost {paid!r}" if paid else source)
 

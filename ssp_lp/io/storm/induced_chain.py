@@ -7,11 +7,11 @@ from collections.abc import Hashable, Mapping
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.io.model_files.exported import GOAL
-from ssp_lp.io.model_files.model_file import ModelFile
-from ssp_lp.io.model_files.raw_model import offsets_of
+from ssp_lp.io.model_files.raw_model import ModelFile
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -23,6 +23,7 @@ _Rows = tuple[IntArray, IntArray, FloatArray, FloatArray]
 """Source, target, probability and cost of each step."""
 
 
+@explained
 def induced_chain(
     policy: Policy | MixedPolicy, start: Hashable | Mapping[Hashable, float]
 ) -> ModelFile:

@@ -7,16 +7,18 @@ from pathlib import Path
 from typing import Any
 
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.model_file import ModelFile
-from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL
+from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, ModelFile
 from ssp_lp.io.model_files.text_file import FilePath
-from ssp_lp.io.storm.bindings import asked, storm
+from ssp_lp.io.storm.bindings import ask_storm, storm
 from ssp_lp.io.storm.from_storm import built, check_kind, label_formula
+from ssp_lp.io.storm.sound_files import check_jani, check_umb
+from ssp_lp.model.arguments import explained
 
 Constants = str | Mapping[str, Any]
 """What the constants of a program are, such as "N=5,p=0.1"."""
 
 
+@explained
 def read_with_storm(
     path: FilePath, *, goal: str, cost: str | None = None, constants: Constants | None = None
 ) -> ModelFile:
@@ -49,15 +51,17 @@ def read_with_storm(
     with file.open("rb"):  # Storm's own complaint would not be an OSError
         stormpy = storm()
     if file.suffix == ".umb":
+        check_umb(file)
         return _archive(stormpy, file, goal, cost, constants)
     if file.suffix == ".jani":
-        program, _ = asked(file, stormpy.parse_jani_model, str(file))
+        check_jani(file)
+        program, _ = ask_storm(file, stormpy.parse_jani_model, str(file))
     else:
-        program = asked(
+        program = ask_storm(
             file, stormpy.parse_prism_program, str(file), prism_compatibility=True, simplify=False
         )
-    check_kind(asked(file, getattr, program, "model_type").name, file)
-    program, _ = asked(file, stormpy.instantiate_constants, program, constants or {})
+    check_kind(ask_storm(file, getattr, program, "model_type").name, file)
+    program, _ = ask_storm(file, stormpy.instantiate_constants, program, constants or {})
     return _explored(stormpy, file, program, goal, cost)
 
 
@@ -69,7 +73,7 @@ def _archive(
         raise ModelError(f"{file} has no constants left open")
     options = stormpy.io.UmbImportOptions()
     options.build_choice_labeling = options.build_state_valuations = True
-    model = asked(file, stormpy.build_model_from_umb, str(file), options=options)
+    model = ask_storm(file, stormpy.build_model_from_umb, str(file), options=options)
     return built(model, goal, label_formula(goal), cost, str(file))
 
 
@@ -82,7 +86,7 @@ def _explored(stormpy: Any, file: Path, program: Any, goal: str, cost: str | Non
     if cost is not None:
         reward = f'R{{"{cost}"}}min=? [C]' if cost else "Rmin=? [C]"
         wanted.append(_property(stormpy, f"{file}, cost {cost!r}", reward, program))
-    options = asked(file, stormpy.BuilderOptions, wanted, program)
+    options = ask_storm(file, stormpy.BuilderOptions, wanted, program)
     options.set_build_all_labels()
     options.set_build_choice_labels()
     options.set_build_state_valuations()
@@ -90,7 +94,7 @@ def _explored(stormpy: Any, file: Path, program: Any, goal: str, cost: str | Non
     options.set_exploration_checks()
     if cost is None:
         options.set_build_all_reward_models()
-    model = asked(file, stormpy.build_model, program, options=options)
+    model = ask_storm(file, stormpy.build_model, program, options=options)
     return built(model, goal, formula, cost, str(file))
 
 
@@ -110,7 +114,7 @@ def _condition(program: Any, goal: str) -> str:
 
 def _property(stormpy: Any, source: str, text: str, program: Any) -> Any:
     """One property of a program."""
-    found = asked(source, stormpy.parse_properties, text, program)
+    found = ask_storm(source, stormpy.parse_properties, text, program)
     if len(found) != 1:
         raise ModelError(f"{source}: one condition, not {len(found)}")
     return found[0]

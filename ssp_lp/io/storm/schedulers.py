@@ -12,6 +12,7 @@ from ssp_lp.analysis.chain import Chain, policy_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.exported import Exported, exported, write_text
 from ssp_lp.io.model_files.text_file import FilePath
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import attention_states, staying_pairs
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.mixed import as_lottery
@@ -25,6 +26,7 @@ Decisions = dict[Situation, dict[int, tuple[float, dict[int, int]]]]
 """In each situation the choices, each with its probability and the memory after each successor."""
 
 
+@explained
 def write_scheduler(policy: Policy | MixedPolicy, path: FilePath, *, start: Hashable) -> None:
     """Write a policy as a scheduler, as JSON of the form that Storm exports.
 

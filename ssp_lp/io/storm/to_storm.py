@@ -11,11 +11,13 @@ from ssp_lp.io.model_files.exported import Exported, exported
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.storm.bindings import storm
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 
 _STATES_AT_A_TIME = 20_000
 """States handed over at a time: lists of Python numbers are large."""
 
 
+@explained
 def to_stormpy(model: SSP, *, start: Hashable) -> Any:
     """Make Storm's sparse Markov decision process of a model.
 
@@ -50,6 +52,7 @@ def to_stormpy(model: SSP, *, start: Hashable) -> Any:
     return models.SparseMdp[float](parts)
 
 
+@explained
 def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """Write a model as a UMB archive; states, labels and costs are those of :func:`to_stormpy`.
 

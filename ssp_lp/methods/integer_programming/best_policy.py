@@ -30,12 +30,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from ssp_lp.column_generation.failure_constraint import relative_gap
 from ssp_lp.methods.integer_programming.search import best_single_policy
 from ssp_lp.methods.refinement import Outcome
-from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.solution import Solution
 
 _OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
@@ -55,24 +53,24 @@ def best_deterministic(
     Raises:
         ModelError: the formulation is not supported, or its process is too large.
     """
-    single = best_single_policy(outcome, tolerance, deadline)
-    gap = relative_gap(single.objective, single.lower_bound)
+    single, finished = best_single_policy(outcome, tolerance, deadline)
+    gap = relative_gap(single.value, single.bound)
     is_open = gap > _OPEN
-    cost = f"{'at most ' if is_open else ''}{max(single.objective - mixed.objective, 0.0):.9g}"
+    cost = f"{'at most ' if is_open else ''}{max(single.value - mixed.objective, 0.0):.9g}"
     remarks = [
         f"deterministic: the mixed optimum is {mixed.objective:.9g}, determinism costs {cost}"
     ]
     if mixed.note:
         remarks.append(mixed.note)
-    if not single.finished and "stopped" not in mixed.note:
+    if not finished and "stopped" not in mixed.note:
         remarks.append("stopped before the search was finished; the gap is honest")
-    if single.finished and gap > max(_OPEN, 2.0 * tolerance):
+    if finished and gap > max(_OPEN, 2.0 * tolerance):
         remarks.append("the gap is what policies outside the search could gain at most")
     return replace(
         mixed,
-        policy=MixedPolicy((single.policy,), np.ones(1)),
-        objective=single.objective,
-        lower_bound=min(single.lower_bound, single.objective),
-        budget_used=single.column.failure,
+        policy=as_lottery(single.policy),
+        objective=single.value,
+        lower_bound=min(single.bound, single.value),
+        budget_used=single.failure,
         note="; ".join(remarks),
     )

@@ -15,11 +15,13 @@ from dataclasses import dataclass
 import highspy
 import numpy as np
 import scipy.sparse as sp
+from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.highs import highs_lp
 from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.methods.integer_programming.process_view import steps_between, within_reach
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.compiling import occupation_program
 
@@ -158,3 +160,88 @@ class IntegerProgram:
         weight[self.pairs] = values[n:]
         order = np.lexsort((weight, self.process.pair_state))
         return order[self.process.pair_offsets[1:] - 1]
+
+
+_MARGIN = 1e-6
+"""Relative room above the optimum of a linear program, a thousand times HiGHS's tolerances."""
+
+_ROOM = 1e-9  # relative, in the rows that say which policies count
+_EACH = 400  # states up to which each gets a program of its own
+
+
+def most_visits(
+    process: ExplicitProcess, budget: float, most: float, ratio: float, deadline: float
+) -> FloatArray | None:
+    """Bound the expected visits of each state over all policies within a limit, [states].
+
+    States out of reach get 0. Where no state can be visited twice all others get 1. Else one
+    linear program finds the greatest expected number of visits of all states together, and, where
+    there are few states, one more for each state the greatest number of its own visits. They are
+    finite: what costs nothing and could go on for ever has been collapsed in the process, so that
+    a limited cost limits the visits.
+
+    Args:
+        process: the process; policies may be randomised.
+        budget: of failure.
+        most: ``<cost - ratio * goal, x>`` of a policy that is as good as a known one.
+        ratio: what success earns; 0 in case M.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Returns:
+        None where time ran out.
+
+    Raises:
+        SolverError: a program has no optimum.
+    """
+    steps = steps_between(process)
+    reached = within_reach(steps, process.start > 0)
+    once = float(process.start.sum()) * (1.0 + _MARGIN)
+    n_parts, _ = csgraph.connected_components(steps, directed=True, connection="strong")
+    if n_parts == process.n_states and not steps.diagonal().any():
+        return np.where(reached, once, 0.0)
+    solver = _prepared(process, budget, most, ratio)
+    total = _greatest(solver, np.ones(process.n_pairs), deadline)
+    if total is None:
+        return None
+    visits = np.where(reached, total, 0.0)
+    decided = np.flatnonzero(reached & (np.diff(process.pair_offsets) > 1))
+    for state in decided if decided.size <= _EACH else ():
+        own = _greatest(solver, (process.pair_state == state).astype(np.float64), deadline)
+        if own is None:
+            return visits
+        visits[state] = min(own, total)
+    return visits
+
+
+def _prepared(process: ExplicitProcess, budget: float, most: float, ratio: float) -> highspy.Highs:
+    """The policies within the limit, as a program whose objective is still to be said."""
+    program = occupation_program(process, budget + _ROOM, ratio=False)
+    lp = highs_lp(program)
+    lp.sense_ = highspy.ObjSense.kMaximize
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    for name, value in {"output_flag": False, "threads": 1}.items():
+        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
+            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    if solver.passModel(lp) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the linear program")
+    row = process.cost - ratio * process.goal
+    filled = np.flatnonzero(row).astype(np.int32)
+    room = _ROOM * (1.0 + abs(most))
+    solver.addRow(-highspy.kHighsInf, most + room, filled.size, filled, row[filled])
+    return solver
+
+
+def _greatest(solver: highspy.Highs, counted: FloatArray, deadline: float) -> float | None:
+    """The greatest expected number of counted steps, with a margin; None: out of time."""
+    left = deadline - time.perf_counter()
+    if left <= 0.0:
+        return None
+    solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
+    solver.changeColsCost(counted.size, np.arange(counted.size, dtype=np.int32), counted)
+    solver.run()
+    status = solver.getModelStatus()
+    if status == highspy.HighsModelStatus.kTimeLimit:
+        return None
+    if status != highspy.HighsModelStatus.kOptimal:
+        raise SolverError(f"the visits have no bound: {solver.modelStatusToString(status)}")
+    return float(solver.getInfo().objective_function_value) * (1.0 + _MARGIN) + _MARGIN

@@ -6,14 +6,17 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, IntArray
-from ssp_lp.column_generation.compiled_problems.accumulated_cost import CompiledAccumulatedCost
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.integer_programming.visit_bounds import steps_between, within_reach
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.layered.process import LayeredProcess
 from ssp_lp.processes.quotient import Quotient
@@ -135,3 +138,26 @@ def _check_size(n_pairs: int) -> None:
             f"policy_class='deterministic': a mixed-integer program of {n_pairs:,} pairs is too "
             f"large (at most {_MOST_PAIRS:,}); a coarser grid of costs or a cost_cap makes it less"
         )
+
+
+def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
+    """States to which a path leads, the first ones included, [states]."""
+    n = len(start)
+    first = sp.csr_array(start.astype(np.float64)[None, :])
+    below = sp.vstack([steps, first])
+    graph = sp.csr_array(sp.hstack([below, sp.csr_array((n + 1, 1))]))
+    order = csgraph.breadth_first_order(graph, n, return_predecessors=False)
+    reached = np.zeros(n + 1, dtype=np.bool_)
+    reached[order] = True
+    return reached[:n]
+
+
+def steps_between(process: ExplicitProcess) -> sp.csr_array:
+    """Steps between states by whatever pair, [states, states]."""
+    of_state = sp.csr_array(
+        (np.ones(process.n_pairs), np.arange(process.n_pairs), process.pair_offsets),
+        shape=(process.n_states, process.n_pairs),
+    )
+    graph = sp.csr_array(of_state @ process.transitions)
+    graph.eliminate_zeros()
+    return graph

@@ -11,13 +11,15 @@ from scipy.sparse import linalg
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.failure_constraint import Row, relative_gap
 from ssp_lp.column_generation.generation import Generated
-from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
-from ssp_lp.methods.integer_programming.integer_program import IntegerAnswer, IntegerProgram
-from ssp_lp.methods.integer_programming.process_view import ProcessView, process_view
-from ssp_lp.methods.integer_programming.visit_bounds import Limit, most_visits, within_reach
+from ssp_lp.methods.assembling import Found
+from ssp_lp.methods.integer_programming.integer_program import (
+    IntegerAnswer,
+    IntegerProgram,
+    most_visits,
+)
+from ssp_lp.methods.integer_programming.process_view import ProcessView, process_view, within_reach
 from ssp_lp.methods.refinement import Outcome
-from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit import ExplicitProcess
 
 _ROUNDING = 1e-13
@@ -31,24 +33,13 @@ _SKIPS = 8  # states skipped on the way between two policies
 _REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
 
 
-@dataclass(frozen=True, eq=False)
-class Single:
-    """The best policy found, measured, and a lower bound of the objective of every one."""
-
-    column: Column
-    policy: Policy
-    objective: float
-    lower_bound: float
-    finished: bool  # false: stopped by a limit
-
-
 @dataclass(eq=False)
 class _Search:
     """The best policy so far, and the view that it is measured on."""
 
     view: ProcessView
     row: Row
-    best: Single
+    best: Found  # its bound holds of every policy
     tolerance: float  # relative
     deadline: float
     refused: int = 0
@@ -68,11 +59,12 @@ class _Search:
             if column.failure > _allowed(self.row):
                 continue
             kept, value = True, self.row.objective(column.cost, column.goal)
-            if value <= self.best.objective:
+            if value <= self.best.value:
                 self.choice = whole
-            if value < self.best.objective:
+            if value < self.best.value:
                 policy = self.view.compiled.pricing().policy(column)
-                self.best = replace(self.best, column=column, policy=policy, objective=value)
+                better = Found(policy, value, self.best.bound, column.failure)
+                self.best = better
         return kept
 
     def completed(self, choice: IntArray) -> tuple[IntArray | None, BoolArray]:
@@ -88,7 +80,7 @@ class _Search:
         return np.where(reached, choice, self.view.safe), reached
 
 
-def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> Single:
+def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> tuple[Found, bool]:
     """Search for the best deterministic policy, stationary in the states of the process.
 
     The search begins with the best member of the best lottery that keeps to the budget and the
@@ -99,46 +91,43 @@ def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> S
         tolerance: relative gap at which to stop.
         deadline: on the clock of ``time.perf_counter``.
 
+    Returns:
+        The policy, with a bound of every one, and whether the search was finished.
+
     Raises:
         ModelError: the process is of no known kind, or too large.
     """
     found, row, pricing = outcome.found, outcome.row, outcome.compiled.pricing()
     inside = [c for c in found.columns if c.failure <= _allowed(row)]
     first = min(inside, key=lambda c: row.objective(c.cost, c.goal))
-    start = Single(
-        column=first,
-        policy=pricing.policy(first),
-        objective=row.objective(first.cost, first.goal),
-        lower_bound=found.lower_bound,
-        finished=len(found.columns) == 1 and found.finished,
-    )
+    value = row.objective(first.cost, first.goal)
+    start = Found(pricing.policy(first), value, found.lower_bound, first.failure)
     if len(found.columns) == 1 or is_late():
-        return start
+        return start, len(found.columns) == 1 and found.finished
     try:
         view = process_view(outcome.compiled, found.price)
     except STOPS as stop:
         heed(stop)
-        return start
+        return start, False
     search = _Search(view, row, start, tolerance, deadline)
     try:
         return _searched(search, found)
     except STOPS as stop:
         heed(stop)
-        return search.best
+        return search.best, False
 
 
-def _searched(search: _Search, found: Generated) -> Single:
+def _searched(search: _Search, found: Generated) -> tuple[Found, bool]:
     """The walk and the programs; the best policy so far is kept by the search."""
     view, tolerance = search.view, search.tolerance
     _walk_between(search, found.price)
-    if relative_gap(search.best.objective, found.lower_bound) <= tolerance:
-        return replace(search.best, finished=True)
+    if relative_gap(search.best.value, found.lower_bound) <= tolerance:
+        return search.best, True
     bound, finished = _minimised(search, view.process, is_outer=False)
     if view.free.any():
         bound, finished = _minimised(search, view.outer, is_outer=True)
     best = search.best
-    bound = min(max(bound, found.lower_bound), best.objective)
-    return replace(best, lower_bound=bound, finished=finished)
+    return replace(best, bound=min(max(bound, found.lower_bound), best.value)), finished
 
 
 def _allowed(row: Row) -> float:
@@ -206,9 +195,9 @@ def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> 
         process: the process.
         is_outer: whether free states may randomise, so that answers are no policies.
     """
-    row, known = search.row, search.best.objective
-    limit = Limit(row.budget, 0.0, known) if row.ratio else Limit(row.budget, known)
-    visits = most_visits(process, limit, search.deadline)
+    row, known = search.row, search.best.value
+    limits = (0.0, known) if row.ratio else (known, 0.0)
+    visits = most_visits(process, row.budget, *limits, search.deadline)
     if visits is None:
         return 0.0, False
     free = search.view.free if is_outer else np.zeros_like(search.view.free)

@@ -20,9 +20,9 @@ from ssp_lp.column_generation.failure_constraint import Row
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import optimise
 from ssp_lp.methods.risk.thresholds import Multiples, SumsThatOccur, Thresholds
-from ssp_lp.methods.rows.optimum import Truth, rows_optimum
+from ssp_lp.methods.rows.lottery import Truth, taken
+from ssp_lp.methods.rows.optimum import rows_optimum
 from ssp_lp.methods.rows.proof import bound_at
-from ssp_lp.methods.rows.solving import taken
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy

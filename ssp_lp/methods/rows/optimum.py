@@ -9,32 +9,29 @@ policy's own value from above; the cap is doubled until they meet.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.failure_constraint import least_of, relative_gap
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pool import Rows
 from ssp_lp.column_generation.stabilised_master import StabilisedMaster, without_trifles
 from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
-from ssp_lp.dynamic_programming.work import Work
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import SolverError
-from ssp_lp.methods.assembling import Found
-from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
-from ssp_lp.methods.rows.opening import opening
+from ssp_lp.methods.assembling import Found, assembled
+from ssp_lp.methods.full_program import ProgramOptimum, check_agreement
+from ssp_lp.methods.rows.lottery import Truth, best_lottery, true_lottery, truth_of
+from ssp_lp.methods.rows.phase_one import begun_at_duals, begun_at_guess, by_name, opening
 from ssp_lp.methods.rows.proof import bound_in_time
-from ssp_lp.methods.rows.ratio import generated
-from ssp_lp.methods.rows.rounded import true_lottery
-from ssp_lp.options import LinearProgramming, SolveOptions
+from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem, compiled_constrained
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.processes.totals.ladder import Rungs
-from ssp_lp.solution import CUT_SHORT
+from ssp_lp.solution import CUT_SHORT, Run, Solution
 
 _PATIENCE = 6  # refinements that need not even halve the gap
 _COARSE_RUNGS = 64  # of the grid that a search on totals begins with
@@ -67,12 +64,30 @@ class RowsOptimum(Found):
         return relative_gap(max(attained, limit), min(attained, limit))
 
 
-@dataclass(frozen=True, eq=False)
-class Truth:
-    """What a policy is worth by itself, where the process truncates or rounds it."""
+def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
+    """Solve a problem with constraints beside its failure budget.
 
-    value: Callable[[MixedPolicy], float]  # of a lottery, in what is minimised
-    figures: Callable[[Policy], FloatArray] | None = None  # cost, failure and rows of one policy
+    Args:
+        problem: the problem; no measure of risk.
+        options: method, tolerance and limits.
+
+    Raises:
+        InfeasibleError: no policy keeps to the failure budget and the limits; names the smallest
+            conflict that was found.
+        SolverError: the time ran out before any such policy was found, or the linear program's
+            answer fails its check.
+    """
+    stated = compiled_constrained(problem)
+    found = rows_optimum(stated, options, truth_of(problem, stated))
+    compiled = found.compiled
+    many = int(np.isfinite(compiled.bounds).sum())
+    reason = f"column generation with {many} rows, {found.calls} pricing calls"
+    if found.program:
+        reason = f"the full linear program, as asked, then {reason}"
+    if compiled.charge is not None:
+        reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
+    run = Run(options.method, reason, found.calls, 0.0, found.work, found.program)
+    return assembled(problem, found, run, compiled.sense)
 
 
 def rows_optimum(
@@ -165,48 +180,13 @@ def _attempt(
     compiled = stated.settled()
     opened, program = opening(compiled, stated, options), None
     if guess is not None:
-        opened = _guessed(compiled, opened, guess)
+        opened = begun_at_guess(compiled, opened, guess)
     if options.program is not None:
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
-            generated(compiled, opened, replace(options, tolerance=_COARSE))
-        program, opened = _programmed(compiled, opened, options.program, options.deadline)
-    found, ratio = generated(compiled, opened, options)
+            best_lottery(compiled, opened, replace(options, tolerance=_COARSE))
+        program, opened = begun_at_duals(compiled, opened, options.program, options.deadline)
+    found, ratio = best_lottery(compiled, opened, options)
     return _concluded(compiled, stated, opened, found, ratio, truth, program)
-
-
-def _guessed(
-    compiled: CompiledConstrained, opened: StabilisedMaster, guess: RowsOptimum
-) -> StabilisedMaster:
-    """The same search, begun at the ratio and the prices of another one."""
-    ratio = guess.value if compiled.ratio else 0.0
-    rows = replace(opened.rows, ratio=ratio or opened.rows.ratio)
-    named = by_name(compiled, rows, np.zeros(len(rows.index)))
-    prices = np.array([guess.prices.get(name, 0.0) for name in named])
-    return replace(opened, rows=rows, prices=prices, bound=0.0)
-
-
-def _programmed(
-    compiled: CompiledConstrained,
-    opened: StabilisedMaster,
-    asked: LinearProgramming,
-    deadline: float,
-) -> tuple[ProgramOptimum, StabilisedMaster]:
-    """The optimum of the full linear program, and the search begun at its duals."""
-    pricing, rows = compiled.pricing, opened.rows
-    limits = {
-        compiled.names[index - 1]: (pricing.rewards[:, index], float(bound))
-        for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
-    }
-    process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
-    program = solve_rows_program(process, limits, asked.backend, deadline, ratio=compiled.ratio)
-    prices = np.array([program.prices[name] for name in limits])
-    if compiled.ratio:
-        rows = replace(rows, ratio=program.objective or rows.ratio)
-    weights = rows.weights(prices)
-    found = opened.pool.priced(weights)
-    opened.pool.add(found)
-    bound = float(found.figures @ weights) - float(prices @ rows.bounds)
-    return program, replace(opened, rows=rows, prices=prices, bound=bound)
 
 
 def _concluded(
@@ -250,12 +230,6 @@ def _concluded(
         note=_note(compiled, stated, rows, found.finished),
         program="" if program is None else program.report,
     )
-
-
-def by_name(compiled: CompiledConstrained, rows: Rows, values: FloatArray) -> dict[str, float]:
-    """A value of each limited row, by its name."""
-    names = [compiled.names[index - 1] for index in rows.index.tolist()]
-    return dict(zip(names, values.tolist(), strict=True))
 
 
 def _note(

@@ -1,15 +1,18 @@
-"""A decision process with continuous coordinates: what a step does, and how space is cut."""
+"""A decision process with continuous coordinates: what a step does, its answers checked."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
+import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import IntArray
-from ssp_lp.errors import ModelError
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.discretisation.grid import MOST_STATES, Coordinates, Grid
 
@@ -19,6 +22,7 @@ Step = Callable[
 """``step(point, action, noise) -> (new point, cost, end)``; see :class:`ContinuousModel`."""
 
 Alike = Callable[[tuple[IntArray, ...], IntArray], IntArray]
+Allowed = Callable[[Coordinates, Any], npt.ArrayLike]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -35,7 +39,7 @@ class ContinuousModel:
 
     Attributes:
         grid: the box of coordinates and its cells.
-        actions: every one is there in every cell.
+        actions: every one is there in every cell, unless ``allowed`` says otherwise.
         step: the step function.
         noise: the independent random numbers that a step draws.
         dead_ends: label of each way to fail -> cost of each stage spent in it; the library
@@ -45,6 +49,10 @@ class ContinuousModel:
             says so, and each such set of pairs is worked out once: (positions of cells along
             each axis, positions of actions) -> whole numbers >= 0, not many more than pairs,
             equal for pairs with equal outcomes.
+        allowed: where actions are not there everywhere, a function that says where each is:
+            ``allowed(point, action) -> truth values``, called with the middles of all cells, an
+            array for each axis. What a cell's middle allows goes for the whole cell, in the model
+            and when it is played in the world; ``step`` is asked for nothing else.
 
     The model that :func:`~ssp_lp.model.discretisation.discretise.discretise` makes of it has the
     cells as states 0, 1, ..., then the goal, then the dead-ends (:meth:`end_state`).
@@ -57,13 +65,13 @@ class ContinuousModel:
     dead_ends: Mapping[str, float] = field(default_factory=dict)
     outside: str | None = None
     alike: Alike | None = None
+    allowed: Allowed | None = None
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for actions, noise or an outside that cannot be."""
+        check_fields(self)
         if len(self.actions) == 0 or len(set(self.actions)) < len(self.actions):
             raise ModelError("a continuous model needs actions, each of them once")
-        if not all(isinstance(draw, Distribution) for draw in self.noise):
-            raise ModelError("noise must list distributions: [Distribution.uniform(-0.1, 0.1)]")
         if self.outside is not None and self.outside not in self.dead_ends:
             raise ModelError(f"outside={self.outside!r} is none of the dead-ends")
         if self.n_states > MOST_STATES:
@@ -82,6 +90,36 @@ class ContinuousModel:
         """Cells, the goal and the dead-ends."""
         return self.grid.n_cells + 1 + len(self.dead_ends)
 
+    @cached_property
+    def allowed_pairs(self) -> IntArray | None:
+        """The pairs, as cell * actions + action's position, [pairs]; None: all there are.
+
+        Raises:
+            ModelError: ``allowed`` returns no truth values, or leaves a cell without actions.
+        """
+        if self.allowed is None:
+            return None
+        n_cells, n_actions = self.grid.n_cells, len(self.actions)
+        middles = tuple(self.grid.centre(np.arange(n_cells)).T)
+        there = np.empty((n_cells, n_actions), dtype=np.bool_)
+        for k, action in enumerate(self.actions):
+            told = np.asarray(self.allowed(middles, action))
+            if told.dtype != np.bool_ or told.shape not in ((), (n_cells,)):
+                raise ModelError(
+                    f"allowed must return a truth value for each of {n_cells:,} middles, not "
+                    f"{in_short(told)}"
+                )
+            there[:, k] = told
+        idle = ~there.any(axis=1)
+        if idle.any():
+            middle = [float(values[np.argmax(idle)]) for values in middles]
+            raise ModelError(
+                f"no action is allowed in the cell about {middle}: allow one, or let the steps "
+                "that lead there end in a dead-end"
+            )
+        return read_only(np.flatnonzero(there))
+
+    @explained
     def end_state(self, end: str | int) -> int:
         """The state of an end: "goal", a dead-end's label, or its number 1, 2, ...
 
@@ -95,3 +133,117 @@ class ContinuousModel:
         if not 1 <= number <= len(names):
             raise ModelError(f"{end!r} is no end; there are 1 .. {len(names)}")
         return self.grid.n_cells + number - 1
+
+
+class Taken(NamedTuple):
+    """What a step came to; every array has the points' dimensions and broadcasts to them."""
+
+    point: Coordinates
+    heights: Coordinates  # in widths of a cell above the low ends; 0 where that is off the axis
+    cost: FloatArray
+    end: IntArray  # 0 goes on, 1 goal, 2 .. dead-ends
+
+
+def take_step(
+    model: ContinuousModel,
+    point: Coordinates,
+    action: int,
+    noise: Coordinates,
+    shape: tuple[int, ...],
+) -> Taken:
+    """Take a step from many points.
+
+    Args:
+        model: the world.
+        point: an array for each axis, of as many dimensions as ``shape`` and broadcasting to it.
+        action: its position among the actions.
+        noise: an array for each random number, likewise.
+        shape: of all the points together.
+
+    Raises:
+        ModelError: the step function's answer is of a wrong form, or it leaves the box.
+    """
+    name = model.actions[action]
+    coordinates, cost, end = _read(model.step(point, name, noise), len(model.grid.axes), shape)
+    who = _Culprit(f"action {name!r}", point, shape)
+    last = 1 + len(model.dead_ends)
+    if end.min(initial=0) < 0 or end.max(initial=0) > last:
+        who.refuse((end < 0) | (end > last), f"to an end outside 0 .. {last}")
+    who.refuse(~(np.isfinite(cost) & (cost >= 0.0)), "to a cost that is negative or not finite")
+    heights = model.grid.heights(coordinates)
+    missed = model.grid.misses(heights)
+    if missed.any():
+        end = _stray(model, missed & (end == 0), coordinates, end, who)
+        axes = zip(model.grid.axes, heights, strict=True)
+        heights = tuple(np.where(axis.misses(h), 0.0, h) for axis, h in axes)
+    return Taken(coordinates, heights, cost, end)
+
+
+def _read(
+    answer: Any, n_axes: int, shape: tuple[int, ...]
+) -> tuple[Coordinates, FloatArray, IntArray]:
+    """Coordinates, cost and end of an answer, each of the points' number of dimensions."""
+    if not isinstance(answer, tuple) or len(answer) != 3:
+        raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
+    moved, paid, ended = answer
+    listed = isinstance(moved, Sequence) or (isinstance(moved, np.ndarray) and moved.ndim > 0)
+    count = len(moved) if listed else "no"
+    if count != n_axes:
+        raise ModelError(f"step returned {count} coordinates; there are {n_axes} axes")
+    coordinates = tuple(
+        _shaped(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
+        for number, c in enumerate(moved)
+    )
+    cost = _shaped(paid, shape, "the cost").astype(np.float64, copy=False)
+    end = _shaped(ended, shape, "the end")
+    if end.dtype.kind not in "biu":
+        raise ModelError("step must return ends as whole numbers: 0 goes on, 1 goal, 2 .. dead-end")
+    return coordinates, cost, end
+
+
+def _shaped(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
+    """The answer as an array of the points' number of dimensions."""
+    array = np.asarray(answer)
+    array = array.reshape((1,) * (len(shape) - array.ndim) + array.shape)
+    fits = array.ndim == len(shape) and all(
+        n in (1, m) for n, m in zip(array.shape, shape, strict=True)
+    )
+    if not fits or array.dtype.kind not in "biuf":
+        raise ModelError(
+            f"step returned {what} of shape {np.shape(answer)} and type {array.dtype}; it must "
+            f"be real numbers that broadcast to {shape}, the shape of all points"
+        )
+    return array
+
+
+class _Culprit(NamedTuple):
+    """Who is to blame for an answer that cannot be."""
+
+    action: str
+    point: Coordinates
+    shape: tuple[int, ...]
+
+    def refuse(self, broken: BoolArray, words: str, moved: Coordinates = ()) -> None:
+        """Raise :class:`ModelError` for the first broken point, and say where it moved."""
+        if not broken.any():
+            return
+        first = tuple(np.argwhere(np.broadcast_to(broken, self.shape))[0])
+        begin, end = (
+            [float(np.broadcast_to(values, self.shape)[first]) for values in coordinates]
+            for coordinates in (self.point, moved)
+        )
+        raise ModelError(f"{self.action} leads from {begin} {words.format(end)}")
+
+
+def _stray(
+    model: ContinuousModel, lost: BoolArray, moved: Coordinates, end: IntArray, who: _Culprit
+) -> IntArray:
+    """Ends in which what goes on outside the box fails, or an error where there is none."""
+    for number, values in enumerate(moved):
+        who.refuse(np.isnan(values) & (end == 0), f"to NaN as coordinate {number}")
+    if model.outside is None:
+        remedy = "return an end there, or name a dead-end outside=..."
+        who.refuse(lost, f"to {{}}, outside {model.grid}: {remedy}", moved)
+        return end
+    failed = model.end_state(model.outside) - model.grid.n_cells + 1
+    return np.where(lost, np.int64(failed), end)

@@ -10,13 +10,12 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import FloatArray, IntArray, least_integer_type, read_only
 from ssp_lp.errors import ModelError
-from ssp_lp.model.discretisation.border import take_step
-from ssp_lp.model.discretisation.continuous_model import ContinuousModel
-from ssp_lp.model.discretisation.outcome_store import Outcomes, OutcomeStore
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
+from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, tally
 from ssp_lp.model.discretisation.points import Quadrature, Samples, Trials
-from ssp_lp.model.discretisation.tally import Rows, tally
 from ssp_lp.model.ssp import SSP
 
 TRIALS: Final = 1 << 19
@@ -33,6 +32,7 @@ MIDPOINTS: Final = Quadrature()
 _BUILDING = logging.getLogger("ssp_lp.building")
 
 
+@explained
 def discretise(
     world: ContinuousModel,
     points: Quadrature | Samples = MIDPOINTS,
@@ -61,13 +61,13 @@ def discretise(
     if not isinstance(points, (Quadrature, Samples)):
         raise ModelError(f"points must be Quadrature(4) or Samples(1000, rng=0), not {points!r}")
     trials = points.trials(world)
-    n_pairs = world.grid.n_cells * len(world.actions)
-    distinct, row_of_pair = _distinct_pairs(world, n_pairs)
+    n_all = world.grid.n_cells * len(world.actions)
+    distinct, row_of_pair = _distinct_pairs(world, n_all)
     store = OutcomeStore()
-    n_distinct = n_pairs if distinct is None else len(distinct)
+    n_distinct = n_all if distinct is None else len(distinct)
     size = max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, n_distinct, size):
-        some = np.arange(begin, min(begin + size, n_distinct), dtype=least_integer_type(n_pairs))
+        some = np.arange(begin, min(begin + size, n_distinct), dtype=least_integer_type(n_all))
         store.append(_rows(world, trials, some if distinct is None else distinct[some]))
         done = int(some[-1]) + 1
         share = {"share": done / n_distinct}
@@ -89,7 +89,7 @@ class _Tried(NamedTuple):
     cost: FloatArray  # [trials or 1, cells or 1]
 
 
-def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Rows:
+def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
     """The outcomes of some pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
     tried = [
@@ -135,36 +135,38 @@ def _costs(tried: list[_Tried], n_pairs: int, sides: int) -> FloatArray:
     return costs if width == 1 else np.tile(costs, sides)
 
 
-def _distinct_pairs(
-    world: ContinuousModel, n_pairs: int
-) -> tuple[IntArray | None, IntArray | None]:
+def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None, IntArray | None]:
     """Pairs with different outcomes, in order, and the place among them of each pair's own.
 
-    None and None where nothing is known of pairs that are alike.
+    None and None where nothing is known of pairs that are alike, and all are allowed.
     """
+    pairs = world.allowed_pairs
     if world.alike is None:
-        return None, None
+        return pairs, None
     sizes = (*world.grid.shape, len(world.actions))
     *index, actions = np.ogrid[tuple(slice(size) for size in sizes)]
     told = np.asarray(world.alike(tuple(index), actions))
     if told.ndim > len(sizes) or told.dtype.kind not in "iu" or told.min() < 0:
         raise ModelError("alike must return whole numbers >= 0")
     kinds = np.broadcast_to(told, sizes).ravel()
-    number = least_integer_type(n_pairs)
+    kinds = kinds if pairs is None else kinds[pairs]
+    number = least_integer_type(n_all)
     first = np.full(int(kinds.max()) + 1, -1, dtype=number)
-    first[kinds[::-1]] = np.arange(n_pairs, dtype=number)[::-1]  # each kind's first comes last
+    first[kinds[::-1]] = np.arange(len(kinds), dtype=number)[::-1]  # each kind's first comes last
     distinct = np.sort(first[first >= 0])
-    place = np.empty(n_pairs, dtype=number)
+    place = np.empty(len(kinds), dtype=number)
     place[distinct] = np.arange(len(distinct), dtype=number)
-    return distinct, place[first[kinds]]
+    return distinct if pairs is None else pairs[distinct], place[first[kinds]]
 
 
 def _check_alike(
     world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
 ) -> None:
     """Work out some pairs by themselves; raise :class:`ModelError` for one that is not alike."""
-    for pair in np.unique(np.linspace(0, len(row_of_pair) - 1, SPOT_CHECKS).astype(np.int64)):
-        own, shared = _rows(world, trials, pair[None]), found.rows(row_of_pair[pair, None])
+    known = world.allowed_pairs
+    for k in np.unique(np.linspace(0, len(row_of_pair) - 1, SPOT_CHECKS).astype(np.int64)):
+        pair = k if known is None else known[k]
+        own, shared = _rows(world, trials, pair[None]), found.rows(row_of_pair[k, None])
         same = np.array_equal(own.successors, shared.successors) and all(
             np.allclose(getattr(own, name), getattr(shared, name), rtol=1e-9, atol=1e-9)
             for name in ("probabilities", "costs")
@@ -192,16 +194,21 @@ def _repeated(
 
 def _model(world: ContinuousModel, store: OutcomeStore) -> SSP:
     """The model of all pairs of the cells, with the ends added."""
-    n_cells, n_actions = world.grid.n_cells, len(world.actions)
+    n_cells, n_actions, pairs = world.grid.n_cells, len(world.actions), world.allowed_pairs
     goal = world.end_state("goal")
     for state, cost in enumerate(world.dead_ends.values(), goal + 1):
         one = np.ones(1)
-        store.append(Rows(np.ones(1, np.int64), np.array([state]), one, np.asarray(float(cost))))
-    ends = n_cells * n_actions + np.arange(len(world.dead_ends) + 1)
+        store.append(Outcomes(np.array([0, 1]), np.array([state]), one, np.asarray(float(cost))))
+    offsets = np.arange(0, n_cells * n_actions + 1, n_actions)
+    if pairs is not None:
+        offsets = np.searchsorted(pairs, offsets)
     model = SSP.from_arrays(
-        pair_offsets=np.append(np.arange(0, n_cells * n_actions + 1, n_actions), ends),
+        pair_offsets=np.append(offsets, offsets[-1] + np.arange(len(world.dead_ends) + 1)),
         **store.outcomes()._asdict(),
         goal_states=np.array([goal]),
         state_labels={name: [world.end_state(name)] for name in world.dead_ends},
     )
-    return replace(model, action_names=tuple(world.actions))
+    if pairs is None:
+        return replace(model, action_names=tuple(world.actions))
+    action = np.append(pairs % n_actions, np.zeros(len(world.dead_ends), dtype=np.int64))
+    return replace(model, action_names=tuple(world.actions), pair_action=read_only(action))

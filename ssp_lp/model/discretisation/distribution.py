@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import PROBABILITY_SUM, FloatArray, read_only
-from ssp_lp.errors import ModelError
-from ssp_lp.model.in_short import in_short
+from ssp_lp.errors import ModelError, in_short
+from ssp_lp.model.arguments import check_fields, explained
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -26,7 +26,12 @@ class Distribution:
     values: FloatArray | None = None  # [atoms], of a discrete one
     probabilities: FloatArray | None = None  # [atoms]
 
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for a quantile function that is none."""
+        check_fields(self)
+
     @classmethod
+    @explained
     def uniform(cls, low: float, high: float) -> Distribution:
         """Uniform between two numbers; raises :class:`ModelError` unless low <= high, finite."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
@@ -34,6 +39,7 @@ class Distribution:
         return cls(lambda levels: low + (high - low) * levels)
 
     @classmethod
+    @explained
     def discrete(cls, values: npt.ArrayLike, probabilities: npt.ArrayLike) -> Distribution:
         """Finitely many values, [atoms], with their probabilities, [atoms].
 
@@ -62,9 +68,11 @@ class Distribution:
         told = in_short(self.quantile) if self.values is None else f"{self.values.size} values"
         return f"Distribution({told})"
 
+    @explained
     def at(self, levels: FloatArray) -> FloatArray:
         """Values at levels in (0, 1); raises :class:`ModelError` if they are no finite numbers."""
-        found = np.asarray(self.quantile(levels), dtype=np.float64)
-        if found.shape != levels.shape or not np.isfinite(found).all():
+        found = np.asarray(self.quantile(levels))
+        real = found.dtype.kind in "biuf" and found.shape == levels.shape
+        if not real or not np.isfinite(found).all():
             raise ModelError("a quantile function must return a finite number for each level")
-        return found
+        return found.astype(np.float64, copy=False)

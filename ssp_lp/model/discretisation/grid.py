@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import check_fields, explained
 
 ON_EDGE: Final = 1e-9
 """A coordinate this close to an edge, in widths of a cell, lies on it.
@@ -46,10 +47,11 @@ class Axis:
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for an empty or infinite interval, or without cells."""
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
-            raise ModelError(f"an axis must run from low to a greater high: {self!r}")
         if not isinstance(self.cells, (int, np.integer)) or self.cells < 1:
             raise ModelError(f"an axis needs a whole number of cells >= 1: {self!r}")
+        check_fields(self)
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ModelError(f"an axis must run from low to a greater high: {self!r}")
 
     @property
     def width(self) -> float:
@@ -94,6 +96,7 @@ class Grid:
 
     axes: tuple[Axis, ...]
 
+    @explained
     def __init__(self, axes: Sequence[Axis]) -> None:
         """Take the axes in the order of the coordinates.
 
@@ -121,6 +124,7 @@ class Grid:
         """By how much the number of a cell grows along each axis."""
         return tuple(math.prod(self.shape[k + 1 :]) for k in range(len(self.axes)))
 
+    @explained
     def index_of(self, cells: npt.ArrayLike) -> tuple[IntArray, ...]:
         """Position of each cell along each axis; raises :class:`ModelError` if there is none."""
         rest = np.asarray(cells)
@@ -133,11 +137,13 @@ class Grid:
             rest = rest - along * stride
         return tuple(positions)
 
+    @explained
     def centre(self, cells: npt.ArrayLike) -> FloatArray:
         """Midpoints of cells: numbers of any shape -> [..., axes]."""
         index = zip(self.axes, self.index_of(cells), strict=True)
         return np.stack([axis.low + (k + 0.5) * axis.width for axis, k in index], axis=-1)
 
+    @explained
     def cell_of(self, points: npt.ArrayLike) -> Any:
         """The cell that each point lies in: [..., axes] -> numbers, an int for a single point.
 

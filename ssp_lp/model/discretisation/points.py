@@ -12,6 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.discretisation.grid import Coordinates
@@ -123,6 +124,7 @@ class Samples:
 
         return Trials((int(self.number),), None, draw, repeatable=False)
 
+    @explained
     def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
         """By how much, in the sum of absolute differences, any pair's sampled outcomes are off.
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.model.discretisation.border import take_step
-from ssp_lp.model.discretisation.continuous_model import ContinuousModel
+from ssp_lp.model.arguments import check_fields
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.ssp import SSP
 
@@ -32,6 +32,13 @@ class WorldSimulator:
     world: ContinuousModel
     start: Sequence[float | Distribution]
 
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for no world, or a start with another number of coordinates."""
+        check_fields(self)
+        axes = self.world.grid.axes
+        if len(self.start) != len(axes):
+            raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
+
     def check_model(self, model: SSP) -> None:
         """Raise :class:`ModelError` for a model with other states than the world's cells make."""
         if model.n_states != self.world.n_states:
@@ -44,12 +51,9 @@ class WorldSimulator:
         """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
 
         Raises:
-            ModelError: a start outside the box, or for another number of axes.
+            ModelError: a start outside the box.
         """
-        axes = self.world.grid.axes
-        if len(self.start) != len(axes):
-            raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
-        levels = rng.random((episodes, len(axes)))
+        levels = rng.random((episodes, len(self.start)))
         columns = [
             first.at(levels[:, k])
             if isinstance(first, Distribution)
@@ -71,7 +75,8 @@ class WorldSimulator:
         model, grid = self.world, self.world.grid
         levels = rng.random((len(pair), len(model.noise)))
         noise = [draw.at(levels[:, k]) for k, draw in enumerate(model.noise)]
-        action = np.asarray(pair) % len(model.actions)
+        pairs = model.allowed_pairs
+        action = np.asarray(pair if pairs is None else pairs[pair]) % len(model.actions)
         after, paid = np.empty_like(world), np.empty(len(pair))
         state = np.empty(len(pair), dtype=np.int64)
         for number in np.unique(action):

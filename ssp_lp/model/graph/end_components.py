@@ -9,9 +9,8 @@ from scipy.sparse import csgraph
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces
-from ssp_lp.model.graph.draining import close_pairs, drain
 from ssp_lp.model.graph.predecessors import narrow, possible_steps
-from ssp_lp.model.graph.reachability import edges
+from ssp_lp.model.graph.reachability import close_pairs, drain, edges
 from ssp_lp.model.ssp import SSP
 
 
@@ -63,7 +62,7 @@ def _label_components(model: SSP, inside: BoolArray, pending: BoolArray, label: 
         label: [states].
     """
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.components import label_components
+        from ssp_lp.compiled.graph_components import label_components
 
         arrays = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
         label_components(*arrays, inside, np.flatnonzero(pending), label)
@@ -93,10 +92,10 @@ def _crossing(model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray
     """Inside pairs of pending states that may lead to a state of another label, [pairs]."""
     candidates = inside & pending[model.pair_state]
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.components import crossing
+        from ssp_lp.compiled.graph_components import crossing_pairs
 
         arrays = model.outcome_offsets, model.successors, model.probabilities, model.pair_state
-        return crossing(*arrays, candidates, label)
+        return crossing_pairs(*arrays, candidates, label)
     for piece in pieces(model.outcome_offsets):
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         here = np.repeat(label[model.pair_state[piece.segments]], piece.lengths)

@@ -57,9 +57,9 @@ def find_predecessors(
         probabilities: [outcomes].
     """
     if accelerated(len(successors)):
-        from ssp_lp.compiled.graphs.transposing import transposed
+        from ssp_lp.compiled.graph_searches import transpose_graph
 
-        offsets, pairs = transposed(n_states, outcome_offsets, successors, probabilities)
+        offsets, pairs = transpose_graph(n_states, outcome_offsets, successors, probabilities)
     else:
         offsets, pairs = _transposed(n_states, outcome_offsets, successors, probabilities)
     return Predecessors(read_only(offsets), read_only(pairs))

@@ -1,9 +1,4 @@
-"""Facts about a model's graph: which states can, may or need not reach the goal.
-
-They are decided by searches on the graph of possible transitions (outcomes of positive
-probability), never by comparing floating-point values with zero (paper, section 2.3). Each takes
-time linear in the outcomes (end components: in each round), compiled or not, with one result.
-"""
+"""Facts about a model's graph: which states can, may or need not reach the goal."""
 
 from __future__ import annotations
 
@@ -14,10 +9,8 @@ from scipy.sparse import csgraph
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces
-from ssp_lp.model.graph.approach import nearer_pairs
-from ssp_lp.model.graph.draining import drain
 from ssp_lp.model.graph.kept import kept
-from ssp_lp.model.graph.predecessors import narrow, possible_steps
+from ssp_lp.model.graph.predecessors import Predecessors, narrow, possible_steps
 from ssp_lp.model.ssp import SSP
 
 
@@ -25,7 +18,7 @@ def reachable_states(model: SSP, start: IntArray) -> BoolArray:
     """States that some policy visits with positive probability from the start states, [states]."""
     arrays = model.outcome_offsets, model.successors, model.probabilities
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.searches import reached
+        from ssp_lp.compiled.graph_searches import reached
 
         return reached(model.pair_offsets, *arrays, start)
     ends, columns = possible_steps(*arrays)
@@ -46,7 +39,7 @@ def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
     """
     before, first = model.predecessors, np.flatnonzero(ends)
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.searches import reaching
+        from ssp_lp.compiled.graph_searches import reaching
 
         return reaching(before.offsets, before.pairs, model.pair_state, first)
     return reached_along(model.pair_state[before.pairs], before.offsets, first)
@@ -68,14 +61,15 @@ def attention_states(model: SSP) -> BoolArray:
 
 
 @kept
-def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
+def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     """States from which some policy reaches the goal with probability one, and how.
 
     The greatest set of states each of which can reach the goal by pairs that never leave the set.
     In rounds: what cannot reach the goal is dropped, with all pairs that may lead there.
 
     Returns:
-        The states, goals included, [states]; and the pairs that stay among them, [pairs].
+        The states, goals included, [states]; the pairs that stay among them, [pairs]; and for each
+        of the states such a pair by which it comes nearer to the goal, -1 elsewhere, [states].
     """
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
@@ -85,7 +79,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray]:
         nearer = approach_pairs(model, into_goal & open_pairs, open_pairs)
         lost = kept & ~model.goal_mask & (nearer < 0)
         if not lost.any():
-            return kept, open_pairs
+            return kept, open_pairs, nearer
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0
         drain(model, open_pairs, open_counts, np.flatnonzero(lost))
@@ -105,7 +99,7 @@ def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
         states: [states].
     """
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs.searches import leading_into
+        from ssp_lp.compiled.graph_searches import leading_into
 
         return leading_into(model.outcome_offsets, model.successors, model.probabilities, states)
     leads = np.zeros(model.n_pairs, dtype=np.bool_)
@@ -126,18 +120,7 @@ def staying_pairs(model: SSP, attention: BoolArray) -> BoolArray:
 
 
 def approach_pairs(model: SSP, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray:
-    """For each state a pair by which it may come nearer, in number of steps, to a leaving pair.
-
-    A state with a leaving pair of its own takes that. Among pairs that come equally near, the
-    first is taken.
-
-    Args:
-        leaving: [pairs].
-        usable: pairs that may be taken, leaving ones included, [pairs]; all if left out.
-
-    Returns:
-        [states] the pair taken; -1 where no leaving pair can be reached, and at goals.
-    """
+    """:func:`nearer_pairs` of a model, [states]; -1 where none can be reached, and at goals."""
     before = model.predecessors
     return nearer_pairs(before, model.pair_offsets, model.pair_state, leaving, usable)
 
@@ -164,3 +147,123 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape = len(offsets) - 1, len(offsets) - 1
     return sp.csr_array((weights, columns, narrow(offsets)), shape=shape)
+
+
+def nearer_pairs(
+    before: Predecessors,
+    pair_offsets: IntArray,
+    pair_state: IntArray,
+    leaving: BoolArray,
+    usable: BoolArray | None = None,
+) -> IntArray:
+    """For each state a pair by which it may come nearer to a leaving pair.
+
+    A state with a leaving pair of its own takes that. Among pairs that come equally near, the
+    first is taken.
+
+    Args:
+        before: the graph turned round.
+        pair_offsets: [states + 1].
+        pair_state: [pairs].
+        leaving: [pairs].
+        usable: pairs that may be taken, leaving ones included, [pairs]; all if left out.
+
+    Returns:
+        [states] the pair taken; -1 where no leaving pair can be reached.
+    """
+    free = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
+    choice = np.full(len(pair_offsets) - 1, -1, dtype=np.int64)
+    useful: IntArray = np.flatnonzero(leaving & free)
+    if accelerated(len(before.pairs)):
+        from ssp_lp.compiled.graph_searches import approach
+
+        approach(before.offsets, before.pairs, pair_state, useful, free, choice)
+        return choice
+    return _by_distance(before, pair_offsets, pair_state, useful, free)
+
+
+def _by_distance(
+    before: Predecessors,
+    pair_offsets: IntArray,
+    pair_state: IntArray,
+    useful: IntArray,
+    usable: BoolArray,
+) -> IntArray:
+    """The same from the distance of each state, found by scipy from a node added behind all ends.
+
+    Args:
+        before: the graph turned round.
+        pair_offsets: [states + 1].
+        pair_state: [pairs].
+        useful: usable pairs that leave.
+        usable: [pairs].
+    """
+    n = len(pair_offsets) - 1
+    reached = np.repeat(np.arange(n), np.diff(before.offsets))
+    kept = usable[before.pairs]
+    pairs, reached = before.pairs[kept], reached[kept]
+    source = np.concatenate([reached, np.full(useful.size, n)])
+    target = np.concatenate([pair_state[pairs], pair_state[useful]])
+    graph = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
+    distance: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
+        graph, indices=n, unweighted=True
+    )[:n]
+    near = np.full(len(pair_state), np.inf)
+    np.minimum.at(near, pairs, distance[reached] + 1.0)
+    near[useful] = 1.0
+    choice = np.full(n, -1, dtype=np.int64)
+    best = np.flatnonzero((near == distance[pair_state]) & np.isfinite(near))
+    first = np.flatnonzero(np.diff(pair_state[best], prepend=-1))
+    choice[pair_state[best[first]]] = best[first]
+    return choice
+
+
+def drain(
+    model: SSP, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
+) -> None:
+    """Close, in place, pairs that may lead to a closed state, and states with no pair left open.
+
+    Args:
+        open_pairs: [pairs].
+        open_counts: the number of open pairs of each state, [states].
+        closed_states: the states to begin with, which have no open pairs.
+    """
+    if not closed_states.size:
+        return
+    before = model.predecessors
+    if accelerated(model.n_outcomes):
+        from ssp_lp.compiled import graph_searches as searches
+
+        searches.drain(
+            before.offsets, before.pairs, model.pair_state, open_pairs, open_counts, closed_states
+        )
+        return
+    while closed_states.size:
+        entering = before.entering(closed_states, open_pairs)
+        closed_states = close_pairs(model, open_pairs, open_counts, entering)
+
+
+def close_pairs(
+    model: SSP, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
+) -> IntArray:
+    """Close these open pairs, ascending, in place; return the states with none left open."""
+    open_pairs[pairs] = False
+    state = model.pair_state[pairs]
+    first = np.flatnonzero(np.diff(state, prepend=-1))
+    touched = state[first]
+    open_counts[touched] -= np.diff(first, append=pairs.size)
+    return np.asarray(touched[open_counts[touched] == 0])
+
+
+def end_marks(model: SSP) -> IntArray:
+    """Number of the way in which an episode ends in each state, -1 where it goes on, [states].
+
+    0 is the goal, 1 .. k the model's labels in their order (at dead-ends that bear them; the
+    first label counts), k + 1 a dead-end without a label.
+    """
+    dead = dead_ends(model)
+    mark = np.where(dead, len(model.state_labels) + 1, -1)
+    for number, members in reversed(list(enumerate(model.state_labels.values(), start=1))):
+        mark[members[dead[members]]] = number
+    mark[model.goal_mask] = 0
+    return mark

@@ -15,8 +15,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
-from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.linear_systems.departing import without_self_loops
+from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
 from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means, uniform_cost

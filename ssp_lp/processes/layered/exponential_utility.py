@@ -14,10 +14,10 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
-from ssp_lp.dynamic_programming.dual_bounds.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.policy_iteration.approach import approach
-from ssp_lp.dynamic_programming.policy_iteration.improvement import improve
+from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.model import SSP
 from ssp_lp.processes.expectations import costless_pairs, successor_means
 from ssp_lp.processes.goal_reach import GoalReach

@@ -109,7 +109,7 @@ class OpenEnded:
         levels = None if self.ladder is None else self.ladder.rungs
         return CostAwarePolicy(model, base.unit, decision[:-1], beyond, never, levels=levels)
 
-    def nearer_goal(self) -> None:
+    def nearer_goal(self, *, safely: bool = False) -> None:
         """Has to be found on the process itself."""
         return
 

@@ -9,10 +9,9 @@ from itertools import chain
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, did_you_mean
 from ssp_lp.model import SSP
-from ssp_lp.model.nearest import did_you_mean
-from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.processes.quantities.conditions import (
     OBJECTIVE,
     RESERVED,

@@ -1,0 +1,102 @@
+"""The paper's robot with the costs of a real one: the length of its way, and its turns.
+
+A step stops where it meets something, so that its length is a real number, and a turn costs so
+much a radian: the totals have no common unit. Solves S3P with a failure budget of 5 % for several
+prices of turning, proves each answer from the model, plays the policies, and draws some episodes.
+
+    python examples/paper_robot/true_costs.py --output figures
+
+Needs matplotlib (`pip install ssp-lp[plot]`). Takes about a minute.
+"""
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from examples.paper_robot.figures import save_trajectories
+from examples.paper_robot.robot import RobotGrid, grid_model, robot_simulator, start_state
+from examples.paper_robot.study import BUDGET, RECORDED
+from formulations import S3P
+from ssp_lp import Certificate, Solution, certify, simulate, solve
+from ssp_lp.analysis.simulation import SimulationReport
+
+TURNING_COSTS = [0.0, 0.05, 0.2]  # of a radian, where a step's length of 0.1 costs 0.1
+TOLERANCE = 1e-4
+
+
+@dataclass(frozen=True)
+class TrueCosts:
+    """An answer at one price of turning, its proof, and how its policy fared."""
+
+    solution: Solution
+    certificate: Certificate
+    chain: SimulationReport  # episodes in the grid model
+    world: SimulationReport  # episodes in the continuous world
+
+
+def designed(grid: RobotGrid, episodes: int, seed: int) -> TrueCosts:
+    """Solve S3P with a failure budget of 5 % on a grid, certify the answer and play its policy."""
+    problem = S3P(grid_model(grid), start=start_state(grid), failure_budget=BUDGET)
+    solution = solve(problem, tolerance=TOLERANCE)
+    chain, world = (np.random.default_rng([seed, stream]) for stream in (0, 1))
+    return TrueCosts(
+        solution,
+        certify(solution),
+        simulate(solution.policy, problem, episodes=episodes, rng=chain),
+        simulate(
+            solution.policy,
+            problem,
+            episodes=episodes,
+            rng=world,
+            simulator=robot_simulator(grid),
+            record=RECORDED,
+        ),
+    )
+
+
+def row(turning_cost: float, found: TrueCosts) -> str:
+    """One line of the table."""
+    solution, cost, failure = found.solution, found.chain.conditional_cost, found.chain
+    fails = failure.failure_probability
+    return (
+        f"{turning_cost:7.2f}  {solution.objective:9.6f}  {found.certificate.gap:7.1e}  "
+        f"{solution.seconds:6.1f}  {cost.value:6.4f} [{cost.low:6.4f}, {cost.high:6.4f}]  "
+        f"{fails.value:6.4f} [{fails.low:6.4f}, {fails.high:6.4f}]  "
+        f"{found.world.conditional_cost.value:6.4f}  "
+        f"{found.world.failure_probability.value:6.4f}"
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table and draw the episodes."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--episodes", type=int, default=100_000, help="episodes per policy")
+    parser.add_argument("--segments", type=int, default=20, help="cells along x, and along y")
+    parser.add_argument("--headings", type=int, default=12, help="cells of the heading")
+    parser.add_argument(
+        "--turning-costs", type=float, nargs="+", default=TURNING_COSTS, help="of a radian"
+    )
+    parser.add_argument("--output", type=Path, default=Path("robot_output"), help="folder")
+    parser.add_argument("--seed", type=int, default=2024, help="seed of the simulations")
+    options = parser.parse_args(arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
+    print("of a radian  c*, proved gap, seconds; in the model: cost given success, failure; world")
+    for turning_cost in options.turning_costs:
+        grid = RobotGrid(
+            segments=options.segments,
+            headings=options.headings,
+            along_segment=True,
+            turning_cost=turning_cost,
+        )
+        found = designed(grid, options.episodes, options.seed)
+        print(row(turning_cost, found), flush=True)
+        title = f"{RECORDED} episodes: a radian of turning costs {turning_cost:g}"
+        name = f"turning_cost_{turning_cost:g}.png"
+        save_trajectories(grid.arena, list(found.world.paths), title, options.output / name)
+
+
+if __name__ == "__main__":
+    main()

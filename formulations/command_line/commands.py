@@ -1,0 +1,221 @@
+"""The commands themselves: each a function from its arguments to the lines that are printed."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+from formulations.command_line.answers import (
+    aligned_table,
+    figure_for,
+    json_answer,
+    policy_writer,
+)
+from formulations.command_line.models import command_model
+from formulations.command_line.problems import problem_of
+from formulations.comparison import compare_criteria
+from formulations.maxprob import MaxProb
+from formulations.mcmp import MCMP
+from ssp_lp import (
+    GIVE_UP,
+    DeterministicPolicy,
+    Solution,
+    simulate,
+    solve,
+    success_costs,
+    trace_frontier,
+)
+from ssp_lp.analysis.estimate import Estimate
+from ssp_lp.formulation import attention_labels, dead_end_labels
+from ssp_lp.io import load_policy, rollout, write_any
+from ssp_lp.io.model_files.json_model import model_in_json
+from ssp_lp.methods.program import program_of
+from ssp_lp.plotting import plot_cost_law, plot_frontier
+from ssp_lp.policies.policy import Policy
+
+
+def _solve(asked: Namespace) -> Iterable[str]:
+    write, figure = policy_writer(asked.policy_out), figure_for(asked.plot)
+    found = command_model(asked)
+    tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
+    problem = problem_of(asked, found)
+    solution = solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
+    if write is not None:
+        write(solution, found, asked.policy_out)
+    if figure is not None:
+        level = {} if asked.level is None else {"level": asked.level}
+        plot_cost_law(success_costs(solution.policy, problem), ax=figure.subplots(), **level)
+        figure.savefig(asked.plot)
+    return json_answer(_told(solution)) if asked.json else [solution.summary()]
+
+
+def _told(solution: Solution) -> dict[str, Any]:
+    """A solution as a table for other programs."""
+    found = solution.evaluation
+    members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
+    return {
+        "criterion": type(solution.problem).__name__,
+        "objective": solution.objective,
+        "lower_bound": solution.lower_bound if solution.upper_bound is None else None,
+        "upper_bound": solution.upper_bound,
+        "gap": solution.gap,
+        "goal_probability": found.goal_probability,
+        "failure_probability": found.failure_probability,
+        "conditional_cost": found.conditional_cost,
+        "expected_cost": found.expected_cost,
+        "failure_price": solution.failure_price,
+        "limits": {
+            name: {"value": value, "price": solution.prices.get(name, 0.0)}
+            for name, value in solution.secondary_costs.items()
+        },
+        "ends": dict(found.ends),
+        "policy": [{"weight": weight, **_decisions(member)} for weight, member in members],
+        "method": solution.method,
+        "seconds": solution.seconds,
+        "note": solution.note,
+    }
+
+
+def _decisions(policy: Policy) -> dict[str, Any]:
+    """The decisions by state, with a horizon by state and steps; of another policy what it is."""
+    inner = getattr(policy, "inner", policy)
+    if not isinstance(inner, DeterministicPolicy):
+        return {"kind": repr(policy)}
+    return {
+        "actions": {
+            str(state): "give up" if action is GIVE_UP else str(action)
+            for state, action in inner.actions().items()
+        }
+    }
+
+
+_POINT = ("failure", "goal", "cost", "objective", "price")
+
+
+def _frontier(asked: Namespace) -> Iterable[str]:
+    figure = figure_for(asked.plot)
+    gap = {} if asked.gap is None else {"gap": asked.gap}
+    problem = problem_of(asked, command_model(asked))
+    traced = trace_frontier(problem, point_limit=asked.points, time_limit=asked.time_limit, **gap)
+    if figure is not None:
+        plot_frontier(traced, asked.failure_budget, ax=figure.subplots())
+        figure.savefig(asked.plot)
+    prices = [*traced.price.tolist(), None]
+    numbers = (traced.failure, traced.goal, traced.cost, traced.objective)
+    rows = list(zip(*(column.tolist() for column in numbers), prices, strict=True))
+    if asked.json:
+        points = [dict(zip(_POINT, row, strict=True)) for row in rows]
+        return json_answer({"gap": traced.gap, "complete": traced.complete, "points": points})
+    if asked.csv:
+        cells = [["" if x is None else repr(x) for x in row] for row in rows]
+        return [",".join(line) for line in (_POINT, *cells)]
+    cells = [["-" if x is None else f"{x:.6g}" for x in row] for row in rows]
+    return [*aligned_table(_POINT, cells), f"gap {traced.gap:.1e}"]
+
+
+def _info(asked: Namespace) -> Iterable[str]:
+    model, start = command_model(asked).written_out
+    facts: dict[str, float] = {
+        "states": model.n_states,
+        "pairs": model.n_pairs,
+        "outcomes": model.n_outcomes,
+        "goals": int(model.goal_mask.sum()),
+        "dead-ends": len(dead_end_labels(model)),
+        "attention states": len(attention_labels(model)),
+    }
+    if start is not None:
+        facts["least failure"] = solve(MaxProb(model, start)).failure_probability
+    if asked.json:
+        return json_answer(facts)
+    return [f"{name:<17} {value:,}" for name, value in facts.items()]
+
+
+def _simulate(asked: Namespace) -> Iterable[str]:
+    found = command_model(asked)
+    problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
+    policy = load_policy(asked.policy, problem.unrolled.model)
+    settings = {name: getattr(asked, name) for name in ("episodes", "max_steps", "confidence")}
+    told: dict[str, Any] = {"episodes": asked.episodes}
+    if found.environment is not None:
+        played = rollout(found.environment, policy, seed=asked.seed, **settings)
+        ends = ("goal", "failed", "gave_up", "truncated")
+        told["ends"] = {name: getattr(played, name) for name in ends}
+        told["failure_probability"] = played.failure_probability
+        told["cost_given_success"] = played.conditional_cost
+        told["mean_steps"] = played.mean_steps
+    else:
+        report = simulate(policy, problem, rng=asked.seed, **settings)
+        goal = report.goal_probability
+        told["ends"] = report.ends
+        told["failure_probability"] = Estimate(
+            1.0 - goal.value, 1.0 - goal.high, 1.0 - goal.low, goal.confidence
+        )
+        told["cost_given_success"] = report.conditional_cost
+        told["cost_until_failure"] = report.expected_cost
+        told["mean_steps"] = report.mean_steps
+    if asked.json:
+        plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in told.items()}
+        return json_answer(plain)
+    return [f"{name.replace('_', ' '):<20} {_in_words(value)}" for name, value in told.items()]
+
+
+def _in_words(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {count:,}" for name, count in value.items() if count)
+    return f"{value}" if isinstance(value, Estimate) else f"{value:,.6g}"
+
+
+def _convert(asked: Namespace) -> Iterable[str]:
+    found = command_model(asked)
+    model, start = found.written_out
+    if asked.target == "-":
+        return ["".join(model_in_json(model, start)).rstrip()]
+    if isinstance(start, Mapping) and len(start) == 1:
+        (start,) = start
+    write_any(model, asked.target, start)
+    return []
+
+
+_PLURAL = {
+    "failure_budget": "failure_budgets",
+    "penalty": "penalties",
+    "reach_fraction": "reach_fractions",
+    "cost_bound": "cost_bounds",
+    "level": "levels",
+}
+_COLUMNS = ("objective", "expected_cost", "conditional_cost", "failure_probability", "price")
+
+
+def _compare(asked: Namespace) -> Iterable[str]:
+    found = command_model(asked)
+    several = {_PLURAL[one]: given for one in _PLURAL if (given := getattr(asked, one)) is not None}
+    compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
+    if not asked.json:
+        return [compared.summary()]
+    return json_answer(
+        [
+            {"criterion": row.criterion, **dict(zip(_COLUMNS, row.numbers, strict=True)),
+             "note": row.note}
+            for row in compared.rows
+        ]
+    )  # fmt: skip
+
+
+def _program(asked: Namespace) -> Iterable[str]:
+    program = program_of(problem_of(asked, command_model(asked)))
+    if asked.out is not None:
+        program.write(asked.out)
+    return [repr(program)]
+
+
+COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
+    "solve": _solve,
+    "frontier": _frontier,
+    "info": _info,
+    "simulate": _simulate,
+    "convert": _convert,
+    "compare": _compare,
+    "program": _program,
+}
+"""What a command prints, by its name."""

@@ -1,0 +1,210 @@
+"""Case S compiled: the accumulated cost up to a cap, with a layered pricing problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    MOST_ENTRIES,
+    CompiledLayered,
+    LeastFailure,
+    check_table,
+)
+from ssp_lp.column_generation.pricing.pricing_problem import Column
+from ssp_lp.errors import ModelError
+from ssp_lp.model import SSP
+from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.processes.failure_semantics import survival_of
+from ssp_lp.processes.goal_reach import (
+    GoalReach,
+    ReachPolicy,
+    cheapest,
+    goal_directed,
+    greatest_goal_reach,
+    least_goal_reach,
+)
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
+from ssp_lp.processes.layered.charges import TailValues
+from ssp_lp.processes.layered.process import LayeredProcess, Tails
+
+_FIRST_LAYERS = 2.5
+"""Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
+
+_MOST_STEPS = 256
+"""Steps of a first attempt beyond which that policy is no guide but a long shot."""
+
+_MARGIN = 1.02
+"""Layers beyond what a trial's price asks for: the price still moves a little."""
+
+_MOST_GROWTH = 4
+"""A cap that would have to grow by more comes from a steep price near the least failure."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledAccumulatedCost(CompiledLayered):
+    """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
+
+    ``cap`` says where the table of accumulated costs ends; None: a first guess, to learn the
+    price from. From accumulated cost kappa on it is best to fail wherever that can be done for
+    sure, so a cap there loses (almost) nothing whatever is followed beyond it: a policy that goes
+    for the goal and the trivial bound on it will do. Only where kappa is too large for that are
+    the exact policies of greatest goal probability worked out.
+    """
+
+    model: SSP
+    start: FloatArray  # [states]
+    discount: float | None = None
+    fixed_cap: float | None = None  # the user's cap on accumulated cost
+    cap: int | None = None  # layers
+    exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
+    ratio: bool = field(default=True, init=False)
+    lowest: float = field(default=0.0, init=False)
+
+    @property
+    def survival(self) -> float:
+        """The discount, 1 in the exact setting."""
+        return survival_of(self.discount)
+
+    @cached_property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        return accumulate_cost(self.model, self.start, self.discount)
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether the cap is a guess."""
+        return self.cap is None and self.fixed_cap is None and not self._has_exact_tails
+
+    @cached_property
+    def _directed(self) -> ReachPolicy:
+        return goal_directed(self.model, self.survival)
+
+    @cached_property
+    def _has_exact_tails(self) -> bool:
+        """Whether the tails are those of the least failure, asked for or needed."""
+        if self.exact_tails or bool(self.base.quotient.merged.any()):
+            return True
+        if self.cap is not None or self.fixed_cap is not None:
+            return False
+        cost = float(self.start @ self._directed.cost)
+        goal = float(self.start @ self._directed.goal)
+        steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
+        return steps > _MOST_STEPS
+
+    @cached_property
+    def safest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The greatest goal probability and the cheapest policy that attains it."""
+        greatest = greatest_goal_reach(self.model, self.survival)
+        return greatest, cheapest(self.model, greatest, self.survival)
+
+    @cached_property
+    def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
+        least = least_goal_reach(self.model, self.survival)
+        return least, cheapest(self.model, least, self.survival)
+
+    def least_failure(self) -> LeastFailure:
+        """Greatest goal probability first, then the least E[cost; goal] among its actions.
+
+        At least failure the accumulated cost is not needed: a transition to x' is priced
+        ``g * Pmax(x')`` (mathematics, section 4).
+        """
+        reach, safest = self.safest
+        cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
+        policy = DeterministicPolicy(self.model, safest.decision)
+        column = Column(cost, float(self.start @ safest.failure), goal, None, policy=policy)
+        greatest = float(self.start @ reach.bound)
+        ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
+        return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
+
+    @cached_property
+    def process(self) -> LayeredProcess:
+        """The process cut at the cap."""
+        return LayeredProcess(self.base, self._cap_layers(), self._tails)
+
+    def refined(self, price: float) -> CompiledAccumulatedCost | None:
+        """The same problem with more layers or better tails, unless nothing is left to improve."""
+        here, exact = self.process.cap, self._has_exact_tails
+        lossless = int(np.ceil(_MARGIN * price / self.base.unit)) + 1
+        if self.fixed_cap is not None:
+            return None if exact else self._carry(replace(self, exact_tails=True))
+        if self.is_trial and lossless <= _MOST_GROWTH * here:
+            wanted = lossless
+        elif not exact:
+            wanted, exact = lossless if here < lossless <= _MOST_GROWTH * here else here, True
+        else:
+            wanted = lossless if here < lossless <= 2 * here else 2 * here
+        if wanted * self.base.n_nodes > MOST_ENTRIES:
+            if self._has_exact_tails:
+                return None
+            wanted, exact = here, True
+        return self._carry(replace(self, cap=wanted, exact_tails=exact))
+
+    def matching(
+        self, values: FloatArray, levels: FloatArray | None = None
+    ) -> CompiledAccumulatedCost:
+        """The same problem with as many layers as the value function, [layers, nodes].
+
+        Its tails are those that are quickly found: where the cap loses something with them,
+        :meth:`for_program` has the exact ones.
+
+        Raises:
+            ModelError: the array has no layers.
+        """
+        if values.ndim != 2 or values.shape[0] == 0:
+            raise ModelError("a value function of shape [layers, nodes] is needed")
+        return self._carry(replace(self, cap=values.shape[0]))
+
+    def for_program(self) -> CompiledAccumulatedCost:
+        """The same problem with the exact tails: a program can do no better than they beyond it."""
+        if self._has_exact_tails:
+            return self
+        exact = self._carry(replace(self, exact_tails=True))
+        return self._carry(replace(exact, cap=exact.process.cap))
+
+    def _carry(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
+        """Hand what does not depend on the cap to a copy of this compiled."""
+        kept = {"base", "safest", "riskiest", "_directed"}
+        other.__dict__.update((name, self.__dict__[name]) for name in kept & self.__dict__.keys())
+        if "_tails" in self.__dict__ and self._has_exact_tails == other._has_exact_tails:
+            other.__dict__["_tails"] = self._tails
+        return other
+
+    @cached_property
+    def _tails(self) -> Tails:
+        at = self.base.quotient.least_over_members
+        least, riskiest = self.riskiest
+        exact = self._has_exact_tails
+        if exact:
+            reach, first = self.safest
+            greatest = -at(-reach.bound)
+        else:
+            first = self._directed
+            greatest = np.full(self.base.n_nodes, self.survival)
+        both = (first, riskiest)
+        return Tails(
+            decisions=np.stack([p.decision for p in both]).astype(np.int32),
+            values=TailValues.stacked([p.values for p in both], at),
+            greatest_goal=greatest,
+            least_goal=at(least.bound),
+            exact=exact,
+        )
+
+    def _cap_layers(self) -> int:
+        base = self.base
+        if self.cap is not None:
+            layers = self.cap
+        elif self.fixed_cap is not None:
+            layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
+        else:
+            tails = self._tails
+            cost = float(base.start @ tails.first.cost)
+            goal = float(base.start @ tails.goal[0]) + base.start_goal
+            typical = cost / max(goal, 1e-300) / base.unit
+            layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
+        check_table(layers, base, "cost_cap")
+        return layers

@@ -1,0 +1,252 @@
+"""The pricing problem of an explicit process: policy iteration over all its states.
+
+Where a row's price is 0, end components that cost nothing but that row are free in the pricing
+problem, and to stay in one for ever would be a policy of less priced cost than any that leaves.
+Such policies do not count: their expected total of that row is infinite. What is free is contracted
+(``processes.contraction``), and policy iteration never finds a policy that stays:
+
+Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
+``c + P v`` in some states and the first one's pair elsewhere, so that v >= c_pi + P_pi v. If pi had
+a closed class, with stationary distribution m, then m (v - c_pi - P_pi v) = -m c_pi <= 0, so that
+no pair of the class is a changed one, and the first policy would not leave: pi leaves. And where no
+pair is strictly smaller, v <= c_u + P_u v for every pair u, and iterating this along any policy
+that leaves shows that v bounds its priced cost from below. In exact numbers this needs no
+contraction; in rounded ones a cycle that costs nothing is a gain wherever rounding says so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+
+import numpy as np
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
+from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
+from ssp_lp.compiled.deadline import Stop, is_limited
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.dynamic_programming.leaving import leaving_choice
+from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
+from ssp_lp.dynamic_programming.policy_iteration import evaluate_policy, improve, switched
+from ssp_lp.errors import ModelError
+from ssp_lp.policies.policy import Policy
+from ssp_lp.processes.contraction import Contraction, bound_of, contract
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.failure_label import FailureLabelled
+from ssp_lp.processes.layered.open_ended import OpenEnded
+
+LARGEST = 1e150
+"""Prices and values beyond this are no numbers: products of two such overflow."""
+
+_ROUNDED = 1e-13  # of what every episode pays: less than that is nothing
+_LOST = 4.0 * MACHINE_EPSILON  # of the terms of a sum
+_UNIT = np.ones(1)
+_NONE = Work()
+
+
+@dataclass(frozen=True, eq=False)
+class ExplicitPricing:
+    """Minimises a process's cost at a price of failure, or at a weight of each thing counted.
+
+    A price is the one number of ``PricingProblem``, or, where there are rows beside the failure
+    row, the weights of cost, failure and all rows, >= 0, [rewards].
+    """
+
+    augmented: FailureLabelled | OpenEnded  # the process, and the way back to the model
+    precise: bool = False  # compare pairs in twice the working precision
+    rows: tuple[FloatArray, ...] = ()  # [pairs] each: what is counted besides cost and failure
+    counted: FloatArray | None = None  # [pairs] in place of the process's cost
+    _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is priced
+
+    @property
+    def process(self) -> ExplicitProcess:
+        """The process that is minimised over."""
+        return self.augmented.process
+
+    @cached_property
+    def rewards(self) -> FloatArray:
+        """Cost, failure and rows of each pair, [pairs, rewards]."""
+        cost = self.process.cost if self.counted is None else self.counted
+        return np.stack([cost, self.process.failure, *self.rows], axis=1)
+
+    @cached_property
+    def _leaving(self) -> IntArray:
+        """A policy that leaves the process from every state, towards the goal first, [states].
+
+        Where there is little time the first policy may be the answer: it keeps off what is risky.
+        """
+        process, nearer = self.process, self.augmented.nearer_goal(safely=is_limited())
+        return leaving_choice(process.dynamics, process.goal, nearer).astype(np.int32)
+
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """[states]."""
+        return (self.process.n_states,)
+
+    def incumbent(self, choice: IntArray | None) -> Column | None:
+        """The policy that policy iteration had come to."""
+        return None if choice is None else self.measure(choice)
+
+    def first(self) -> Column:
+        """A policy that comes nearer to the goal with every step it takes, where it can."""
+        return self._first
+
+    @cached_property
+    def _first(self) -> Column:
+        return self.measure(self._leaving)
+
+    def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
+        """A policy of least priced cost, measured exactly.
+
+        What is free at the price is contracted first: rounding would find policies that stay.
+        """
+        weights = _weights(price)
+        choice, guess = self._begun(weights, warm)
+        smaller, at = self._contracted(weights), None if isinstance(price, np.ndarray) else price
+        run = partial(improve, precise=self.precise)
+        if smaller is None:
+            settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
+            return self._column(settled.choice, settled.totals, settled.work, at)
+        choice = smaller.begun(self.process, choice).astype(np.int32)
+        priced = weighted(self.rewards, weights)[smaller.pairs, None]
+        about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
+        try:
+            settled = run(smaller.dynamics, priced, _UNIT, choice, about)
+        except Stop as stop:
+            raise Stop(_expanded(smaller, self.process, stop.choice)) from stop
+        return self.measure(smaller.expanded(self.process, settled.choice), settled.work, at)
+
+    def _begun(
+        self, weights: FloatArray, warm: Sequence[Column | None]
+    ) -> tuple[IntArray, FloatArray | None]:
+        """A policy to start from, [states], and about its totals, [states, rewards]."""
+        known = [c for c in warm if c is not None and c.choice is not None]
+        if not known:
+            return self._leaving, None
+        if self.process.n_states <= DIRECT_STATES or any(c.totals is None for c in known):
+            return required(known[0].choice), known[0].totals
+        known.append(self._first)
+        totals = [required(column.totals) for column in known]
+        choice, follows = switched(
+            self.process.dynamics,
+            [required(column.choice) for column in known],
+            [weighted(total, weights) for total in totals],
+        )
+        if not follows.any():
+            return choice, totals[0]
+        return choice, np.stack(totals)[follows, np.arange(len(choice))]
+
+    def _contracted(self, weights: FloatArray) -> Contraction | None:
+        """The process without what is free at the weights, kept; None where nothing is."""
+        priced = weights > 0.0
+        key = priced.tobytes()
+        if key not in self._known:
+            free = (self.rewards[:, priced] == 0.0).all(axis=1)
+            self._known[key] = contract(self.process, free)
+        return self._known[key]
+
+    def measure(
+        self, choice: IntArray, work: Work = _NONE, found_at: float | None = None
+    ) -> Column:
+        """Exact totals of one pair per state, by a sparse linear solve.
+
+        Args:
+            choice: [states].
+            work: what finding it took.
+            found_at: a price at which no policy is worth less.
+        """
+        totals = evaluate_policy(self.process.dynamics, choice, self.rewards)
+        return self._column(choice, totals.values, work + Work(1, 0), found_at)
+
+    def _column(
+        self, choice: IntArray, totals: FloatArray, work: Work, found_at: float | None
+    ) -> Column:
+        cost, failure, *rows = expected(self.process.start, totals).tolist()
+        failure = min(max(failure, 0.0), 1.0)  # verified: beyond it lies rounding
+        return Column(
+            cost, failure, 1.0 - failure, choice, totals=totals, found_at=found_at, work=work,
+            rows=tuple(rows),
+        )  # fmt: skip
+
+    def aligned(self, column: Column, price: float) -> Column:
+        """The column itself: it has no tails."""
+        return column
+
+    def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
+        """Prove a lower bound from the values of a policy of least priced cost."""
+        column = best if best.totals is not None else self.minimise(price, best)
+        values = weighted(required(column.totals), _weights(price))
+        return self._checked(price, values, column.choice)
+
+    def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower values, [states], to a checked sub-solution.
+
+        Raises:
+            ModelError: values of another shape, or ``slack``, which is for ratios.
+        """
+        if values.shape != (self.process.n_states,) or slack:
+            raise ModelError(f"a value function of shape ({self.process.n_states},) is needed")
+        return self._checked(price, values, None)
+
+    def _checked(
+        self, price: float | FloatArray, values: FloatArray, choice: IntArray | None
+    ) -> Proof:
+        process, weights = self.process, _weights(price)
+        priced = weighted(self.rewards, weights)
+        priced -= _rounding(self.rewards, weights) * np.abs(priced)  # a bound rounds down
+        values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
+        found = bound_of(process, self._contracted(weights), priced, values, choice=choice)
+        failing = float(weights[1])
+        return Proof(failing, failing, found.at(process.start), found.values)
+
+    def check_less(
+        self, weights: FloatArray, ratio: float, cost: FloatArray, paid: float, values: FloatArray
+    ) -> float:
+        """A certified bound of the weighted totals less what every episode pays, at the start.
+
+        ``check`` says the same but for rounding; this is exact where nothing else is paid, and sums
+        what is left by itself, without taking one large number from another.
+
+        Args:
+            weights: of the rewards, >= 0, without the ratio, [rewards].
+            ratio: what failing counts, and success earns here.
+            cost: the first reward without what every episode pays, [pairs].
+            paid: on ending, whatever the end.
+            values: lower values of the weighted totals, [states].
+        """
+        process, counted = self.process, weights.copy()
+        counted[1] += ratio
+        beside = cost + self.rewards[:, 1:] @ weights[1:]
+        left = beside - ratio * process.goal
+        summed = (left != cost) & (left != -ratio * process.goal)
+        left -= np.where(summed, _LOST * (np.abs(beside) + ratio * process.goal), 0.0)
+        values = np.where(np.abs(values) <= LARGEST, values, 0.0) - paid
+        values = np.where(np.abs(values) <= _ROUNDED * paid, 0.0, values)
+        return bound_of(process, self._contracted(counted), left, values, -paid).at(process.start)
+
+    def policy(self, column: Column) -> Policy:
+        """The column's policy on the original states."""
+        if column.policy is not None:
+            return column.policy
+        return self.augmented.policy(required(column.choice))
+
+
+def _expanded(
+    smaller: Contraction, process: ExplicitProcess, choice: IntArray | None
+) -> IntArray | None:
+    """The policy that a stopped improvement had come to, on the whole process, [states]."""
+    return None if choice is None else smaller.expanded(process, choice)
+
+
+def _weights(price: float | FloatArray) -> FloatArray:
+    """The weight of each reward, [rewards]."""
+    return price if isinstance(price, np.ndarray) else np.array([1.0, price])
+
+
+def _rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
+    """The relative rounding of a weighted sum of terms >= 0; 0 where it is exact, [pairs]."""
+    terms = np.count_nonzero(rewards[:, weights > 0.0], axis=1)
+    odd = (weights > 0.0) & (weights != 1.0)
+    products = ((rewards[:, odd] != 0.0) & (rewards[:, odd] != 1.0)).any(axis=1)
+    return np.asarray(MACHINE_EPSILON * np.maximum(terms - 1, products))

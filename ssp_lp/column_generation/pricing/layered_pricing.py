@@ -1,0 +1,298 @@
+"""The pricing problem of the accumulated-cost process: one backward sweep over its layers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.arrays import (
+    MACHINE_EPSILON,
+    FloatArray,
+    IntArray,
+    least_integer_type,
+)
+from ssp_lp.column_generation.pricing.layer_bounds import (
+    bound_free_steps,
+    bound_layer,
+    priced_layers,
+    summed_layers,
+)
+from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
+from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.bellman import (
+    PairCost,
+    Work,
+    best_pairs,
+    chosen_product,
+    unsigned_parts,
+)
+from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.errors import ModelError
+from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.policies.policy import Policy
+from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.totals.window import Window
+
+_BELOW_EVERY_VALUE = 1e-6
+"""No value is below minus the price; a floor this much lower leaves room to count rounding."""
+
+_KEPT_VALUES = 25_000_000
+"""Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
+shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
+
+_ONE = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredPricing:
+    """Column generation's pricing problem for case S; the process is never written out.
+
+    A choice is the position of a pair among those of its node, [cap, nodes], in the smallest
+    integers that hold it.
+    """
+
+    process: LayeredProcess
+
+    @property
+    def value_shape(self) -> tuple[int, ...]:
+        """[layers, nodes]."""
+        return self.process.cap, self.process.base.n_nodes
+
+    def incumbent(self, choice: IntArray | None) -> Column | None:
+        """None: half a sweep is no policy."""
+        return None
+
+    def first(self) -> Column:
+        """The first tail, which goes for the goal, followed from the start."""
+        base, tails = self.process.base, self.process.tails
+        nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
+        cost = float(base.start @ nothing_paid) + self.process.start_charge
+        goal = float(base.start @ tails.goal[0])
+        failure = float(base.start @ tails.first.failure) + base.start_failure
+        policy = DeterministicPolicy(base.quotient.model, tails.decisions[0])
+        return Column(cost, failure, goal + base.start_goal, None, policy=policy)
+
+    def minimise(self, failure_price: float, *warm: Column | None) -> Column:
+        """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
+        base, offsets = self.process.base, self.process.base.pair_offsets
+        choice = self._blank_choice()
+        failing = failure_price if self._likely else 0.0
+        owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
+        if self._one_pass is not None:
+            beyond = self._tail_values(failure_price, failing)
+            measures = np.stack(self.process.beyond(failure_price), axis=-1)
+            totals = self._one_pass.minimise(owed, beyond, measures, choice)
+            return self._column(totals, choice, failure_price, self.process.cap)
+        priced = priced_layers(self.process, owed)
+        ahead = self.process.window(self._tail_values(failure_price, failing))
+        measured = self._measures_beyond(failure_price)
+        totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
+        for layer in reversed(range(self.process.cap)):
+            check_time()
+            cost, charge = priced(layer), self.process.charged(layer)
+            if self._acyclic and accelerated(base.later.nnz):
+                values, totals = self._fused(cost, charge, ahead, measured, choice[layer])
+            else:
+                inner, values = self._best(cost, ahead, inner)
+                choice[layer] = inner - offsets[:-1]
+                totals = self._measured(inner, charge, measured)
+            ahead.push(values)
+            measured.push(totals)
+        return self._column(totals, choice, failure_price, self.process.cap)
+
+    def _best(self, cost: PairCost, ahead: Window, inner: IntArray) -> tuple[IntArray, FloatArray]:
+        """The pairs of least value in a layer and their values, [nodes] each."""
+        base, offsets = self.process.base, self.process.base.pair_offsets
+        if self._acyclic:
+            backup = best_pairs(offsets, base.later, cost, ahead.flat)
+            return backup.choice, backup.minima
+        onward = (cost.total + base.later @ ahead.flat)[:, None]
+        settled = improve(base.instant_dynamics, onward, _ONE, inner)
+        return settled.choice, settled.values
+
+    def _fused(
+        self, cost: PairCost, charge: PairCost, ahead: Window, measured: Window, position: IntArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """The same and its measures in one compiled pass, which writes the choice to position."""
+        from ssp_lp.compiled.backups import back_up_layer
+
+        base, matrix = self.process.base, self.process.base.later
+        values, totals = np.empty(base.n_nodes), np.empty((base.n_nodes, 3))
+        back_up_layer(matrix.nnz)(
+            *unsigned_parts(base.pair_offsets, matrix), *cost.parts,
+            *charge.parts[:2], base.gain, base.failure, base.survival,
+            ahead.flat, measured.flat, values, position, totals,
+        )  # fmt: skip
+        return values, totals
+
+    def measure(self, choice: IntArray, tail_price: float) -> Column:
+        """Exact E[cost; goal] and failure of a choice, by a backward sweep.
+
+        Args:
+            choice: [cap, nodes].
+            tail_price: the price of failure by which tails are chosen beyond the cap.
+        """
+        base = self.process.base
+        measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
+        for layer in reversed(range(self.process.cap)):
+            check_time()
+            chosen = base.pair_offsets[:-1] + choice[layer]
+            totals = self._measured(chosen, self.process.charged(layer), measured)
+            measured.push(totals)
+        return self._column(totals, choice, tail_price, 0)
+
+    def _measured(self, chosen: IntArray, charge: PairCost, ahead: Window) -> FloatArray:
+        """(charge, failure, goal) of a layer's choice, [nodes, 3]."""
+        base = self.process.base
+        totals = np.empty((base.n_nodes, 3))
+        totals[:, 0] = charge.fixed[chosen]
+        if charge.slope is not None:
+            totals[:, 0] += charge.factor * charge.slope[chosen]
+        totals[:, 1] = base.failure[chosen]
+        totals[:, 2] = base.survival * base.gain[chosen]
+        totals += chosen_product(base.later, chosen, ahead.flat)
+        if not self._acyclic:
+            totals = base.instant_dynamics.chain(chosen).solve(totals)
+        return totals
+
+    def _measures_beyond(self, tail_price: float) -> Window:
+        return self.process.window(np.stack(self.process.beyond(tail_price), axis=-1))
+
+    def _column(
+        self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
+    ) -> Column:
+        base, work = self.process.base, Work(backups, self.process.cap)
+        cost, failure, goal = (base.start @ totals).tolist()
+        failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
+        goal = max(goal + base.start_goal, 0.0)
+        cost += self.process.start_charge
+        return Column(cost, failure, goal, choice, tail_price, work=work)
+
+    def _blank_choice(self) -> IntArray:
+        most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
+        return np.empty(self.value_shape, dtype=least_integer_type(most))
+
+    def aligned(self, column: Column, price: float) -> Column:
+        """The column with its tails chosen by this price, measured again."""
+        if column.choice is None:
+            return column
+        here, there = self.process.threshold(column.tail_price), self.process.threshold(price)
+        return column if np.array_equal(here, there) else self.measure(column.choice, price)
+
+    def prove(self, price: float, best: Column | None = None, *, slack: bool = False) -> Proof:
+        """The best lower bound of every policy that a sweep gives; none is needed for it."""
+        return self.check(price, self._anything, slack=slack)
+
+    def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
+        """Lower values, [cap, nodes], to a checked sub-solution.
+
+        The sweep starts from the lower bound beyond the cap and counts the rounding of every
+        backup against itself. Infinite values ask for the best that can be proved.
+
+        Raises:
+            ModelError: values of another shape.
+        """
+        failing = 0.0 if slack else price
+        if values.shape != self.value_shape:
+            raise ModelError(f"a value function of shape {self.value_shape} is needed")
+        return self._swept(price, failing, values, self.process.beyond_bound(price, failing))
+
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
+        """How much of the bound the cap costs: 0 where the tails are proved to be optimal.
+
+        The difference, at the start, between the bound with the tail policies' own values beyond
+        the cap and the one with the lower bound there.
+
+        Args:
+            price: of failure.
+            slack: as of :meth:`check`.
+            proved: a bound that was proved at this price; where it is as high, that is all.
+        """
+        failing = 0.0 if slack else price
+        reached = self._swept(
+            price, failing, self._anything, self._tail_values(price, failing)
+        ).bound
+        if reached <= proved:
+            return 0.0
+        return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
+
+    def _swept(self, price: float, failing: float, values: FloatArray, beyond: FloatArray) -> Proof:
+        """Lower values layer by layer, from what is given beyond the cap."""
+        base, success = self.process.base, price - failing
+        owed, saved = failing * base.failure, success * base.survival * base.gain
+        floor = -(success - self.process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
+        if self._one_pass is not None:
+            given = np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
+            checked = self._one_pass.lowest(owed, saved, given, beyond)
+            return self._proof(price, failing, checked[0], checked)
+        summed = summed_layers(self.process, owed, saved)
+        kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else self._anything
+        window, inner = self.process.window(beyond), self._first_choice
+        lowest = np.zeros(base.n_nodes)
+        for layer in reversed(range(self.process.cap)):
+            check_time()
+            given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
+            if self._acyclic:
+                lowest = np.minimum(bound_layer(base, summed(layer), window.flat), given)
+            else:
+                lowest, inner = bound_free_steps(
+                    base, summed(layer), window.flat, given, inner, floor
+                )
+            if kept.flags.writeable:
+                kept[layer] = lowest
+            window.push(lowest)
+        return self._proof(price, failing, lowest, kept)
+
+    def _proof(
+        self, price: float, failing: float, lowest: FloatArray, checked: FloatArray
+    ) -> Proof:
+        """The bound that values of the first layer give, [nodes]; all of them are kept."""
+        base = self.process.base
+        ended = failing * base.start_failure, -(price - failing) * base.start_goal
+        parts = np.append(base.start * lowest, (*ended, self.process.start_charge))
+        loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
+        bound = float(parts.sum()) - max(float(loss), 0.0)
+        kept = checked if checked.size <= _KEPT_VALUES else self._anything
+        return Proof(price, failing, bound, kept, Work(self.process.cap, 0))
+
+    @cached_property
+    def _one_pass(self) -> OnePass | None:
+        return one_pass(self.process)
+
+    @cached_property
+    def _anything(self) -> FloatArray:
+        """Values that ask for the best that can be proved, [cap, nodes]."""
+        return np.broadcast_to(np.inf, self.value_shape)
+
+    def policy(self, column: Column) -> Policy:
+        """The column's policy on the original states."""
+        if column.policy is not None:
+            return column.policy
+        return self.process.policy(required(column.choice), column.tail_price)
+
+    @cached_property
+    def _acyclic(self) -> bool:
+        """Whether every step between states costs something, so that layers need no solving."""
+        return self.process.base.instant.nnz == 0
+
+    @cached_property
+    def _likely(self) -> bool:
+        """Whether some policy probably succeeds; else success is counted rather than failure."""
+        base, tails = self.process.base, self.process.tails
+        return float(base.start @ tails.goal[0]) + base.start_goal >= 0.5
+
+    @cached_property
+    def _first_choice(self) -> IntArray:
+        base = self.process.base
+        leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
+        return approach(base.instant_dynamics, leaving)
+
+    def _tail_values(self, price: float, failing: float) -> FloatArray:
+        """Values of the tails beyond the cap, [layers, nodes]."""
+        cost, failure, goal = self.process.beyond(price)
+        return cost + failing * failure - (price - failing) * goal

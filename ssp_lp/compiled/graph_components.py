@@ -1,0 +1,254 @@
+"""Strong components of graphs, compiled (Tarjan 1972, without recursion)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
+from ssp_lp.compiled.cores import one_or_all_cores
+from ssp_lp.compiled.deadline import check_time
+
+Array = np.ndarray[Any, Any]
+
+_TURNS = 100_000  # of a search between two looks at the time
+
+
+def order_components(
+    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray
+) -> tuple[IntArray, IntArray, int]:
+    """Number the components so that each comes after all that it leads to.
+
+    Within a component the states stand in the order in which the search was done with them, so
+    that most come after those that they lead to.
+
+    Args:
+        begin: first entry of each state, [states].
+        end: past its last one, [states].
+        indices: [entries].
+        data: entries of 0 are no edges, [entries].
+
+    Returns:
+        The component of each state, [states]; the states, one component after the other, [states];
+        and the number of components.
+    """
+    n = len(begin)
+    label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
+    roots = np.arange(n, dtype=np.uint32)
+    finished, found = _found(begin, end, unsigned(indices), data, roots, label)
+    _sort_by_label(label, finished, found, order)
+    return label, order.view(np.int32), found
+
+
+def label_components(
+    pair_offsets: IntArray,
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    inside: BoolArray,
+    roots: IntArray,
+    label: IntArray,
+) -> None:
+    """Label each root, in place, by the first state of its strong component.
+
+    Args:
+        pair_offsets: [states + 1].
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        inside: the pairs that link states; those of roots lead to roots, [pairs].
+        roots: the states to label, ascending.
+        label: [states].
+    """
+    bounds = outcome_offsets[pair_offsets]
+    possible = np.repeat(inside, np.diff(outcome_offsets))
+    possible &= probabilities > 0.0
+    edges = bounds[:-1], bounds[1:], unsigned(successors), possible
+    _, found = _found(*edges, roots, label)
+    first, backwards = np.empty(found, dtype=label.dtype), roots[::-1]
+    first[label[backwards]] = backwards  # the last one that is written stays
+    label[roots] = first[label[roots]]
+
+
+def _found(
+    begin: IntArray, end: IntArray, indices: IntArray, data: Array, roots: IntArray, label: IntArray
+) -> tuple[IntArray, int]:
+    """Label the roots, in place, by the numbers of their components, ends first.
+
+    Returns:
+        The roots in the order in which the search was done with them, and how many components.
+    """
+    n, label[roots] = label.size, -1
+    number, low = np.zeros((2, n), dtype=np.uint32)
+    opened, calls = np.empty((2, n), dtype=np.uint32)
+    finished, counts = np.empty(len(roots), dtype=np.uint32), np.zeros(6, dtype=np.int64)
+    arrays = number, low, begin.copy(), opened, calls, finished, counts
+    check_time()
+    while _search(begin, end, indices, data, roots, label, *arrays):
+        check_time()
+    return finished, int(counts[5])
+
+
+@njit(cache=True)
+def _search(
+    begin: Array, end: Array, indices: Array, data: Array, roots: Array, label: Array,
+    number: Array, low: Array, place: Array, opened: Array, calls: Array, finished: Array,
+    counts: Array,
+) -> bool:  # fmt: skip
+    """Go on with a search for some turns; whether it did not come to its end.
+
+    Args:
+        begin: as in ``order_components``, like what follows.
+        end: [states].
+        indices: [entries].
+        data: [entries].
+        roots: where searches begin.
+        label: written, [states].
+        number: when each state was met, 0: not yet, [states].
+        low: the least number that is reached from each and still open, [states].
+        place: entry with which each state goes on, [states].
+        opened: states without a component yet, [states].
+        calls: the states from which the search came, [states].
+        finished: states that it is done with, [roots].
+        counts: roots, calls, open states, finished ones, states met, components.
+    """
+    root, depth, n_open = counts[0], counts[1], counts[2]
+    n_finished, visited, found = counts[3], counts[4], counts[5]
+    goes_on = True
+    for _ in range(_TURNS):
+        entered = np.int64(-1)
+        if depth > 0:
+            state = calls[depth - 1]
+            entered = _not_entered(state, place, end, indices, data, label, number, low)
+        elif root == roots.size:
+            goes_on = False
+            break
+        else:
+            state, root = roots[root], root + 1
+            if number[state] != 0:
+                continue
+            entered = np.int64(state)
+        if entered >= 0:
+            visited += 1
+            number[entered] = low[entered] = visited
+            opened[n_open] = calls[depth] = entered
+            n_open, depth = n_open + 1, depth + 1
+            continue
+        depth -= 1
+        finished[n_finished] = state
+        n_finished += 1
+        if depth > 0:
+            caller = calls[depth - 1]
+            low[caller] = min(low[caller], low[state])
+        if low[state] == number[state]:
+            n_open = _close(state, opened, n_open, found, label)
+            found += 1
+    counts[0], counts[1], counts[2] = root, depth, n_open
+    counts[3], counts[4], counts[5] = n_finished, visited, found
+    return goes_on
+
+
+@njit(cache=True)
+def _not_entered(
+    state: int, place: Array, end: Array, indices: Array, data: Array,
+    label: Array, number: Array, low: Array,
+) -> np.int64:  # fmt: skip
+    """The next successor that the search has not met, or -1; ``place`` and ``low`` follow."""
+    k, past = place[state], end[state]
+    while k < past:
+        successor, possible = indices[k], data[k] > 0.0
+        k += 1
+        if not possible:
+            continue
+        if number[successor] == 0:
+            place[state] = k
+            return np.int64(successor)
+        if label[successor] < 0:
+            low[state] = min(low[state], number[successor])
+    place[state] = k
+    return np.int64(-1)
+
+
+@njit(cache=True)
+def _close(state: int, opened: Array, n_open: int, found: int, label: Array) -> int:
+    """Give all that was opened since a state its label; how many states are left open."""
+    while True:
+        n_open -= 1
+        label[opened[n_open]] = found
+        if opened[n_open] == state:
+            return n_open
+
+
+@njit(cache=True)
+def mark_left(
+    indptr: Array, indices: Array, data: Array, exits: Array, label: Array, left: Array
+) -> None:
+    """Mark, in place, the components from which a step leads elsewhere or out, [components]."""
+    for s in range(label.size):
+        if left[label[s]]:
+            continue
+        if exits[s] > 0.0:
+            left[label[s]] = True
+            continue
+        for k in range(indptr[s], indptr[np.uint32(s + 1)]):
+            if data[k] > 0.0 and label[indices[k]] != label[s]:
+                left[label[s]] = True
+                break
+
+
+@njit(cache=True)
+def _sort_by_label(label: Array, finished: Array, found: int, order: Array) -> None:
+    """Counting sort that keeps the order of finishing within each component."""
+    begin = np.zeros(found + 1, dtype=np.int64)
+    for state in finished:
+        begin[label[state] + 1] += 1
+    for c in range(found):
+        begin[c + 1] += begin[c]
+    for state in finished:
+        order[begin[label[state]]] = state
+        begin[label[state]] += 1
+
+
+def crossing_pairs(
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    pair_state: IntArray,
+    candidates: BoolArray,
+    label: IntArray,
+) -> BoolArray:
+    """Candidate pairs that may lead to a state of another label, [pairs].
+
+    Args:
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        pair_state: [pairs].
+        candidates: [pairs].
+        label: [states].
+    """
+    graph = outcome_offsets, unsigned(successors), probabilities, unsigned(pair_state)
+    found = np.zeros(len(candidates), dtype=np.bool_)
+    _crossing(len(successors))(*graph, candidates, label, found)
+    return found
+
+
+@one_or_all_cores
+def _crossing(
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    pair_state: IntArray,
+    candidates: BoolArray,
+    label: IntArray,
+    found: BoolArray,
+) -> None:
+    for pair in prange(len(candidates)):
+        if candidates[pair]:
+            here = label[pair_state[pair]]
+            for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
+                if label[successors[outcome]] != here and probabilities[outcome] > 0:
+                    found[pair] = True
+                    break

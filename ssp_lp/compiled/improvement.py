@@ -1,0 +1,284 @@
+"""Compiled policy improvement: component by component, and state by state in a given order."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from ssp_lp.compiled.elimination import eliminate_component, gather_component
+
+Array = np.ndarray[Any, Any]
+
+_MOST_ROUNDS = 1_000
+"""Rounds in one component that only rounding could need; what it costs shows in the bound."""
+
+_ROUNDS = 50
+"""Howard's rounds in one component: more would be spent on what lies around it."""
+
+
+@njit(cache=True)
+def improve_components(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
+    order: Array, components: Array, most: int, cost: Array, noise: float,
+    choice: Array, values: Array,
+) -> int:  # fmt: skip
+    """Least values of a process with small components, each solved once and for all, ends first.
+
+    A component of one state takes its best pair; in a larger one Howard's rounds start from the
+    given policy, which leaves it.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [pairs].
+        order: states, component by component, [states].
+        components: offsets of the components in the order, [components + 1].
+        most: states of the largest component.
+        cost: [pairs].
+        noise: relative gain up to which a pair is kept.
+        choice: pairs of a policy that leaves, improved in place, [states].
+        values: written, [states].
+
+    Returns:
+        The first component that a policy does not leave; -1 if there is none.
+    """
+    inner, right = np.empty((most, most)), np.empty((most, 1))
+    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
+    place = np.full(values.size if most > 1 else 0, -1, dtype=np.int32)
+    for c in range(components.size - 1):
+        begin, end = components[c], components[c + 1]
+        if end - begin > 1:
+            _, leaves = improve_component(
+                offsets, indptr, indices, data, exits, order[begin:end], place, cost, noise,
+                _MOST_ROUNDS, choice, values, inner, low, leaving, right,
+            )  # fmt: skip
+            if not leaves:
+                return c
+            continue
+        s = order[begin]
+        pick, least, kept, _ = best_pair(
+            offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+        )
+        if least == np.inf:
+            return c
+        values[s] = least
+        if least < kept:  # among equals the held one stays
+            choice[s] = pick
+    return -1
+
+
+@njit(cache=True)
+def improve_component(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
+    states: Array, place: Array, cost: Array, noise: float, rounds: int,
+    choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
+) -> tuple[int, bool]:  # fmt: skip
+    """Howard's rounds within one component, in place; a policy that does not leave is taken back.
+
+    Returns:
+        How often a pair was changed, and whether all policies left.
+    """
+    column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
+    size, changed, leaves = states.size, 0, True
+    held = np.empty(size, dtype=choice.dtype)
+    for i in range(size):
+        place[states[i]] = i
+    for _ in range(rounds):
+        gather_component(
+            indptr, indices, data, exits, choice, states, 0, size, place, rewards, True, column,
+            inner, low, leaving, right,
+        )  # fmt: skip
+        if not eliminate_component(inner, low, leaving, right, size):
+            leaves = False
+            if changed:
+                for i in range(size):
+                    choice[states[i]] = held[i]
+            break
+        now = 0
+        for i in range(size):
+            values[states[i]] = right[i, 0]
+        for i in range(size):
+            s = states[i]
+            held[i] = choice[s]
+            pick, least, kept, terms = best_pair(
+                offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+            )
+            if least < kept - noise * terms:
+                choice[s] = pick
+                now += 1
+        changed += now
+        if now == 0:
+            break
+    for i in range(size):
+        place[states[i]] = -1
+    return changed, leaves
+
+
+@njit(cache=True)
+def best_pair(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
+    cost: Array, values: Array, s: int, held: int,
+) -> tuple[int, float, float, float]:  # fmt: skip
+    """The best pair of a state on departing, its value, that of the held one, and what it sums."""
+    pick, least, kept, size = held, np.inf, np.inf, 0.0
+    for pair in range(offsets[s], offsets[s + np.uint32(1)]):
+        total, departs, whole = cost[pair], exits[pair], abs(cost[pair])
+        for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
+            if indices[k] != s:
+                departs += data[k]
+                total += data[k] * values[indices[k]]
+                whole += data[k] * abs(values[indices[k]])
+        if departs > 0.0:
+            total /= departs
+            if pair == held:
+                kept, size = total, whole / departs
+            if total < least:
+                pick, least = pair, total
+    return pick, least, kept, size
+
+
+@njit(cache=True)
+def improve_blocks(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
+    order: Array, blocks: Array, is_forward: bool, most: int, cost: Array, noise: float,
+    entering: Array, entering_offsets: Array, owner: Array,
+    choice: Array, values: Array, stale: Array,
+) -> int:  # fmt: skip
+    """Improve a policy block by block, in place, at the latest values of all that lies around.
+
+    A block is solved exactly and improved by Howard's rounds until none of its states changes.
+    Blocks without a stale state, one that leads to values that are newer than its own, are passed
+    over.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [pairs].
+        order: states, block by block, [states].
+        blocks: offsets of the blocks in the order, [blocks + 1].
+        is_forward: whether blocks are visited in order; else from the last on.
+        most: states of the largest block.
+        cost: [pairs].
+        noise: relative gain up to which a pair is kept.
+        entering: the pairs that lead to each state, [entries].
+        entering_offsets: [states + 1].
+        owner: the state of each pair, [pairs].
+        choice: pair of each state, [states].
+        values: [states].
+        stale: [states].
+
+    Returns:
+        How often a pair was changed.
+    """
+    inner, right = np.empty((most, most)), np.empty((most, 1))
+    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
+    before, place = np.empty(most), np.full(values.size, -1, dtype=np.int32)
+    changed, last = 0, blocks.size - 2
+    for c in range(blocks.size - 1):
+        block = c if is_forward else last - c
+        begin, end = blocks[block], blocks[block + 1]
+        if end - begin > 1:
+            states = order[begin:end]
+            if _any_stale(stale, states):
+                before[: states.size] = values[states]
+                moved, _ = improve_component(
+                    offsets, indptr, indices, data, exits, states, place, cost, noise, _ROUNDS,
+                    choice, values, inner, low, leaving, right,
+                )  # fmt: skip
+                changed += moved
+                _mark(entering, entering_offsets, owner, states, before, values, stale)
+            continue
+        s = order[begin]
+        if not stale[s]:
+            continue
+        pick, least, kept, terms = best_pair(
+            offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+        )
+        old = values[s]
+        if least < kept - noise * terms:
+            choice[s], values[s] = pick, least
+            changed += 1
+        elif kept < np.inf:
+            values[s] = kept
+        if values[s] != old:
+            _mark_entering(entering, entering_offsets, owner, s, stale)
+        stale[s] = False
+    return changed
+
+
+@njit(cache=True)
+def _any_stale(stale: Array, states: Array) -> bool:
+    for s in states:  # noqa: SIM110 (compiled)
+        if stale[s]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _mark(
+    entering: Array, entering_offsets: Array, owner: Array,
+    states: Array, before: Array, values: Array, stale: Array,
+) -> None:  # fmt: skip
+    """Mark what leads to the states of a block that changed; the block itself is up to date."""
+    for i in range(states.size):
+        s = states[i]
+        if values[s] != before[i]:
+            _mark_entering(entering, entering_offsets, owner, s, stale)
+    for s in states:
+        stale[s] = False
+
+
+@njit(cache=True)
+def _mark_entering(
+    entering: Array, entering_offsets: Array, owner: Array, s: int, stale: Array
+) -> None:
+    for k in range(entering_offsets[s], entering_offsets[s + np.uint32(1)]):
+        stale[owner[entering[k]]] = True
+
+
+@njit(cache=True)
+def improve_states(
+    offsets: Array, indptr: Array, indices: Array, data: Array, order: Array,
+    cost: Array, noise: float, choice: Array, values: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """Back up each state in turn, in place; it changes its pair only for a gain above the noise.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        order: the states to visit.
+        cost: [pairs].
+        noise: relative to the values compared.
+        choice: pair of each state, [states].
+        values: [states].
+
+    Returns:
+        How many pairs were changed, and the greatest gain of a change.
+    """
+    changed, most = 0, 0.0
+    for s in order:
+        least, pick, kept = np.inf, choice[s], values[s]
+        for pair in range(offsets[s], offsets[s + np.uint32(1)]):
+            total = 0.0
+            for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
+                total += data[k] * values[indices[k]]
+            total += cost[pair]
+            if pair == choice[s]:
+                kept = total
+            if total < least:
+                least, pick = total, pair
+        if least < kept - noise * abs(kept):
+            most = max(most, kept - least)
+            changed += 1
+            choice[s], values[s] = pick, least
+        else:
+            values[s] = kept
+    return changed, most

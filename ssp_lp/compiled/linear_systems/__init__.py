@@ -1,1 +1,0 @@
-"""Compiled solution of the equations of chains."""

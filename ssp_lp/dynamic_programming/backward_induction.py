@@ -1,0 +1,78 @@
+"""Processes that fall into small components: each is solved once and for all, ends first."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssp_lp.arrays import (
+    IMPROVEMENT,
+    FloatArray,
+    IntArray,
+    first_minimisers,
+    segment_minima,
+    unsigned,
+)
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.dynamic_programming.bellman import unsigned_parts
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.linear_systems.direct_solvers import HOLDS_MASS
+from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
+from ssp_lp.errors import SolverError
+
+_LAYERS = 500  # passes that a process is good for where it is one layer of many
+_SMALL = 48
+"""States of a component up to which it is solved by itself, by dense state reduction."""
+
+_SMALL_OF_FEW = 256  # the same where there are few states in all
+
+
+def is_solved_backwards(dynamics: Dynamics) -> bool:
+    """Whether the process falls into components so small that each is solved once and for all."""
+    if is_compiled_backwards(dynamics):
+        few = dynamics.n_states <= DIRECT_STATES
+        return dynamics.components.largest <= (_SMALL_OF_FEW if few else _SMALL)
+    if dynamics.n_states <= DIRECT_STATES and not dynamics.is_reused:
+        return False  # looking at the structure would take longer than it saves
+    return dynamics.components.largest <= 1
+
+
+def is_compiled_backwards(dynamics: Dynamics) -> bool:
+    """Whether a pass over the process is run compiled: what is passed often is worth it sooner."""
+    passes = _LAYERS if dynamics.is_reused else 1
+    return accelerated(passes * dynamics.transitions.nnz)
+
+
+def least_backwards(
+    dynamics: Dynamics, pair_cost: FloatArray, choice: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """The best pairs of a process that is solved backwards, and their values, [states] each.
+
+    Args:
+        dynamics: the process.
+        pair_cost: [pairs].
+        choice: a policy that leaves, [states].
+
+    Raises:
+        SolverError: the policy does not leave.
+    """
+    values, choice = np.zeros(dynamics.n_states), choice.copy()
+    if is_compiled_backwards(dynamics):
+        from ssp_lp.compiled.improvement import improve_components
+
+        found = dynamics.components
+        stuck = improve_components(
+            *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
+            unsigned(found.order), found.offsets, max(found.largest, 1),
+            pair_cost, IMPROVEMENT, choice.view(np.uint32), values,
+        )  # fmt: skip
+        if stuck >= 0:
+            raise SolverError(HOLDS_MASS)
+        return choice, values
+    for level in dynamics.levels:
+        total = pair_cost[level.pairs] + level.rows @ values
+        ahead = np.full_like(total, np.inf)
+        np.divide(total, level.departs, out=ahead, where=level.departs > 0.0)
+        values[level.states] = segment_minima(ahead, level.offsets)
+        first = first_minimisers(ahead, values[level.states], level.offsets)
+        choice[level.states] = level.pairs[first]
+    return choice, values

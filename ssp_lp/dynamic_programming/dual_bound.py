@@ -1,0 +1,172 @@
+"""Certified lower bounds: values v with v <= T v, checked by one backup with its rounding.
+
+If v satisfies v_s <= c_u + P_u v for every pair u of s, then v bounds the cost of every policy from
+below: of those that leave the process by iterating the inequality, and of those that stay for ever
+since staying is failure, which costs at least as much as v says. The inequality is checked as
+``c_u + sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``advantages``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.bellman import best_pairs
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.linear_systems.advantages import exact_sum, precise_advantages
+from ssp_lp.dynamic_programming.lowering import (
+    lowered_at_once,
+    lowered_until_nothing_lacks,
+    shortfall,
+)
+from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.errors import SolverError
+
+_ROUNDS = 12
+_SPARE = 16.0  # lacks within which a pair is taken to be as good as the best
+_LOST = 1e-11
+"""Share of the values that lowering them may cost before they are worked out more precisely."""
+
+_NEARLY = 1e-9
+"""Lack, relative to the values, up to which they are thought to be optimal but for rounding."""
+
+_ONE = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class DualBound:
+    """Values that bound the optimum from below, as sums of two numbers."""
+
+    values: FloatArray  # [states]
+    low: FloatArray  # [states] to be added to the values
+
+    @property
+    def rounded(self) -> FloatArray:
+        """The bound of each state as one number, rounded down, [states]."""
+        below = np.nextafter(self.values, -np.inf)
+        return np.where(self.low == 0.0, self.values, below)
+
+    def at(self, start: FloatArray) -> float:
+        """The bound where an episode begins, rounded down.
+
+        Args:
+            start: distribution, [states].
+        """
+        used = np.flatnonzero(start)
+        parts = start[used] * self.values[used]
+        rounding = np.where(start[used] == 1.0, 0.0, np.abs(parts))  # a term of its own is exact
+        summands = float(used.size - 1)
+        lost = float(rounding.sum()) + summands * float(np.abs(parts).sum())
+        correction = float(start[used] @ self.low[used])
+        total = float(parts.sum()) + correction
+        if correction != 0.0:
+            lost += 2.0 * abs(total)
+        return total - lost * float(np.finfo(np.float64).eps)
+
+
+def dual_bound(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    values: FloatArray,
+    floor: float = 0.0,
+    choice: IntArray | None = None,
+) -> DualBound:
+    """Lower the given values, as little as is needed, to ones that pass the check.
+
+    Values that are optimal but for rounding, and would have to be lowered by more than rounding
+    since the process is hardly ever left, are worked out in twice the working precision.
+
+    Args:
+        dynamics: the process.
+        pair_cost: [pairs].
+        values: near-optimal values, or any others (the bound is then worse), [states].
+        floor: a constant that is known to be a sub-solution: 0 where no pair cost is negative.
+        choice: a policy of about these values, which leaves, [states].
+
+    Returns:
+        Values that are checked lower bounds of the optimum.
+    """
+    values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
+    if choice is not None:
+        lowered = lowered_at_once(dynamics, pair_cost, values, floor, choice)
+        if lowered is not None:
+            return DualBound(lowered, np.zeros_like(lowered))
+    lack = shortfall(dynamics, pair_cost, values)
+    lowered = lowered_until_nothing_lacks(dynamics, pair_cost, values, lack, floor)
+    bound = DualBound(lowered, np.zeros_like(lowered))
+    scale = float(np.abs(values).max(initial=0.0))
+    if float((values - lowered).max(initial=0.0)) <= _LOST * scale:
+        return bound
+    if float(lack.max(initial=0.0)) > _NEARLY * scale:
+        return bound
+    precise = _precise_bound(dynamics, pair_cost, values)
+    return bound if precise is None else precise
+
+
+def sub_solution(
+    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
+) -> FloatArray:
+    """Lower the given values to ones that pass the check in working precision, [states].
+
+    Args:
+        dynamics: the process.
+        pair_cost: [pairs].
+        values: near-optimal values, or any others, [states].
+        floor: a constant that is known to be a sub-solution.
+    """
+    values = np.maximum(np.where(np.isfinite(values), values, floor), floor)
+    lack = shortfall(dynamics, pair_cost, values)
+    return lowered_until_nothing_lacks(dynamics, pair_cost, values, lack, floor)
+
+
+def _precise_bound(
+    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray
+) -> DualBound | None:
+    """The bound of a policy that is optimal in twice the working precision; None: there is none."""
+    choice = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values).choice
+    try:
+        choice = _leaving(dynamics, choice)
+        settled = improve(dynamics, pair_cost[:, None], _ONE, choice, precise=True)
+        ahead = _precisely_ahead(dynamics, pair_cost, settled.values, settled.low)
+        lack = max(-float(ahead.min(initial=0.0)), 0.0)
+        tied = ahead <= _SPARE * lack
+        for _ in range(_ROUNDS):
+            tied[settled.choice] = True
+            kept = np.flatnonzero(tied)
+            place = np.cumsum(tied) - 1
+            steps = -np.ones((kept.size, 1))
+            longest = improve(dynamics.restricted(kept), steps, _ONE, place[settled.choice])
+            fall = -4.0 * lack * longest.values  # absorbs the lack wherever it is met again
+            lowered = exact_sum(settled.values, settled.low - fall)
+            if (_precisely_ahead(dynamics, pair_cost, *lowered) >= 0.0).all():
+                return DualBound(*lowered)
+            tied = ahead <= max(float(fall.max(initial=0.0)), _SPARE * lack)
+            if np.count_nonzero(tied) <= kept.size:
+                lack *= _SPARE
+    except SolverError:
+        return None
+    return None
+
+
+def _precisely_ahead(
+    dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
+) -> FloatArray:
+    """Advantages in twice the working precision, rounding counted against us, [pairs]."""
+    ahead, rounding = precise_advantages(
+        dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, high, low
+    )
+    return ahead - rounding
+
+
+def _leaving(dynamics: Dynamics, choice: IntArray) -> IntArray:
+    """A policy that leaves: where one does not, states go by the nearest way out instead."""
+    closed = dynamics.chain(choice).closed
+    if not closed.size:
+        return choice
+    nearest = approach(dynamics, dynamics.exits > 0.0)
+    mixed = choice.copy()
+    mixed[closed] = nearest[closed]
+    return mixed if not dynamics.chain(mixed).closed.size else nearest

@@ -1,1 +1,0 @@
-"""Checked sub-solutions: lower bounds that hold for every policy."""

@@ -1,1 +1,0 @@
-"""Policy iteration on substochastic processes."""

@@ -1,0 +1,66 @@
+"""c* of the unapproximated game (paper, sections 3.2 to 3.4): the Bayes-adaptive construction.
+
+J_obj is undiscounted and J_cond discounted: the problem that sections 3.2 to 3.4 solve, and that
+section 3.5 approximates by discounting J_obj as well. The adversary's weight is a belief about
+which MDP is being played. Both move alike, but M_{d,gamma} ends with probability 1 - gamma in each
+step. So a run that goes on is evidence for M_o, the same evidence whatever happens in it: the
+belief follows one trajectory from each start.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.game.bayes_cost_player import BayesCostPlayer
+from ssp_lp.game.bayes_label_player import BayesLabelPlayer
+from ssp_lp.game.label_player import LabelModels
+from ssp_lp.game.optimum import GameSolution, find_optimum
+from ssp_lp.game.setting import check_tolerance, construct
+from ssp_lp.options import Progress
+from ssp_lp.problem import Problem
+
+
+def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
+    """The operator T of section 3.3 in the problem's case.
+
+    Raises:
+        ModelError: no discount, or a budget that is not above 0.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    built = construct(problem)
+    return BayesLabelPlayer(built) if isinstance(built, LabelModels) else BayesCostPlayer(built)
+
+
+def bayes_adaptive(
+    problem: Problem, *, tolerance: float = 1e-7, progress: Progress | None = None
+) -> GameSolution:
+    """Solve the game of section 3.2 over all policies, by the iteration of section 3.3.
+
+    Args:
+        problem: with a discount, which only J_cond sees, and a failure budget above 0.
+        tolerance: relative distance between c* and its lower bound to reach.
+        progress: told after each game of (responses, price of failure, upper end).
+
+    Returns:
+        c*: in case M J_obj, in case S J_obj / (1 - J_cond); its policies depend on time.
+
+    Raises:
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
+            decisions that would be too large; it grows with the length of runs.
+        InfeasibleError: the discounted failure of every policy exceeds the budget.
+    """
+    check_tolerance(tolerance)
+    player = bayes_player(problem)
+    optimum = find_optimum(problem, player, tolerance=tolerance, progress=progress)
+    return GameSolution(problem, player, optimum)
+
+
+def posterior(alpha: float, discount: float) -> float:
+    """nu(alpha)(M_o): the weight of M_o after one step of a run that goes on."""
+    return alpha / (alpha + discount * (1.0 - alpha))
+
+
+def belief_at(alpha: float, discount: float, time: IntArray) -> FloatArray:
+    """The weight after so many steps: alpha / (alpha + gamma^t (1 - alpha)), like ``time``."""
+    return np.asarray(alpha / (alpha + discount**time * (1.0 - alpha)), dtype=np.float64)

@@ -1,0 +1,221 @@
+"""Bayes-adaptive value iteration of case S (paper, section 3.3): the unapproximated game.
+
+States are (node, accumulated cost) as in section 3.1.1 and the belief makes time a third
+coordinate, as in case M. J_obj is the undiscounted E[total cost; goal].
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.errors import ModelError
+from ssp_lp.game.best_response import BestResponse
+from ssp_lp.game.cost_player import CostPlayer, cost_aware
+from ssp_lp.game.tail import Tail, undiscounted
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.policies.timed import TimedPolicy
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+
+_FIRST_HORIZON = 32
+_SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
+_MOST_ENTRIES = 100_000_000
+"""Largest table of decisions, nodes x layers x time."""
+
+_SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
+
+
+@dataclass(frozen=True, eq=False)
+class _TimedLayers:
+    """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
+
+    choice: IntArray  # [horizon, cap, nodes] position among the pairs of the node
+
+
+@dataclass(frozen=True, eq=False)
+class BayesCostPlayer:
+    """Best responses among all policies, by backward induction over time and accumulated cost."""
+
+    base: AccumulatedCost
+
+    @cached_property
+    def tail(self) -> Tail:
+        """pi'_or, which is followed for good beyond cap and horizon, and bounds of all policies."""
+        return undiscounted(self.base, self.stationary.tail)
+
+    @cached_property
+    def stationary(self) -> CostPlayer:
+        """The player of section 3.5.1, whose game is a lower bound of this one."""
+        return CostPlayer(self.base)
+
+    def response(
+        self, objective_weight: float, condition_weight: float, accuracy: float
+    ) -> BestResponse:
+        """A policy of (time, state, accumulated cost) of least weighted cost.
+
+        The cap is the stationary player's. The horizon is doubled until the bound meets what the
+        policy pays; where that no longer helps, so is the cap.
+
+        Raises:
+            ModelError: the table of decisions would be too large.
+        """
+        weights = np.array([objective_weight, condition_weight])
+        first = self.stationary.response(objective_weight, condition_weight, accuracy)
+        cap, horizon, sweeps, gap = len(first.strategy.choice), _FIRST_HORIZON, first.sweeps, np.inf
+        while True:
+            self._check_size(cap, horizon)
+            response = self._response(weights, cap, horizon)
+            sweeps += response.sweeps
+            pays = response.payoff(objective_weight, condition_weight)
+            before, gap = gap, pays - response.bound
+            if gap <= max(accuracy, _SMALLEST_ERROR) * pays:
+                return replace(response, sweeps=sweeps)
+            horizon *= 2
+            cap *= 2 if gap > _SLOW * before else 1
+
+    def _check_size(self, cap: int, horizon: int) -> None:
+        if cap * horizon * self.base.n_nodes > _MOST_ENTRIES:
+            raise ModelError(
+                f"{horizon:,} steps x {cap:,} layers of accumulated cost on "
+                f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
+            )
+
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+
+        Sure failure counts exactly 0 here: rounding is counted where something is summed.
+        """
+        base, gamma = self.base, self.base.survival
+        horizon, cap, _ = self.response(1.0, price, accuracy).strategy.choice.shape
+        layers = np.arange(cap + base.width - 1)
+        stage, worth = self._stage(layers[:cap]), price * gamma * base.gain[:, None]
+        weights = np.array([1.0, price])
+        lowest = self.tail.surplus(layers, weights * [1.0, gamma**horizon], base.unit).T
+        for time in reversed(range(horizon)):
+            saved = gamma**time * worth
+            size = stage + saved + self._ahead(np.abs(lowest), cap)
+            below = self._least(stage - saved + self._ahead(lowest, cap) - self._lost * size)[1]
+            beyond = self.tail.surplus(layers[cap:], weights * [1.0, gamma**time], base.unit)
+            lowest = np.hstack([below, beyond.T])
+        terms = np.append(base.start * lowest[:, 0], -price * base.start_goal)
+        return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
+
+    def policy(self, response: BestResponse) -> TimedPolicy:
+        """The response's policy on the model's states; it remembers the time and the cost paid.
+
+        Successive stages that decide alike are one object.
+        """
+        strategy: _TimedLayers = response.strategy
+        after = np.broadcast_to(self._worst, strategy.choice.shape[1:])
+        rows = [*strategy.choice, after.astype(strategy.choice.dtype)]
+        never = np.full(self.base.n_nodes, -np.inf)
+        stages: list[CostAwarePolicy] = []
+        for time, choice in enumerate(rows):
+            if time == 0 or not np.array_equal(choice, rows[time - 1]):
+                stage = cost_aware(self.base, self.tail, choice, never)
+            stages.append(stage)
+        return TimedPolicy(tuple(stages))
+
+    @property
+    def _worst(self) -> IntArray:
+        """Position of pi'_or's pair among those of its node, [nodes]."""
+        return np.asarray(self.tail.choice[1] - self.base.pair_offsets[:-1])
+
+    @property
+    def _lost(self) -> float:
+        """Relative rounding of one backup."""
+        longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
+        return (longest + 4) * MACHINE_EPSILON
+
+    def _stage(self, layers: IntArray) -> FloatArray:
+        """E[G_o] of each pair in each layer, [pairs, layers]."""
+        return self.base.gain[:, None] * (layers * self.base.unit) + self.base.gain_cost[:, None]
+
+    @cached_property
+    def _blocks(self) -> list[sp.csr_array]:
+        """Real probabilities of the steps that lead 0, 1, ... layers ahead, each [pairs, nodes]."""
+        base, n = self.base, self.base.n_nodes
+        steps = sp.csc_array(base.steps / base.survival)
+        return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
+
+    def _ahead(self, values: FloatArray, cap: int) -> FloatArray:
+        """E[value after the step] of each pair in each layer below the cap, [pairs, cap].
+
+        Args:
+            values: [nodes, cap + width - 1].
+        """
+        parts = (b @ values[:, k : k + cap] for k, b in enumerate(self._blocks) if b.nnz)
+        return np.asarray(sum(parts, np.zeros((len(self.base.gain), cap))))
+
+    def _response(self, weights: FloatArray, cap: int, horizon: int) -> BestResponse:
+        """Backward induction from the horizon, where pi'_or takes over for good."""
+        base, gamma = self.base, self.base.survival
+        layers = np.arange(cap + base.width - 1)
+        attained = self.tail.attained(layers, np.full(base.n_nodes, -np.inf), base.unit)
+        objective, condition = attained[..., 0].T, attained[..., 1].T
+        beyond = objective[:, cap:], condition[:, cap:]
+        lowest = self._beyond(layers, weights * [1.0, gamma**horizon], cap)
+        stage = self._stage(layers[:cap])
+        most = int(np.diff(base.pair_offsets).max(initial=1))
+        choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
+        for time in reversed(range(horizon)):
+            now = weights * [1.0, gamma**time]
+            priced = now[0] * stage + now[1] * base.failure[:, None]
+            best, below = self._least(priced + self._ahead(lowest, cap))
+            choice[time] = (best - base.pair_offsets[:-1, None]).T
+            on_objective = np.take_along_axis(stage + self._ahead(objective, cap), best, 0)
+            on_condition = np.take_along_axis(
+                base.failure[:, None] + gamma * self._ahead(condition, cap), best, 0
+            )
+            objective = np.hstack([on_objective, beyond[0]])
+            condition = np.hstack([on_condition, beyond[1]])
+            lowest = np.hstack([below, self.tail.bound(layers[cap:], now, base.unit).T])
+        return self._at_start(weights, objective, condition, lowest, _TimedLayers(choice))
+
+    def _beyond(self, layers: IntArray, weights: FloatArray, cap: int) -> FloatArray:
+        """Lower bound of every policy's weighted cost from the horizon on, [nodes, layers].
+
+        Discounting the objective too can only lower it, so the stationary game bounds this one.
+
+        Args:
+            layers: of accumulated cost, [layers].
+            weights: with that of J_cond as it has faded by then.
+            cap: layers below the cap.
+        """
+        bound = self.tail.bound(layers, weights, self.base.unit)
+        below = np.stack(list(self.stationary.lowest(weights, cap)))[::-1]
+        bound[:cap] = np.maximum(bound[:cap], below)
+        return np.asarray(bound.T)
+
+    def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The first best pair of each (node, layer) and its value, [nodes, cap] each."""
+        first = self.base.pair_offsets[:-1]
+        least = np.minimum.reduceat(priced, first, axis=0)
+        attains = priced == np.repeat(least, np.diff(self.base.pair_offsets), axis=0)
+        number = np.where(attains, np.arange(len(priced))[:, None], len(priced))
+        return np.minimum.reduceat(number, first, axis=0), least
+
+    def _at_start(
+        self,
+        weights: FloatArray,
+        objective: FloatArray,
+        condition: FloatArray,
+        lowest: FloatArray,
+        strategy: _TimedLayers,
+    ) -> BestResponse:
+        """The response's numbers at the start; rounding of non-negative sums counts against it."""
+        start, failed = self.base.start, self.base.start_failure
+        horizon = len(strategy.choice)
+        rounding = (horizon + 1) * self._lost
+        bound = float(start @ lowest[:, 0] + weights[1] * failed) * (1.0 - rounding)
+        return BestResponse(
+            objective=float(start @ objective[:, 0]),
+            failing=float(start @ condition[:, 0] + failed),
+            bound=bound,
+            strategy=strategy,
+            sweeps=horizon * strategy.choice.shape[1],
+        )

@@ -1,0 +1,186 @@
+"""What the player answers to the adversary's weights, and the value iteration that finds it.
+
+Value iteration from below has a stopping rule that is a bound (paper, sections 3.3 and 3.5).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from ssp_lp.arrays import IMPROVEMENT, MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.dynamic_programming.bellman import best_pairs
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.policies.policy import Policy
+
+_FIRST_SWEEPS = 16
+_MOST_SWEEPS = 1 << 14
+"""Policies are improved by their own values, so that sweeps beyond this only fight rounding."""
+
+_MOST_IMPROVEMENTS = 100
+_ROUNDED = 64.0 * MACHINE_EPSILON
+"""Relative rounding of one backup; over a run it adds up to this share of 1 / (1 - gamma)."""
+
+
+@dataclass(frozen=True, eq=False)
+class BestResponse:
+    """A deterministic policy that minimises a weighted sum of the game's two costs.
+
+    Where the goal is hardly ever reached J_cond is 1 but for rounding. Its player then counts it
+    from ``origin`` 1: minus the success, a sum of its own in which no digit is lost.
+    """
+
+    objective: float  # J_obj(x'; pi), exact for the policy
+    failing: float  # J_cond(x'; pi) - origin, exact for the policy
+    bound: float  # no policy has less of weight * J_obj + weight * failing, at the weights asked
+    strategy: Any = None  # the policy in the player's own form
+    sweeps: int = 0  # Bellman backups that it took
+    origin: float = 0.0  # 0, or 1 where the goal is hardly ever reached
+
+    @property
+    def condition(self) -> float:
+        """J_cond(x'; pi)."""
+        return self.origin + self.failing
+
+    @property
+    def success(self) -> float:
+        """1 - J_cond: in case S E[gamma^T; goal]."""
+        return (1.0 - self.origin) - self.failing
+
+    def payoff(self, objective_weight: float, condition_weight: float) -> float:
+        """What the policy pays at other weights, J_cond counted from its origin."""
+        return objective_weight * self.objective + condition_weight * self.failing
+
+    def size(self, objective_weight: float, condition_weight: float) -> float:
+        """The size of the payoff's parts, to which its rounding is relative."""
+        return objective_weight * self.objective + condition_weight * abs(self.failing)
+
+
+class Player(Protocol):
+    """Finds best responses by dynamic programming; one implementation per construction."""
+
+    def response(
+        self, objective_weight: float, condition_weight: float, accuracy: float
+    ) -> BestResponse:
+        """A policy of least ``objective_weight * J_obj + condition_weight * J_cond``.
+
+        All responses of a player count J_cond from the same origin.
+
+        Args:
+            objective_weight: alpha(M_o) of section 3.2 of the paper, not negative.
+            condition_weight: alpha(M_d) * eta / epsilon, not negative.
+            accuracy: largest distance between the policy's payoff and its bound, relative to the
+                payoff's size.
+        """
+        ...
+
+    def policy(self, response: BestResponse) -> Policy:
+        """The response's policy on the original states."""
+        ...
+
+
+class RatioPlayer(Player, Protocol):
+    """A player of case S, whose c* is a ratio."""
+
+    def surplus(self, price: float, accuracy: float) -> float:
+        """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
+
+        Where it is not negative, no policy's ``J_obj / (1 - J_cond)`` is less than the price.
+        """
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Discounted:
+    """A discounted decision process with two costs per pair: the operator T_alpha of section 3.5.
+
+    Every transition is scaled by gamma, so that T is a contraction.
+    """
+
+    dynamics: Dynamics
+    costs: FloatArray  # [pairs, costs] non-negative
+    discount: float  # gamma
+
+
+@dataclass(frozen=True, eq=False)
+class Iterated:
+    """Where value iteration stopped: a policy, its exact costs, and a bound below all policies."""
+
+    values: FloatArray  # [nodes] checked: at most the optimal value everywhere
+    choice: IntArray  # [nodes] greedy pairs
+    totals: FloatArray  # [nodes, costs] exact expected costs of that policy
+    sweeps: int
+
+
+def iterate_values(
+    process: Discounted,
+    weights: FloatArray,
+    watched: FloatArray,
+    *,
+    accuracy: float,
+    guess: IntArray | None = None,
+) -> Iterated:
+    """Minimise ``weights @ costs`` by value iteration.
+
+    The iterates ``T^N J_0`` increase to the optimum from ``J_0 = 0``. The greedy policy, improved
+    by its own values while that helps, bounds the optimum from above with its exact value; the
+    iterate, once a backup with its rounding has confirmed it, from below. The iteration ends when
+    the two meet where a run may begin; it is lifted to the policy's own value, lowered as far as
+    that backup demands, so that slow loops do not hold it up. Where rounding keeps the two apart it
+    ends too, with the distance that is left.
+
+    Args:
+        process: the process.
+        weights: of the costs, non-negative, [costs].
+        watched: how much each node counts when bounds are compared, [nodes].
+        accuracy: relative distance of the two bounds to reach.
+        guess: a policy to improve before the first sweep, [nodes].
+    """
+    dynamics, pair_cost = process.dynamics, process.costs @ weights
+    values = np.zeros(dynamics.n_states)
+    best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
+    rounding = _ROUNDED / (1.0 - process.discount)
+    choice = guess
+    while True:
+        if choice is None:
+            values, choice = _swept(process, pair_cost, values, block)
+            sweeps += block
+        choice, totals, steps = improved(process, weights, choice)
+        attained, sweeps = totals @ weights, sweeps + steps
+        lifted = sub_solution(dynamics, pair_cost, attained)
+        values = np.maximum(lifted, sub_solution(dynamics, pair_cost, values))
+        below, above = float(watched @ values), float(watched @ attained)
+        stuck = best > -np.inf and above - below <= rounding * above
+        if above - below <= accuracy * above or stuck or sweeps > _MOST_SWEEPS:
+            return Iterated(values, choice, totals, sweeps)
+        best, block, choice = below, max(sweeps, _FIRST_SWEEPS), None
+
+
+def _swept(
+    process: Discounted, pair_cost: FloatArray, values: FloatArray, times: int
+) -> tuple[FloatArray, IntArray]:
+    """So many backups of values that are nowhere above their backup, and the greedy pairs."""
+    dynamics = process.dynamics
+    for _ in range(times):
+        backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values)
+        values = np.maximum(values, backup.minima)
+    return values, backup.choice
+
+
+def improved(
+    process: Discounted, weights: FloatArray, choice: IntArray
+) -> tuple[IntArray, FloatArray, int]:
+    """A policy after improvement by its own values, its exact costs, and the backups that took."""
+    dynamics, pair_cost, steps = process.dynamics, process.costs @ weights, 0
+    offsets, transitions = dynamics.pair_offsets, dynamics.transitions
+    while True:
+        totals = dynamics.chain(choice).solve(process.costs[choice])
+        steps += 1
+        backup = best_pairs(offsets, transitions, pair_cost, totals @ weights, choice)
+        better = backup.minima < backup.here - IMPROVEMENT * np.abs(backup.here)
+        if steps >= _MOST_IMPROVEMENTS or not better.any():
+            return choice, totals, steps
+        choice = np.where(better, backup.choice, choice)

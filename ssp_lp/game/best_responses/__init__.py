@@ -1,1 +1,0 @@
-"""Best responses of the player to the adversary, per case of the paper (section 3.5)."""

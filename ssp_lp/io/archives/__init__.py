@@ -1,1 +1,0 @@
-"""What files of policies and solutions are made of."""

@@ -1,0 +1,150 @@
+"""Solve a program by the backend that its size asks for, and never accept a solver's word."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import RESIDUAL
+from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, PolicyBasis, residuals
+from ssp_lp.options import BACKENDS
+
+_SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
+_REMEDY = "column generation needs no LP solver"
+Attempt = tuple[str, PolicyBasis | None]
+
+
+def cold_attempts(program: LinearProgram, backend: str | None) -> list[Attempt]:
+    """The backend asked for, or the one for the program's size, and one to fall back on.
+
+    Raises:
+        ModelError: an unknown backend.
+    """
+    if backend is not None and backend not in BACKENDS:
+        raise ModelError(f"backend must be one of {', '.join(BACKENDS)}, not {backend!r}")
+    small = program.matrix.shape[1] <= _SIMPLEX_COLUMNS
+    preferred = "highs-simplex" if small else "highs-ipx"
+    chosen = preferred if backend in (None, "highs") else str(backend)
+    spare = "clarabel" if chosen == "highs-ipx" else "highs-ipx"
+    if chosen == "highs-warm":
+        spare = preferred
+    return [(chosen, None), (spare, None)]
+
+
+def first_accepted(
+    program: LinearProgram, attempts: list[Attempt], deadline: float
+) -> tuple[LPAnswer, float]:
+    """The first answer that passes its check, and its worst residual.
+
+    Args:
+        program: the program.
+        attempts: backends with what they start from, in the order in which they are tried.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Raises:
+        SolverError: none passes.
+    """
+    tried = []
+    for name, basis in attempts:
+        answer = run(program, name, deadline - time.perf_counter(), basis)
+        worst = residuals(program, answer).worst
+        if worst <= RESIDUAL:
+            return answer, worst
+        tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")
+    failures = "; ".join(tried)
+    raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
+
+
+def run(
+    program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
+) -> LPAnswer:
+    """One backend's answer, unchecked.
+
+    Args:
+        program: the program.
+        backend: "highs-simplex", "highs-ipx", "highs-warm", "clarabel" or "cvxpy".
+        time_limit: seconds.
+        basis: where "highs-warm" starts.
+    """
+    if backend == "clarabel":  # each solver is imported only when it is asked for
+        return solve_with_clarabel(program, time_limit)
+    if backend == "cvxpy":
+        return solve_with_cvxpy(program, time_limit)
+    from ssp_lp.linear_programming.highs import solve_with_highs
+
+    return solve_with_highs(program, backend, time_limit, basis)
+
+
+def solve_with_clarabel(program: LinearProgram, time_limit: float) -> LPAnswer:
+    """Solve ``min q @ x, A x + s = b`` with s = 0 on equalities and s >= 0 elsewhere.
+
+    Args:
+        time_limit: seconds.
+    """
+    import clarabel
+
+    began = time.perf_counter()
+    n_columns = program.matrix.shape[1]
+    equal, below = np.flatnonzero(program.equality), np.flatnonzero(~program.equality)
+    rows = program.matrix.tocsr()
+    system = sp.csc_matrix(sp.vstack([rows[equal], rows[below], -sp.eye_array(n_columns)]))
+    right = np.concatenate([program.upper[equal], program.upper[below], np.zeros(n_columns)])
+    cones = [
+        clarabel.ZeroConeT(equal.size),
+        clarabel.NonnegativeConeT(below.size + n_columns),
+    ]
+    settings = clarabel.DefaultSettings()
+    settings.verbose = False
+    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-9
+    if np.isfinite(time_limit):
+        settings.time_limit = max(time_limit, 1e-3)
+    nothing = sp.csc_matrix((n_columns, n_columns))
+    result = clarabel.DefaultSolver(nothing, program.cost, system, right, cones, settings).solve()
+    dual = np.zeros(len(right) - n_columns)
+    dual[np.concatenate([equal, below])] = -np.asarray(result.z)[: dual.size]
+    return LPAnswer(
+        backend="clarabel",
+        x=np.asarray(result.x),
+        dual=dual,
+        status=str(result.status),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
+    """State the program row by row in cvxpy and solve it with cvxpy's default for LPs.
+
+    Args:
+        time_limit: not passed on; solvers name it differently.
+
+    Raises:
+        SolverError: cvxpy's solver failed.
+    """
+    import cvxpy as cp
+
+    began = time.perf_counter()
+    visits = cp.Variable(program.matrix.shape[1], nonneg=True)
+    constraints: dict[str, Any] = {}
+    for name, rows in program.rows.items():
+        if rows.stop == rows.start:
+            continue
+        activity: Any = program.matrix[rows] @ visits
+        limit = program.upper[rows]
+        equal = program.equality[rows].all()
+        constraints[name] = activity == limit if equal else activity <= limit
+    problem = cp.Problem(cp.Minimize(program.cost @ visits), list(constraints.values()))
+    try:
+        problem.solve()  # type: ignore[no-untyped-call]
+    except cp.SolverError as error:
+        raise SolverError(f"cvxpy: {error}") from error
+    dual = np.full(program.matrix.shape[0], np.nan)
+    for name, constraint in constraints.items():
+        if constraint.dual_value is not None:
+            dual[program.rows[name]] = -np.asarray(constraint.dual_value)
+    found = np.full(program.matrix.shape[1], np.nan) if visits.value is None else visits.value
+    return LPAnswer("cvxpy", np.asarray(found), dual, str(problem.status),
+                    time.perf_counter() - began)  # fmt: skip
