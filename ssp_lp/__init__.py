@@ -43,12 +43,13 @@ from ssp_lp.processes.quantities.quantity import (
 )
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
-from ssp_lp.verification.certificate import Certificate, certify
+from ssp_lp.verification.certificate import Certificate
+from ssp_lp.verification.certifying import certify
 
 if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier as Frontier
+    from ssp_lp.analysis.frontier_tracing import trace_frontier as trace_frontier
     from ssp_lp.analysis.simulation import simulate as simulate
-    from ssp_lp.analysis.tracing import trace_frontier as trace_frontier
     from ssp_lp.formulation import Formulation as Formulation
     from ssp_lp.model.discretisation.continuous_model import ContinuousModel as ContinuousModel
     from ssp_lp.model.discretisation.discretise import discretise as discretise
@@ -113,7 +114,7 @@ __all__ = [
 _MODULES = {
     "analysis.frontier": "Frontier",
     "analysis.simulation": "simulate",
-    "analysis.tracing": "trace_frontier",
+    "analysis.frontier_tracing": "trace_frontier",
     "formulation": "Formulation",
     "model.discretisation.continuous_model": "ContinuousModel",
     "model.discretisation.discretise": "discretise",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
-from ssp_lp.analysis.occupation import equivalent_randomised_policy
+from ssp_lp.analysis.visits import equivalent_randomised_policy
 from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.failure_row import relative_gap

@@ -6,6 +6,7 @@ import io
 import logging
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
@@ -14,6 +15,8 @@ from ssp_lp import (
     SSP,
     InfeasibleError,
     ModelError,
+    certify,
+    cross_check,
     progress_shown,
     secondary_cost,
     simulate,
@@ -67,11 +70,21 @@ def test_verbose_tells_each_phase(capsys: pytest.CaptureFixture[str]) -> None:
 
     trace_frontier(PROBLEM, verbose=True)
     simulate(solution.policy, PROBLEM, rng=0, episodes=10, verbose=True)
+    certify(solution, verbose=True)
+    cross_check(replace(PROBLEM, discount=0.99, horizon=None), verbose=True)
     compare_criteria(MODEL, "depot", failure_budgets=(), penalties=(), verbose=True)
     with progress_shown(), progress_shown():
         line(7)
     told = capsys.readouterr().err
-    for part in ("2 turning points", "SimulationReport(10 epi", "1 of 7: MaxProb", "7 states foun"):
+    for part in (
+        "2 turning points",
+        "SimulationReport(10 epi",
+        "1 of 7: MaxProb",
+        "7 states foun",
+        "Certificate(acc",
+        "3 of 3: game, ",
+        "3 methods agree",
+    ):
         assert told.count(part) == 1
 
 

@@ -48,7 +48,6 @@ class Chain:
     branch_node: IntArray  # [branches]
     branch_pair: IntArray  # [branches] pair or GIVE_UP_CODE
     branch_probability: FloatArray  # [branches]
-    layered: bool  # memory never decreases
 
     @property
     def n_nodes(self) -> int:
@@ -135,7 +134,7 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
         visited = np.zeros(model.n_states, dtype=np.bool_)
         visited[keys] = True
         found = [_expand(model, policy, keys, ended)]
-        return _assemble(model, visited, start_key, start[first], dead, found, policy.monotone)
+        return _assemble(model, visited, start_key, start[first], dead, found)
     visited = np.zeros(0, dtype=np.bool_)
     frontier, found = sorted_unique(start_key), []
     while frontier.size:
@@ -144,7 +143,7 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
         found.append(step)
         visited = _grown(visited, int(step[1].max(initial=0)))
         frontier = sorted_unique(step[1][~visited[step[1]]])
-    return _assemble(model, visited, start_key, start[first], dead, found, policy.monotone)
+    return _assemble(model, visited, start_key, start[first], dead, found)
 
 
 def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolArray) -> IntArray:
@@ -214,7 +213,6 @@ def _assemble(
     start: FloatArray,
     dead: BoolArray,
     found: list[Step],
-    layered: bool,
 ) -> Chain:
     source, target, chance, cost, outcome, node, pair, weight = (
         np.concatenate([step[i] for step in found]) for i in range(8)
@@ -242,7 +240,6 @@ def _assemble(
         branch_node=node,
         branch_pair=pair,
         branch_probability=weight,
-        layered=layered,
     )
 
 

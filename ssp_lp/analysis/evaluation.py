@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching
-from ssp_lp.analysis.measuring.layered import LayeredMeasures
-from ssp_lp.analysis.measuring.measures import Measures, mean_of
+from ssp_lp.analysis.layers.chain_of_law import chain_of_law
+from ssp_lp.analysis.layers.layered_measures import Measures, layered_measures, mean_of
 from ssp_lp.analysis.quantity_values import (
     complement,
     counted_nodes,
@@ -18,7 +18,6 @@ from ssp_lp.analysis.quantity_values import (
     until_failure,
 )
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
-from ssp_lp.analysis.total_cost.spine import chain_of_law
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.model.graph.reachability import end_marks
@@ -91,12 +90,25 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
             problem forbids it.
     """
+    return evaluate_each(policy, problem)[0]
+
+
+def evaluate_each(
+    policy: Policy | MixedPolicy, problem: Problem = NEEDED
+) -> tuple[Evaluation, list[Evaluation]]:
+    """The evaluation of a policy, and that of each member of the lottery by itself.
+
+    The members' objectives are their costs where the problem has a measure of the law.
+
+    Raises:
+        ModelError: as of :func:`evaluate`.
+    """
     lottery, problem = on_one_model(policy, problem, "evaluate")
     start = start_distribution(problem.model, problem.start)
     measure = problem.semantics.measure
-    streams, members, chains = LayeredMeasures(problem, start), [], []
+    members, chains = [], []
     for member, weight in zip(lottery.policies, lottery.weights, strict=True):
-        found, chain = streams.of(member), None
+        found, chain = layered_measures(member, problem, start), None
         if found is None:
             chain = policy_chain(problem.model, member, start)
             found = _measure(chain, problem)
@@ -104,10 +116,11 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
         if measure is not None and weight > 0.0:  # the law needs it as well
             chains.append(chain or chain_of_law(problem.model, member, start))
     evaluation = _report(mean_of(members, lottery.weights), problem)
+    each = [_report(member, problem) for member in members]
     if measure is None:
-        return evaluation
+        return evaluation, each
     law = law_of_chains(chains, lottery.weights[lottery.weights > 0.0])
-    return replace(evaluation, objective=measure.of(law))
+    return replace(evaluation, objective=measure.of(law)), each
 
 
 def _report(sums: Measures, problem: Problem) -> Evaluation:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -54,10 +55,45 @@ class Frontier:
     ends_early: bool = False  # whether tracing was stopped before it found the other end
     status: Status = Status.OPTIMAL
 
+    @classmethod
+    def through(
+        cls,
+        columns: Sequence[Column],
+        below: Mapping[float, float],
+        pricing: PricingProblem,
+        **told: Any,
+    ) -> Frontier:
+        """The frontier through some columns, in any order.
+
+        Args:
+            columns: its turning points.
+            below: how far below each segment policies may lie, by the failure at its safer end.
+            pricing: what made the columns.
+            told: the other fields, by name.
+        """
+        ordered = tuple(sorted(columns, key=lambda c: c.failure))
+        failure, cost = np.array([c.failure for c in ordered]), np.array([c.cost for c in ordered])
+        return cls(
+            failure=failure,
+            goal=np.array([c.goal for c in ordered]),
+            cost=cost,
+            price=-np.diff(cost) / np.diff(failure),
+            below=np.array([below[column.failure] for column in ordered[:-1]]),
+            hidden=0.0,
+            _pricing=pricing,
+            _columns=ordered,
+            **told,
+        )
+
     @property
     def gap(self) -> float:
         """No policy lies below a segment by more than this share of its safer end's cost."""
         return max(self.tolerance, self.hidden, float(self.below.max(initial=0.0)))
+
+    @property
+    def priced(self) -> dict[float, Column]:
+        """The turning points that were found by pricing, by price."""
+        return {c.found_at: c for c in self._columns if c.found_at is not None}
 
     @property
     def open_segments(self) -> tuple[int, ...]:
@@ -86,7 +122,7 @@ class Frontier:
             low, high = self.bounds_at(budget)
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
-                f"between {low:.9g} and {high:.9g} (bounds_at); policy_at attains the latter. "
+                f"between {_apart(low, high)} (bounds_at); policy_at attains the latter. "
                 "trace_frontier with a higher point_limit or time_limit settles more"
             )
         return self._attained(number, weight, Row(budget, self.ratio))
@@ -244,3 +280,9 @@ class Frontier:
             return number, 0.0
         width = float(self.failure[number + 1] - self.failure[number])
         return number, (budget - float(self.failure[number])) / width
+
+
+def _apart(low: float, high: float) -> str:
+    """Two numbers with as many digits as tell them apart, or all of them."""
+    digits = next((k for k in range(9, 17) if f"{low:.{k}g}" != f"{high:.{k}g}"), 17)
+    return f"{low:.{digits}g} and {high:.{digits}g}"

@@ -37,6 +37,30 @@ def stream_mass(
                     waiting[slots[kind], successors[outcome]] += mass[s] * probabilities[outcome]
 
 
+@njit(cache=True)
+def stream_arrivals(
+    pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
+    slots: Array, arriving: Array,
+) -> None:  # fmt: skip
+    """Mark where the moves of a layer to later ones may arrive, in place.
+
+    Args:
+        pairs: of each state that is left, negative where none is taken, [k].
+        offsets: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
+        arriving: marked, [slots, states].
+    """
+    for s in range(pairs.size):
+        if pairs[s] >= 0:
+            for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
+                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                if slots[kind] >= 0 and probabilities[outcome] > 0.0:
+                    arriving[slots[kind], successors[outcome]] = True
+
+
 @one_or_all_cores
 def stream_totals(
     pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
@@ -46,18 +70,18 @@ def stream_totals(
     """Expected totals after moves to later layers, and the marks that may be met there.
 
     Args:
-        pairs: of each state, negative where none is taken, [states].
+        pairs: of each state that is asked for, negative where none is taken, [k].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
         classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
         slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
-        costs: [k, classes].
+        costs: [totals that are priced, classes].
         worth: totals from there on, [slots, states, columns].
         marks: bits, [slots, states].
-        priced: columns (from, to): the worth in one, times the cost, counts in the other, [k, 2].
-        sums: written, [states, columns].
-        found: written, [states].
+        priced: columns (from, to): the worth in one, times the cost, counts in the other, [.., 2].
+        sums: written, [k, columns].
+        found: written, [k].
     """
     n_columns = sums.shape[1]
     for s in prange(pairs.size):

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from ssp_lp.errors import ModelError
 from ssp_lp.io.archive import Array, damage_named, read_archive, write_archive
 from ssp_lp.io.model_files.text_file import FilePath
@@ -13,6 +15,7 @@ from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
+from ssp_lp.model.within_steps import HorizonSSP, unroll
 from ssp_lp.policies import (
     CostAwarePolicy,
     DeterministicPolicy,
@@ -53,7 +56,8 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
 
     Args:
         path: a file of :func:`save_policy`.
-        model: the model; for a policy that carries the memory of a product, the product.
+        model: the model; for a policy that carries the memory of a product, the product. One that
+            counts the steps of a horizon has its product built anew.
         check: False: the model may differ (other probabilities, costs or names), so long as every
             state has as many actions as before.
 
@@ -74,7 +78,11 @@ def policy_in(
     Raises:
         ModelError: the model is another one.
     """
-    records = header["policies"]
+    records, horizon = header["policies"], header.get("horizon")
+    if horizon is not None and not isinstance(model, HorizonSSP):
+        begin = arrays[horizon["begin"]]
+        if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
+            model = unroll(model, horizon["steps"], begin.tolist())
     kept, remedy = f"the file was made for {header['sizes']}", ""
     if carries_a_memory(records):
         remedy = "; its policy carries a memory: load it beside product(model, memory)"
@@ -151,7 +159,11 @@ class PolicyRecords:
             raise ModelError("the parts of the policy live on several models: save each by itself")
         model = self.models[0]
         known = {"model": fingerprint(model), "pairs": pair_print(model), "sizes": repr(model)}
-        return {**known, "policies": self.records}
+        horizon = None
+        if isinstance(model, HorizonSSP):
+            begin = np.flatnonzero(model.positions[:, 0] >= 0)
+            horizon = {"steps": model.steps, "begin": self.add_array(begin)}
+        return {**known, "policies": self.records, "horizon": horizon}
 
     def add_array(self, array: Array) -> str:
         """The name under which an array is found again; equal ones are kept once."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ssp_lp.analysis.occupation import pair_visits
+from ssp_lp.analysis.visits import pair_visits
 from ssp_lp.arrays import FloatArray, segment_ids
 from ssp_lp.errors import optional_module
 from ssp_lp.model.arguments import explained

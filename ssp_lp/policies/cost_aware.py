@@ -11,10 +11,8 @@ from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
-from ssp_lp.policies.cost_layers import CostLayers
 from ssp_lp.policies.deterministic import check_decisions
-from ssp_lp.policies.playing import Playable
-from ssp_lp.policies.policy import UNDECIDED, Branches, Policy
+from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy
 
 _MOST_THRESHOLDS = 64  # of tails that are told apart, beyond the last level
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
@@ -26,7 +24,7 @@ def _is_uniform(model: SSP) -> bool:
 
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
-class CostAwarePolicy(Policy, Playable):
+class CostAwarePolicy(Policy):
     """A deterministic decision for each (state, accumulated cost) below a cap, then a tail policy.
 
     Costs are counted in layers of ``unit``. Memory below ``cap`` is the layer. At the cap the
@@ -72,10 +70,6 @@ class CostAwarePolicy(Policy, Playable):
     def cap(self) -> int:
         """Number of layers of accumulated cost with decisions of their own (M / unit)."""
         return int(self.decision.shape[0])
-
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """The policy itself."""
-        return self
 
     def start_memory(self, states: IntArray) -> IntArray:
         """Nothing is paid yet: layer 0, [episodes]."""

@@ -13,12 +13,11 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
-from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Branches, Policy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DeterministicPolicy(Policy, Playable):
+class DeterministicPolicy(Policy):
     """One decision per state: a pair of the model, giving up, or none where it never acts."""
 
     model: SSP
@@ -45,10 +44,6 @@ class DeterministicPolicy(Policy, Playable):
             s = model.index_of(state)
             decision[s] = GIVE_UP_CODE if action is GIVE_UP else find_pair(model, s, action)
         return cls(model, decision)
-
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """The policy itself."""
-        return self
 
     def start_memory(self, states: IntArray) -> IntArray:
         """No memory: zeros, [episodes]."""

@@ -10,8 +10,7 @@ from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
-from ssp_lp.policies.playing import Playable
-from ssp_lp.policies.policy import Policy, check_policies
+from ssp_lp.policies.policy import Playable, Policy, check_policies
 
 _LISTED = 3  # members that a repr names
 

@@ -1,18 +1,22 @@
-"""What every policy can do: decide and remember, for many episodes at once."""
+"""What every policy can do: decide and remember, for many episodes at once, and be played."""
 
 from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
-from typing import ClassVar, Final, NamedTuple
+from collections.abc import Callable, Hashable, Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model import SSP
-from ssp_lp.policies.cost_layers import CostLayers
+from ssp_lp.policies.randomness import Randomness, generator_of
+
+if TYPE_CHECKING:
+    from ssp_lp.policies.episodes import Episode, EpisodeBatch
 
 
 class Decision(enum.Enum):
@@ -38,16 +42,128 @@ class Branches(NamedTuple):
     probability: FloatArray  # [branches]
 
 
-class Policy(ABC):
+@dataclass(frozen=True, eq=False)
+class CostLayers:
+    """A decision for each (layer, state); beyond the last layer a tail is followed for good."""
+
+    decision: IntArray  # [layers, states] position in the state's pairs, or a code
+    tails: IntArray  # [tails, states] pair, or a code
+    tail_at: Callable[[int], IntArray]  # layer beyond the last one -> tail of each state, [states]
+    costs: FloatArray  # [classes] the distinct costs of a step, increasing
+    leads: Callable[[int], IntArray]  # layer -> layers that each class of step passes, [classes]
+    unit: float | None  # cost of a layer; None: layers are levels that totals are rounded to
+    width: int  # 1 + the most layers that a step passes
+
+    @property
+    def count(self) -> int:
+        """Number of layers."""
+        return len(self.decision)
+
+
+class Playable(ABC):
+    """Mix-in of the policies that a person's own loop can drive.
+
+    Example:
+        >>> from ssp_lp import SSP, DeterministicPolicy
+        >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
+        >>> policy = DeterministicPolicy.from_actions(model, {"door": "open"})
+        >>> policy.reset(0)
+        >>> policy.action("door")
+        'open'
+        >>> policy.observe("out", 2.0)
+    """
+
+    _episode: Episode | None = None
+
+    @abstractmethod
+    def member(self, rng: np.random.Generator | None) -> Policy:
+        """The policy that plays the next episode, drawn where there is a lottery."""
+
+    def start(self, rng: Randomness | None = None) -> Episode:
+        """A new episode of its own, beside any others; ``rng`` draws the lottery and actions.
+
+        Args:
+            rng: a generator, which goes on from episode to episode, or a seed, with which every
+                episode begins afresh.
+
+        Raises:
+            ModelError: a lottery without a generator.
+        """
+        from ssp_lp.policies.episodes import Episode
+
+        drawn = None if rng is None else generator_of(rng)
+        return Episode(self.member(drawn), drawn)
+
+    def start_many(self, episodes: int, rng: Randomness | None = None) -> EpisodeBatch:
+        """Many new episodes side by side, whose ``actions`` are asked for all at once.
+
+        Args:
+            episodes: how many.
+            rng: as of :meth:`start`.
+
+        Raises:
+            ModelError: no episodes, or a lottery without a generator.
+        """
+        from ssp_lp.policies.episodes import EpisodeBatch
+
+        if episodes < 1:
+            raise ModelError(f"episodes must be at least 1, not {episodes!r}")
+        drawn = None if rng is None else generator_of(rng)
+        return EpisodeBatch(*self.draw(episodes, drawn), drawn)
+
+    def draw(
+        self, episodes: int, rng: np.random.Generator | None
+    ) -> tuple[tuple[Policy, ...], IntArray]:
+        """The members of the lottery, and the position of the one that plays each episode."""
+        return (self.member(rng),), np.zeros(episodes, dtype=np.int64)
+
+    def reset(self, rng: Randomness | None = None) -> None:
+        """Begin the policy's own episode afresh; ``rng`` draws the lottery and random actions.
+
+        Raises:
+            ModelError: a lottery without a generator.
+        """
+        object.__setattr__(self, "_episode", self.start(rng))
+
+    def action(self, state: Hashable) -> Hashable:
+        """The action in this state, or :data:`GIVE_UP`, with which an episode ends.
+
+        Raises:
+            ModelError: unknown state, or one in which the policy has no decision.
+        """
+        return self._current().action(state)
+
+    def observe(self, successor: Hashable, cost: float) -> None:
+        """Tell the policy where the step led and what it cost; this moves its memory.
+
+        Raises:
+            ModelError: a cost off the lattice that the policy was made for.
+        """
+        self._current().observe(successor, cost)
+
+    def continue_after_give_up(self) -> None:
+        """From now on play the policy that stays in the attention states (it avoids the goal)."""
+        self._current().continue_after_give_up()
+
+    def _current(self) -> Episode:
+        if self._episode is None:
+            raise ModelError("call reset(rng) before the first action of an episode")
+        return self._episode
+
+
+class Policy(Playable):
     """A policy without or with a finite memory, which starts, decides and remembers.
 
     The three abstract methods work on many episodes at once. Memory is an integer whose meaning
-    is the policy's own; it never decreases along an episode unless ``monotone`` is false.
+    is the policy's own.
     """
 
     model: SSP
-    monotone: bool = True
     is_stationary: ClassVar[bool] = False  # whether there is no memory at all
+
+    def member(self, rng: np.random.Generator | None) -> Policy:
+        """The policy itself."""
+        return self
 
     @property
     def step_limit(self) -> int | None:

@@ -13,19 +13,17 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP, check_product
 from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
-from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class RememberingPolicy(Policy, Playable):
+class RememberingPolicy(Policy):
     """A policy of (state, memory) that acts on states and carries the memory itself.
 
     Its own memory is the product's, and that of the policy besides: ``inner * memories + number``.
     """
 
     inner: Policy  # on the product
-    monotone = False
 
     def __post_init__(self) -> None:
         check_product(self.inner.model)
@@ -45,10 +43,6 @@ class RememberingPolicy(Policy, Playable):
         """The fewest of the products that it was made for."""
         own = self.product.steps if isinstance(self.product, HorizonSSP) else None
         return min((n for n in (own, self.inner.step_limit) if n is not None), default=None)
-
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """The policy itself."""
-        return self
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The memory's start, and the inner policy's, [episodes]."""

@@ -13,12 +13,11 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
 from ssp_lp.policies.deterministic import find_pair
-from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Branches, Policy
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class StochasticPolicy(Policy, Playable):
+class StochasticPolicy(Policy):
     """A distribution over decisions in each situation, that is in each (state, memory).
 
     Situations are sorted by (memory, state). Memory moves as that of ``carrier`` does; without a
@@ -90,10 +89,6 @@ class StochasticPolicy(Policy, Playable):
         even = 1.0 / np.repeat(np.diff(offsets), np.diff(offsets))  # where all visits underflow
         share = np.where(total > 0, flow / np.where(total > 0, total, 1.0), even)
         return cls(model, situation, offsets, pair - 1, share, carrier)
-
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """The policy itself."""
-        return self
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The carrier's start memory, [episodes]."""

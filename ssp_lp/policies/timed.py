@@ -10,13 +10,12 @@ from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
-from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import Branches, Policy, check_policies
 
 
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
-class TimedPolicy(Policy, Playable):
+class TimedPolicy(Policy):
     """One policy for each time step, the last of them for good (paper, section 3.4).
 
     The stages must share one memory: each must understand what any other remembers. The memory
@@ -40,10 +39,6 @@ class TimedPolicy(Policy, Playable):
     def model(self) -> SSP:  # type: ignore[override]
         """The model that the stages act on."""
         return self.stages[0].model
-
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """The policy itself."""
-        return self
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The first stage and its start memory, [episodes]."""

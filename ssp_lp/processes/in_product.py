@@ -20,11 +20,6 @@ class _InProduct(Policy):
     inner: Policy  # on the original
     model: ProductSSP
 
-    @property
-    def monotone(self) -> bool:  # type: ignore[override]
-        """As the inner policy's."""
-        return self.inner.monotone
-
     def start_memory(self, states: IntArray) -> IntArray:
         """The inner policy's, [episodes]."""
         return self.inner.start_memory(self.model.original_state[states])

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
 from ssp_lp.errors import ModelError
 from ssp_lp.model.html_table import html_text
+from ssp_lp.options import progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.verification.comparison import Comparison
 from ssp_lp.verification.method_result import METHODS, Member, MethodResult, result_by
+
+_LOG = logging.getLogger("ssp_lp.comparison")
 
 _DIGITS = {"c*": 10, "lower bound": 10, "gap": 2, "seconds": 2}
 """Significant digits of a column, where they are not six."""
@@ -87,6 +91,7 @@ def cross_check(
     weight_tolerance: float = 1e-4,
     lp_backend: str | None = None,
     time_limit: float | None = None,
+    verbose: bool = False,
 ) -> CrossCheck:
     """Solve a problem on every method there is, and compare.
 
@@ -97,6 +102,7 @@ def cross_check(
         lp_backend: the solver of the linear program, see ``solve``; given one, a program of any
             size is solved.
         time_limit: seconds for each method.
+        verbose: show how far it has come (``ssp_lp.progress_shown``).
 
     Returns:
         The methods side by side. One that cannot be asked stays as a row with a note: the game
@@ -121,11 +127,18 @@ def cross_check(
             f"the comparison knows one row only, not {type(problem).__name__}: method='lp' "
             "compares the linear program with column generation"
         )
-    methods = [result_by(name, problem, lp_backend, time_limit) for name in METHODS]
-    for method in methods:
-        if method.infeasible is not None and not any(r.answered for r in methods):
-            raise method.infeasible
-    return compare(methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance)
+    methods = []
+    with progress_shown(verbose):
+        for number, name in enumerate(METHODS, start=1):
+            methods.append(result_by(name, problem, lp_backend, time_limit))
+            told = methods[-1].note or f"c* {methods[-1].objective:.9g}"
+            _LOG.info("%d of %d: %s, %s", number, len(METHODS), name, told)
+        for method in methods:
+            if method.infeasible is not None and not any(r.answered for r in methods):
+                raise method.infeasible
+        found = compare(methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance)
+        _LOG.info("%r", found)
+    return found
 
 
 def compare(

@@ -5,14 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 
-from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
 from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
     CompiledAccumulatedCost,
 )
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.game.setting import checked_setting
 from ssp_lp.options import BACKENDS, LinearProgramming, parse_method
-from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
@@ -79,7 +78,7 @@ class MethodResult:
 
 def result_of(name: str, solution: Solution) -> MethodResult:
     """The row of a solution, its policy and each member evaluated on the model."""
-    found = evaluate(solution.policy, solution.problem)
+    found, each = evaluate_each(solution.policy, solution.problem)
     return MethodResult(
         name=name,
         note="; ".join(part for part in (solution.note, solution.run.program) if part),
@@ -93,7 +92,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
         discounted_failure=found.discounted_failure,
         expected_cost=found.expected_cost,
         conditional_cost=found.conditional_cost,
-        members=_members(solution.policy, solution.problem),
+        members=_members(solution, each),
         seconds=solution.seconds,
     )
 
@@ -133,15 +132,14 @@ def result_by(
     return replace(result, seconds=time.perf_counter() - began)
 
 
-def _members(policy: MixedPolicy, problem: Problem) -> tuple[Member, ...]:
+def _members(solution: Solution, each: list[Evaluation]) -> tuple[Member, ...]:
     """Each member of a lottery by itself."""
     members = []
-    for one, weight in zip(policy.policies, policy.weights, strict=True):
-        found = evaluate(one, problem)
+    for found, weight in zip(each, solution.policy.weights, strict=True):
         surrogate = found.discounted_failure
         failure = found.failure_probability if surrogate is None else surrogate
         cost = found.objective
-        if problem.ratio:
+        if solution.problem.ratio:
             cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
         members.append(Member(float(weight), cost, failure))
     return tuple(members)

@@ -12,6 +12,7 @@ import pytest
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, ModelError, SolverError, evaluate, solve, trace_frontier
+from ssp_lp.analysis import frontier as frontier_module
 
 ROADS = SSP.from_transitions(
     {
@@ -217,3 +218,16 @@ def test_the_segment_with_most_below_it_is_split_first() -> None:
         known.add(max(below, key=below.__getitem__))
         part = trace_frontier(problem, point_limit=points)
         assert part.failure == pytest.approx(failure[sorted(known)], abs=1e-12)
+
+
+def test_a_frontier_is_traced_once_however_often_its_process_is_refined() -> None:
+    grid = RobotGrid(segments=8, headings=8)
+    frontier = trace_frontier(S3P(grid_model(grid), start_state(grid), 0.3), point_limit=40)
+    assert len(frontier.failure) == 40
+    assert frontier.hidden == 0.0
+    assert frontier.pricing_calls < 4 * 40
+
+
+def test_bounds_that_are_near_to_each_other_are_told_apart() -> None:
+    assert frontier_module._apart(1.0, 1.0 + 1e-12) == "1 and 1.000000000001"
+    assert frontier_module._apart(15.123456789, 16.0) == "15.1234568 and 16"

@@ -14,8 +14,8 @@ from formulations import MCMP, S3P, MinCost
 from ssp_lp import SSP, CostAwarePolicy, ModelError, certify, evaluate, solve
 from ssp_lp.analysis import evaluation
 from ssp_lp.analysis.chain import policy_chain
-from ssp_lp.analysis.measuring import moves
-from ssp_lp.analysis.measuring.layered import LayeredMeasures
+from ssp_lp.analysis.layers import layer_moves
+from ssp_lp.analysis.layers.layered_measures import layered_measures
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.failure_semantics import start_distribution
 
@@ -28,7 +28,7 @@ GIVE_UPS = ["attention", "anywhere", "dead_ends"]
 def test_layers_attain_what_the_written_out_chain_does(
     is_compiled: bool, zero: list[float], discount: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(moves, "accelerated", lambda entries: is_compiled)
+    monkeypatch.setattr(layer_moves, "accelerated", lambda entries: is_compiled)
     draw, compared = np.random.default_rng(7), 0
     for turn in range(18):
         model = drawn_model(draw, [0.5, 1.0, 1.5, 3.0, *zero])
@@ -39,7 +39,7 @@ def test_layers_attain_what_the_written_out_chain_does(
         ]
         for problem in problems:
             start = start_distribution(model, problem.start)
-            found = LayeredMeasures(problem, start, least_nodes=0).of(policy)
+            found = layered_measures(policy, problem, start, 0)
             try:
                 truth = evaluation._measure(policy_chain(model, policy, start), problem)
             except ModelError:  # gives up where it may not: the chain names the state
@@ -67,7 +67,7 @@ def test_failing_where_that_is_forbidden_costs_without_end() -> None:
         decision = np.full((2, 3), UNDECIDED)
         decision[:, model.index_of("x")] = [0, dares]
         policy = CostAwarePolicy(model, 1.0, decision, tails, np.full(3, 9.0))
-        found = LayeredMeasures(problem, start, least_nodes=0).of(policy)
+        found = layered_measures(policy, problem, start, 0)
         truth = evaluation._measure(policy_chain(model, policy, start), problem)
         assert found is not None
         assert found.expected_cost == pytest.approx(truth.expected_cost)
@@ -79,7 +79,7 @@ def test_a_lottery_is_evaluated_the_same_either_way(monkeypatch: pytest.MonkeyPa
     solution = solve(S3P(grid_model(grid), start_state(grid), failure_budget=0.3))
     assert len(solution.policy.policies) == 2
     written_out = evaluate(solution.policy, solution.problem)
-    monkeypatch.setattr(evaluation, "LayeredMeasures", partial(LayeredMeasures, least_nodes=0))
+    monkeypatch.setattr(evaluation, "layered_measures", partial(layered_measures, least_nodes=0))
     streamed = evaluate(solution.policy, solution.problem)
     assert streamed.objective == pytest.approx(written_out.objective, rel=CLOSE)
     assert dict(streamed.ends) == pytest.approx(dict(written_out.ends), rel=CLOSE, abs=CLOSE)

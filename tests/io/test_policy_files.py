@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import ssp_lp.policies
+from formulations import S3P
 from played import (
     START,
     everywhere,
@@ -28,7 +29,7 @@ from played import (
     task,
     traces,
 )
-from ssp_lp import SSP, MixedPolicy, ModelError, product
+from ssp_lp import SSP, MixedPolicy, ModelError, evaluate, product, solve
 from ssp_lp.io import fingerprint, load_policy, save_policy
 from ssp_lp.io.policy_files import SAVED_CLASSES
 from ssp_lp.policies.policy import Policy
@@ -139,6 +140,17 @@ def test_a_policy_of_a_class_of_its_own_is_refused_by_name(tmp_path: Path) -> No
     with pytest.raises(ModelError, match="Whim"):
         save_policy(MixedPolicy((policy,), np.ones(1)), tmp_path / "policy.npz")
     assert not (tmp_path / "policy.npz").exists()
+
+
+def test_a_policy_of_a_horizon_is_read_beside_the_model_as_stated(tmp_path: Path) -> None:
+    problem = S3P(hall(), START, 0.7, horizon=3)
+    solution = solve(problem)
+    save_policy(solution.policy, tmp_path / "policy")
+    loaded = load_policy(tmp_path / "policy", problem.model)
+    assert loaded.model is problem.model
+    assert evaluate(loaded, problem) == evaluate(solution.policy, problem)
+    with pytest.raises(ModelError, match="other pairs"):
+        load_policy(tmp_path / "policy", with_labels("start"))
 
 
 def test_every_class_of_policies_can_be_saved() -> None:

@@ -23,7 +23,7 @@ class Ledger(Policy):
 
     The memory is ``inner memory * (horizon + 2) + layer``. Layers ``0 .. horizon`` are whole
     multiples of ``unit``; what lies beyond the horizon is one layer more, which is never left.
-    The memory is monotone where the inner one is. What entering a dead-end costs is not booked:
+    What entering a dead-end costs is not booked:
     no success pays it, and it may lie off the lattice.
 
     Raises:
@@ -37,7 +37,6 @@ class Ledger(Policy):
     def __post_init__(self) -> None:
         if self.unit <= 0 or self.horizon < 0:
             raise ModelError("a ledger needs a unit above 0 and a horizon of at least 0")
-        object.__setattr__(self, "monotone", self.policy.monotone)
 
     @property
     def model(self) -> SSP:  # type: ignore[override]

@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain
-from ssp_lp.analysis.total_cost.followed import Followed, Sweep, cost_of
+from ssp_lp.analysis.layers.chain_of_law import chain_of_law
+from ssp_lp.analysis.total_cost.followed_sums import Followed, Sweep, cost_of
 from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
-from ssp_lp.analysis.total_cost.spine import chain_of_law
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model.arguments import explained

@@ -78,11 +78,12 @@ class CompiledAccumulatedCost(CompiledLayered):
         """Whether the tails are those of the least failure, asked for or needed."""
         if self.exact_tails or bool(self.base.quotient.merged.any()):
             return True
+        if self.cap is not None or self.fixed_cap is not None:
+            return False
         cost = float(self.start @ self._directed.cost)
         goal = float(self.start @ self._directed.goal)
         steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
-        guessing = self.cap is None and self.fixed_cap is None
-        return guessing and steps > _MOST_STEPS
+        return steps > _MOST_STEPS
 
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least E[cost; goal] among its actions.
@@ -126,12 +127,15 @@ class CompiledAccumulatedCost(CompiledLayered):
     ) -> CompiledAccumulatedCost:
         """The same problem with as many layers as the value function, [layers, nodes].
 
+        Its tails are those that are quickly found: where the cap loses something with them,
+        :meth:`for_program` has the exact ones.
+
         Raises:
             ModelError: the array has no layers.
         """
         if values.ndim != 2 or values.shape[0] == 0:
             raise ModelError("a value function of shape [layers, nodes] is needed")
-        return self._carry(replace(self, cap=values.shape[0], exact_tails=True))
+        return self._carry(replace(self, cap=values.shape[0]))
 
     def for_program(self) -> CompiledAccumulatedCost:
         """The same problem with the exact tails: a program can do no better than they beyond it."""

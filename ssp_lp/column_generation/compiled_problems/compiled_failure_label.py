@@ -125,6 +125,6 @@ class CompiledFailureLabel:
         """Itself."""
         return self
 
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
         """Nothing is truncated: 0."""
         return 0.0

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, Self
 
+import numpy as np
+
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, required
@@ -113,8 +115,14 @@ class CompiledProblem(Protocol):
         """
         ...
 
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
-        """How much of a bound at this price is lost to truncation; 0 where nothing is."""
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
+        """How much of a bound at this price is lost to truncation; 0 where nothing is.
+
+        Args:
+            price: of failure.
+            slack: whether success is counted rather than failure.
+            proved: a bound that was proved at this price, which may save the work.
+        """
         ...
 
 
@@ -244,6 +252,6 @@ class CompiledLayered(ABC):
         """The column's pairs in all layers, its tails beyond them and the source's only pair."""
         return chosen_pairs(self.process, required(column.choice), column.tail_price)
 
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
-        return self.pricing().tail_loss(price, slack=slack)
+        return self.pricing().tail_loss(price, slack=slack, proved=proved)

@@ -202,16 +202,23 @@ class LayeredPricing:
             raise ModelError(f"a value function of shape {self.value_shape} is needed")
         return self._swept(price, failing, values, self.process.beyond_bound(price, failing))
 
-    def tail_loss(self, price: float, *, slack: bool = False) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
         """How much of the bound the cap costs: 0 where the tails are proved to be optimal.
 
         The difference, at the start, between the bound with the tail policies' own values beyond
         the cap and the one with the lower bound there.
+
+        Args:
+            price: of failure.
+            slack: as of :meth:`check`.
+            proved: a bound that was proved at this price; where it is as high, that is all.
         """
         failing = 0.0 if slack else price
         reached = self._swept(
             price, failing, self._anything, self._tail_values(price, failing)
         ).bound
+        if reached <= proved:
+            return 0.0
         return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
 
     def _swept(self, price: float, failing: float, values: FloatArray, beyond: FloatArray) -> Proof:

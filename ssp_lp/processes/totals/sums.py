@@ -11,6 +11,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.chunks import chunks
 from ssp_lp.model.graph.kept import kept
 from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.processes.expectations import uniform_cost
 from ssp_lp.processes.totals.lattice import Lattice
 
 MOST_SUMS = 20_000
@@ -47,6 +48,11 @@ def last_steps(model: SSP) -> tuple[Lattice, FloatArray]:
 
 def _kinds(model: SSP, counted: BoolArray) -> tuple[Lattice, FloatArray]:
     """Distinct costs of the steps into some states, [states], and each outcome's place there."""
+    same = uniform_cost(model)
+    if same is not None and counted[model.successors].any():
+        place = np.int32(same > 0.0)
+        steps = read_only(np.unique([0.0, same]))
+        return Lattice(Fraction(1), np.broadcast_to(place, (model.n_outcomes,)), len(steps)), steps
     found = [np.zeros(1)]
     for some in chunks(model.n_outcomes):
         moving = counted[model.successors[some]] & (model.probabilities[some] > 0)

@@ -1,4 +1,4 @@
-"""How much mass of a policy's chain arrives at the goal at which total cost, sum after sum.
+"""How a chain's total costs are followed: in layers of a unit, sum by sum, or rounded up.
 
 Where costs have no common unit worth counting in, the sums that occur are followed one by one, in
 increasing order. They are whole numbers of a unit all the same, however small: a float means its
@@ -7,13 +7,17 @@ shortest decimal, so that two ways to one sum meet in one number, exactly.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from heapq import heappop, heappush
+from typing import TypeVar
 
 import numpy as np
 import scipy.sparse as sp
 
+from ssp_lp.analysis.total_cost.arrivals import Arrivals
 from ssp_lp.analysis.total_cost.live_chain import FreeMoves, Live
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray
 from ssp_lp.errors import ModelError
@@ -22,6 +26,9 @@ from ssp_lp.processes.totals.lattice import common_unit, exact_cost
 _FIRST_STEPS = 8  # of the dearest kind
 _MOST_SUMS = 50_000  # followed one by one, some seconds
 _MOST_KINDS = 64  # of steps by cost
+_FINE = 2_000  # units in the mean of costs that are rounded
+_MOST_UNITS = 20_000  # in the dearest step
+_MOST_WAITING = 10_000_000  # masses kept at once
 _EARLY = 2_000  # sums after which some of the runs must have arrived
 _SOME = 0.05  # share of those that succeed
 
@@ -168,3 +175,42 @@ class Sums:
             self._pending[layer] = []
             heappush(self._next, layer)
         self._pending[layer].append((nodes, masses))
+
+
+Sweep = Arrivals | Sums
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """The sweeps over a chain's total cost, each begun when a question needs it."""
+
+    live: Live
+    exact_costs: Mapping[float, Fraction]  # float cost -> the fraction meant
+    typical: float  # a total cost
+
+    def asked(self, question: Callable[[Sweep], Answer]) -> Answer:
+        """The answer to a question: exact, or of rounded costs where it needs too many sums."""
+        try:
+            return question(self._exact)
+        except TooManySumsError:
+            return question(self._rounded)
+
+    @cached_property
+    def _exact(self) -> Sweep:
+        try:
+            return Arrivals(self.live, self.exact_costs)
+        except ModelError:  # no common unit that is worth counting in
+            return Sums(self.live, self.exact_costs)
+
+    @cached_property
+    def _rounded(self) -> Arrivals:
+        """Every cost rounded up to a multiple of a small unit."""
+        most = max(min(_MOST_UNITS, _MOST_WAITING // len(self.live.start)), 1)
+        least = float(self.live.paid.max(initial=0.0)) / most
+        return Arrivals(self.live, {}, Fraction(max(self.typical / _FINE, least)))
+
+
+def cost_of(sweep: Sweep, layer: int) -> float:
+    """Total cost of a layer."""
+    return float(sweep.cost_of(np.array(layer)))

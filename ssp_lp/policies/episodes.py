@@ -1,16 +1,67 @@
-"""Many episodes of one policy at a time: the lottery is drawn, memories are kept per episode."""
+"""Episodes of a policy, one or many at a time: which member plays, and what it remembers."""
 
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import attention_states, dead_ends, staying_pairs
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
+
+
+@dataclass
+class Episode:
+    """One episode of a policy: the member drawn, its memory, whether it gave up. Mutable.
+
+    Any number of episodes run side by side, each with a memory of its own.
+    """
+
+    policy: Policy
+    rng: np.random.Generator | None
+    memory: IntArray | None = None
+    taken: int = UNDECIDED  # the pair of the last action
+    staying: IntArray | None = None  # [states], once the episode goes on after giving up
+
+    def action(self, state: Hashable) -> Hashable:
+        """The action in this state, or :data:`GIVE_UP`, with which the episode ends.
+
+        Raises:
+            ModelError: unknown state, or one in which the policy has no decision.
+        """
+        model = self.policy.model
+        here = np.array([model.index_of(state)])
+        if self.staying is not None:
+            pair = int(self.staying[here[0]])
+            if pair == UNDECIDED:
+                raise ModelError(f"no action of state {state!r} surely avoids the goal")
+            return model.action_of(pair)
+        if self.memory is None:
+            self.memory = self.policy.start_memory(here)
+        pair = self.taken = int(self.policy.sample(here, self.memory, self.rng)[0])
+        return GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
+
+    def observe(self, successor: Hashable, cost: float) -> None:
+        """Tell where the step led and what it cost; this moves the memory.
+
+        Raises:
+            ModelError: a cost off the lattice that the policy was made for.
+        """
+        if self.memory is None:
+            raise ModelError("observe() was called before the first action() of the episode")
+        if self.staying is None:
+            there = np.array([self.policy.model.index_of(successor)])
+            taken, paid = np.array([self.taken]), np.array([float(cost)])
+            self.memory = self.policy.remember(self.memory, taken, there, paid)
+
+    def continue_after_give_up(self) -> None:
+        """From now on play the policy that stays in the attention states (it avoids the goal)."""
+        self.staying = staying_policy(self.policy.model)
 
 
 class EpisodeBatch:
@@ -117,3 +168,13 @@ class EpisodeBatch:
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
         return np.array([self._model.index_of(state) for state in states], dtype=np.int64)
+
+
+def staying_policy(model: SSP) -> IntArray:
+    """A pair that surely avoids the goal in each state that has one, else UNDECIDED, [states]."""
+    pairs = np.flatnonzero(staying_pairs(model, attention_states(model)))
+    states = model.pair_state[pairs]
+    first = np.flatnonzero(np.diff(states, prepend=-1))
+    decision = np.full(model.n_states, UNDECIDED, dtype=np.int64)
+    decision[states[first]] = pairs[first]
+    return decision

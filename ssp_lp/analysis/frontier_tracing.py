@@ -29,6 +29,7 @@ from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, is_whole, 
 from ssp_lp.processes.failure_semantics import Aim
 
 _REFINEMENTS = 6
+_STEEP_SHARE = 3  # one in so many of the points that are allowed is sought at the steep end
 _LOG = logging.getLogger("ssp_lp.frontier")
 
 
@@ -71,7 +72,7 @@ def trace_frontier(
     limits = _Limits(gap, steepest_price, point_limit, deadline < np.inf, progress)
     with progress_shown(verbose), until(deadline) as ended:
         try:
-            traced = _traced_and_refined(_first_compiled(asked, steepest_price), limits)
+            traced = _traced_and_refined(asked.compile(), limits)
         except Stop:
             if ended.is_interrupted:
                 raise KeyboardInterrupt from None
@@ -90,11 +91,11 @@ def _traceable(problem: Problem) -> Problem:
     """
     check_problem(problem, "trace_frontier")
     problem = unrolled(problem)
-    if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
-        raise ModelError(f"{type(problem).__name__} has no failure budget to trace: trace MCMP's")
-    if problem.semantics.measure is not None:
-        raise ModelError(f"{type(problem).__name__} is no mean of costs to trace: trace S3P's")
     name = type(problem).__name__
+    if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
+        raise ModelError(f"{name} has no failure budget to trace: trace MCMP's")
+    if problem.semantics.measure is not None:
+        raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
     if has_rows(problem):
         raise ModelError(f"{name} has several rows: trace MCMP's frontier")
     if by_rows(problem):
@@ -105,34 +106,34 @@ def _traceable(problem: Problem) -> Problem:
     return problem
 
 
-def _first_compiled(problem: Problem, steepest_price: float | None) -> CompiledProblem:
-    """The problem compiled finely enough for the steep end, as far as that is known before."""
-    compiled = problem.compile()
-    if steepest_price is None:
-        return compiled.for_program()
-    return compiled.refined(steepest_price) or compiled if compiled.is_trial else compiled
-
-
 def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
-    """Trace, and again on a finer process while a cap on the cost hides more than the gap."""
-    calls, work, known = 0, Work(), None
-    for _ in range(_REFINEMENTS):
+    """Trace, and again on a finer process while a cap on the cost hides more than the gap.
+
+    It hides most where the price is steepest, so that a few pricing calls at that end tell first
+    how fine a process is needed; the rest is then traced once.
+    """
+    if limits.steepest_price is None:
+        compiled = compiled.for_program()
+    elif compiled.is_trial:
+        compiled = compiled.refined(limits.steepest_price) or compiled
+    calls, work, known, begun, steep_only = 0, Work(), None, None, compiled.ratio
+    for _ in range(2 * _REFINEMENTS):
         try:
-            traced = _trace(compiled, limits)
+            traced = _trace(compiled, limits, begun, steep_only=steep_only)
         except STOPS as stop:
             heed(stop)
             if known is None:
                 raise Stop from stop
             return known
-        calls, work = calls + traced.pricing_calls, work + traced.work
         lost = _share_lost(compiled, traced)
+        calls, work = calls + traced.pricing_calls, work + traced.work
         known = replace(traced, hidden=lost, pricing_calls=calls, work=work)
-        if lost <= limits.gap or is_late():
+        is_fine = lost <= limits.gap or is_late()
+        finer = None if is_fine else compiled.refined(float(traced.price[0]))
+        if finer is None and not steep_only:
             break
-        finer = compiled.refined(float(traced.price[0]))
-        if finer is None:
-            break
-        compiled = finer
+        begun, compiled = (traced, compiled) if finer is None else (None, finer)
+        steep_only = finer is not None
     return known or traced
 
 
@@ -179,69 +180,79 @@ def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
     return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
 
 
-def _safest(
-    compiled: CompiledProblem, pricing: PricingProblem, steepest_price: float | None
-) -> tuple[Column, int]:
-    """The turning point to begin with, and how many pricing calls it took.
+def _ends(compiled: CompiledProblem, limits: _Limits) -> tuple[list[Column], bool, int, Work]:
+    """The first and the last turning point; whether the last is known; calls made, and work.
 
     Raises:
         ModelError: at the steepest price it is best to fail.
     """
-    if steepest_price is None:
-        return checked_least_failure(compiled, None).column, 0
-    first, row = pricing.minimise(steepest_price, pricing.first()), Row(1.0, compiled.ratio)
-    if row.ratio and row.objective(first.cost, first.goal) >= steepest_price:
-        raise ModelError(
-            f"at the price {steepest_price:g} of failure it is best to fail: "
-            "steepest_price must lie above the least cost given success"
-        )
-    return first, 1
-
-
-def _trace(compiled: CompiledProblem, limits: _Limits) -> Frontier:
     pricing, row = compiled.pricing(), Row(1.0, compiled.ratio)
-    first, calls = _safest(compiled, pricing, limits.steepest_price)
+    steepest, calls = limits.steepest_price, 0
+    if steepest is None:
+        first = checked_least_failure(compiled, None).column
+    else:
+        first, calls = pricing.minimise(steepest, pricing.first()), 1
+        if row.ratio and row.objective(first.cost, first.goal) >= steepest:
+            raise ModelError(
+                f"at the price {steepest:g} of failure it is best to fail: "
+                "steepest_price must lie above the least cost given success"
+            )
     rule = Secant(pricing, row, first, calls=calls, work=first.work)
     free = generate(rule, SolveOptions(limits.gap))
-    last, calls, work = free.columns[-1], rule.calls, rule.work
+    last = free.columns[-1]
     columns = [first] if last.failure <= first.failure else [first, last]
-    waiting = _Waiting(pricing, compiled.ratio, limits, calls)
-    if len(columns) == 2:
-        waiting.add(first, last, len(columns))
+    return columns, free.finished, rule.calls, rule.work
+
+
+def _trace(
+    compiled: CompiledProblem, limits: _Limits, begun: Frontier | None, *, steep_only: bool
+) -> Frontier:
+    """The turning points of one process.
+
+    Args:
+        compiled: the problem.
+        limits: how far to trace.
+        begun: what is known of the same process.
+        steep_only: split only the first segment, until it is settled.
+    """
+    pricing = compiled.pricing()
+    waiting = _Waiting(pricing, compiled.ratio, limits)
+    if begun is None:
+        columns, is_known, waiting.calls, work = _ends(compiled, limits)
+        open_below = [1.0] * (len(columns) - 1)
+    else:
+        columns, is_known, work = list(begun._columns), not begun.ends_early, Work()
+        open_below, waiting.priced = begun.below.tolist(), begun.priced
+        if limits.point_limit is not None and len(columns) > 2:  # the worst segments come first
+            columns, open_below = [columns[0], columns[-1]], [1.0]
+    for inside, outside, below in zip(columns, columns[1:], open_below, strict=False):
+        waiting.add(inside, outside, len(columns), below)
     columns = [replace(column, totals=None) for column in columns]
-    while waiting.found and limits.allows(len(columns)):
-        inside, found, outside = waiting.next()
+    while waiting.found and limits.allows(len(columns) * (_STEEP_SHARE if steep_only else 1)):
+        inside, found, outside = heappop(waiting.found)[2]  # its ends, and the policy between them
         columns.append(replace(found, totals=None))  # only those waiting start others warmly
         at_most = waiting.below[inside.failure]
+        beyond = at_most * inside.cost / max(found.cost, 1e-300)
+        waiting.below[found.failure] = beyond
         waiting.add(inside, found, len(columns), at_most)
-        waiting.add(found, outside, len(columns), at_most * inside.cost / max(found.cost, 1e-300))
-    ordered = tuple(sorted(columns, key=lambda c: c.failure))
-    failure, cost = np.array([c.failure for c in ordered]), np.array([c.cost for c in ordered])
-    return Frontier(
-        failure=failure,
-        goal=np.array([c.goal for c in ordered]),
-        cost=cost,
-        price=-np.diff(cost) / np.diff(failure),
-        below=np.array([waiting.below[column.failure] for column in ordered[:-1]]),
-        tolerance=limits.gap,
-        hidden=0.0,
-        ends_early=not free.finished,
-        ratio=compiled.ratio,
+        if not steep_only:
+            waiting.add(found, outside, len(columns), beyond)
+    return Frontier.through(
+        columns, waiting.below, pricing,
+        tolerance=limits.gap, ends_early=not is_known, ratio=compiled.ratio,
         complete=limits.steepest_price is None,
-        pricing_calls=waiting.calls,
-        work=work + waiting.work,
-        _pricing=pricing,
-        _columns=ordered,
-    )
+        pricing_calls=waiting.calls, work=work + waiting.work,
+    )  # fmt: skip
 
 
 class _Waiting:
     """Segments with a policy below them, the worst first where not all can be split. Grows."""
 
-    def __init__(self, pricing: PricingProblem, ratio: bool, limits: _Limits, calls: int) -> None:
-        """Nothing waits; ``calls`` were made before."""
+    def __init__(self, pricing: PricingProblem, ratio: bool, limits: _Limits) -> None:
+        """Nothing waits."""
         self.found: list[tuple[float, int, tuple[Column, Column, Column]]] = []  # a heap
-        self.calls, self.work = calls, Work()
+        self.calls, self.work = 0, Work()
+        self.priced: dict[float, Column] = {}  # what was found before, by price
         self._pricing, self._ratio, self._limits = pricing, ratio, limits
         self.below: dict[float, float] = {}  # by a segment's safer failure; see Frontier.below
 
@@ -252,21 +263,19 @@ class _Waiting:
             inside: its safer end.
             outside: its other end.
             points: turning points so far.
-            at_most: the share by which policies may lie below it, where there is no time for that.
+            at_most: the share by which policies may lie below it, as far as is known.
         """
-        line = Secant(self._pricing, Row(1.0, self._ratio), inside, outside)
-        if line.slope == 0.0:
-            self.below[inside.failure] = 0.0
+        price = Secant(self._pricing, Row(1.0, self._ratio), inside, outside).slope
+        if price == 0.0 or at_most <= self._limits.gap:
+            self.below[inside.failure] = 0.0 if price == 0.0 else at_most
             return
         try:
-            found = replace(self._pricing.minimise(line.slope, outside), found_at=line.slope)
+            found = self.priced.get(price) or self._best_at(price, outside)
         except STOPS as stop:
             heed(stop)
             self.below[inside.failure] = at_most
             return
-        self.calls += 1
-        below, self.work = _share_below(line, found), self.work + found.work
-        self.below[inside.failure] = below
+        below = self.below[inside.failure] = _share_below(inside, outside, found, price)
         if below > self._limits.gap:
             urgency = -below if self._limits.may_stop else -float(self.calls)
             heappush(self.found, (urgency, self.calls, (inside, found, outside)))
@@ -277,15 +286,15 @@ class _Waiting:
         except STOPS as stop:
             heed(stop)
 
-    def next(self) -> tuple[Column, Column, Column]:
-        """Take out the segment to split: its ends and the policy between them."""
-        return heappop(self.found)[2]
+    def _best_at(self, price: float, warm: Column) -> Column:
+        found = self._pricing.minimise(price, warm)
+        self.calls, self.work = self.calls + 1, self.work + found.work
+        return replace(found, found_at=price)
 
 
-def _share_below(line: Secant, found: Column) -> float:
+def _share_below(inside: Column, outside: Column, found: Column, price: float) -> float:
     """How far a column lies below the line between two, relative to the cost; 0 outside of it."""
-    inside, outside = line.inside, line.outside
-    if outside is None or not inside.failure < found.failure < outside.failure:
+    if not inside.failure < found.failure < outside.failure:
         return 0.0
-    below = inside.cost - found.cost - line.slope * (found.failure - inside.failure)
+    below = inside.cost - found.cost - price * (found.failure - inside.failure)
     return max(below, 0.0) / max(inside.cost, 1e-300)

@@ -8,9 +8,9 @@ import pytest
 from drawn_policies import CLOSE, drawn_model, drawn_policy
 from ssp_lp import SSP, CostAwarePolicy, ModelError
 from ssp_lp.analysis.chain import policy_chain
-from ssp_lp.analysis.measuring import moves
+from ssp_lp.analysis.layers import layer_moves
+from ssp_lp.analysis.layers.chain_of_law import chain_of_law
 from ssp_lp.analysis.total_cost.cost_law import CostLaw, law_of_chains
-from ssp_lp.analysis.total_cost.spine import chain_of_law
 
 ONE = np.ones(1)
 
@@ -25,7 +25,7 @@ def laws(model: SSP, policy: CostAwarePolicy, start: np.ndarray) -> tuple[CostLa
 def test_it_is_that_of_the_written_out_chain(
     is_compiled: bool, zero: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(moves, "accelerated", lambda entries: is_compiled)
+    monkeypatch.setattr(layer_moves, "accelerated", lambda entries: is_compiled)
     draw, compared = np.random.default_rng(11), 0
     for _ in range(40):
         model = drawn_model(draw, [0.5, 1.0, 1.5, 3.0, *zero])

@@ -14,15 +14,13 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.analysis.chain import Chain, policy_chain
-from ssp_lp.analysis.measuring.layered import LARGE
-from ssp_lp.analysis.measuring.marks import closed_states
-from ssp_lp.analysis.measuring.moves import Moves, Staying
+from ssp_lp.analysis.layers.layer_moves import Moves, Staying, closed_states
+from ssp_lp.analysis.layers.layered_measures import LARGE
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.model import SSP
-from ssp_lp.policies.cost_layers import CostLayers
 from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.policies.policy import UNDECIDED, Policy
+from ssp_lp.policies.policy import UNDECIDED, CostLayers, Policy
 from ssp_lp.processes.totals.lattice import exact_cost
 
 _NOTHING = np.zeros(0, dtype=np.int64)
@@ -79,14 +77,14 @@ def _forwards(moves: Moves, start: FloatArray) -> _Arrived | None:
     layers, room = moves.layers, moves.layers.width
     goals = np.flatnonzero(moves.model.goal_mask)
     waiting, goal = np.zeros((room, len(start))), np.zeros(layers.count + room)
-    waiting[0] = start
+    waiting[0], everywhere = start, np.arange(len(start))
     for layer in range(layers.count + room):
         mass = waiting[layer % room]
         if layer < layers.count:
-            pairs, leads = moves.pairs(layers.decision[layer]), layers.leads(layer)
+            pairs, leads = moves.pairs(layer, everywhere), layers.leads(layer)
             if (mass[pairs == UNDECIDED] > 0.0).any():
                 return None
-            staying = moves.staying(pairs, np.where(leads > 0, 0, -1))
+            staying = moves.staying(everywhere, pairs, np.where(leads > 0, 0, -1))
             if staying is not None:
                 mass = _visits(staying, pairs, mass)
             moves.send(mass, pairs, np.where(leads > 0, (layer + leads) % room, -1), waiting)
@@ -173,7 +171,6 @@ def _joined(
         branch_node=_NOTHING,
         branch_pair=_NOTHING,
         branch_probability=np.zeros(0),
-        layered=False,
     )
 
 
