@@ -11,10 +11,11 @@ from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
+from ssp_lp.model.chunks import chunks
 from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy
 
-_MOST_THRESHOLDS = 64  # of tails that are told apart, beyond the last level
+_MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are held at once
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
 
@@ -125,22 +126,29 @@ class CostAwarePolicy(Policy):
         return np.where(acting, self._memory_at(layer, successors), memory)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
-        """Decisions by level; beyond the last one a layer for each side of the tails' thresholds.
+        """Decisions by level; beyond the last a layer for each tail that totals ask for.
 
-        None where these are many, or tails are chosen by a table.
+        Steps that only end episodes lead to the next layer, where that makes no difference. None
+        where the layers beyond are too many, or tails are chosen by a table.
         """
-        threshold, cap = self.tail_threshold, self.cap
-        told_apart = np.unique(threshold[np.isfinite(threshold)])
-        if self.tail_table is not None or len(told_apart) > _MOST_THRESHOLDS:
+        if self.tail_table is not None:
             return None
-        costs, last = np.unique(self.model.costs), len(self.tails) - 1
-        rank = np.where(np.isneginf(threshold), -1, np.searchsorted(told_apart, threshold))
+        cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
+        moving = np.isin(costs, self._moving_costs())
+        near = levels[:-1][levels[:-1] >= levels[-2] - costs[-1]]
+        totals = np.unique(near[:, None] + costs[moving])
+        totals = totals[_nearest_level(levels, totals) == cap]
+        rank = np.searchsorted(totals, self.tail_threshold)  # the first that asks for the last tail
+        told_apart = np.unique(rank[(rank > 0) & (rank < len(totals))])
+        if len(told_apart) * self.model.n_states > _MOST_BEYOND:
+            return None
+        rank = np.where(rank == 0, -1, np.searchsorted(told_apart, rank))
 
         def leads(level: int) -> IntArray:
             total = levels[level] + costs
             nearest = _nearest_level(levels, total)
-            beyond = cap + np.searchsorted(told_apart, total, side="right")
-            return np.where(nearest < cap, nearest, beyond) - level
+            beyond = np.searchsorted(told_apart, np.searchsorted(totals, total), side="right")
+            return np.where(moving, np.where(nearest < cap, nearest, cap + beyond) - level, 1)
 
         return CostLayers(
             decision=self.decision,
@@ -151,6 +159,13 @@ class CostAwarePolicy(Policy):
             unit=None,
             width=max(int(leads(level).max(initial=0)) for level in range(cap)) + 1,
         )
+
+    def _moving_costs(self) -> FloatArray:
+        """Distinct costs of steps after which an episode may go on."""
+        acting, found = self.tails[0] != UNDECIDED, [np.zeros(0)]
+        for some in chunks(self.model.n_outcomes):
+            found.append(np.unique(self.model.costs[some][acting[self.model.successors[some]]]))
+        return np.unique(np.concatenate(found))
 
     def _nearest(
         self, levels: FloatArray, memory: IntArray, successors: IntArray, costs: FloatArray
