@@ -57,16 +57,20 @@ def designed(grid: RobotGrid, episodes: int, seed: int) -> TrueCosts:
     )
 
 
+HEADER = """\
+turning           proved          | episodes in the grid model                      | the world
+of a radian  c*      gap  seconds | cost given success       failure                | cost, fails"""
+
+
 def row(turning_cost: float, found: TrueCosts) -> str:
     """One line of the table."""
-    solution, cost, failure = found.solution, found.chain.conditional_cost, found.chain
-    fails = failure.failure_probability
+    solution, chain, world = found.solution, found.chain, found.world
+    cost, fails = chain.conditional_cost, chain.failure_probability
     return (
-        f"{turning_cost:7.2f}  {solution.objective:9.6f}  {found.certificate.gap:7.1e}  "
-        f"{solution.seconds:6.1f}  {cost.value:6.4f} [{cost.low:6.4f}, {cost.high:6.4f}]  "
-        f"{fails.value:6.4f} [{fails.low:6.4f}, {fails.high:6.4f}]  "
-        f"{found.world.conditional_cost.value:6.4f}  "
-        f"{found.world.failure_probability.value:6.4f}"
+        f"{turning_cost:<9.2f} {solution.objective:.4f} {found.certificate.gap:7.0e} "
+        f"{solution.seconds:7.1f}  | {cost.value:.4f} [{cost.low:.4f}, {cost.high:.4f}]  "
+        f"{fails.value:.4f} [{fails.low:.4f}, {fails.high:.4f}] | "
+        f"{world.conditional_cost.value:.4f} {world.failure_probability.value:.4f}"
     )
 
 
@@ -83,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=2024, help="seed of the simulations")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
-    print("of a radian  c*, proved gap, seconds; in the model: cost given success, failure; world")
+    print(HEADER)
     for turning_cost in options.turning_costs:
         grid = RobotGrid(
             segments=options.segments,
