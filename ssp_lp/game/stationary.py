@@ -61,7 +61,7 @@ def value_function(solution: GameSolution) -> FloatArray:
     """A checked lower bound of ``J_obj + price * J_cond`` from each state of the process.
 
     Case M: [states of the process]. Case S: infinite, [layers, nodes], which asks ``certify`` for
-    the best that it can prove with so many layers.
+    the best that it can prove with so many layers; [1] where costs have no common unit.
 
     Where no time is left the values are infinite throughout.
 
@@ -73,6 +73,8 @@ def value_function(solution: GameSolution) -> FloatArray:
         with closing():
             if isinstance(player, LabelPlayer):
                 return player.values(player.response(1.0, price, _TIGHT))
+            if isinstance(player, CostPlayer) and player.base.by_steps:
+                return np.array([np.inf])
             if isinstance(player, CostPlayer):
                 best = player.response(1.0, price, _LESS_TIGHT)
                 return np.broadcast_to(np.inf, best.strategy.choice.shape)

@@ -191,7 +191,10 @@ def _rows_bound(
     for ratio in ratios:
         weights = np.append(1.0, prices)
         weights[1] += ratio
-        proof = compiled.pricing.check(weights, values)
+        if np.isfinite(values).any():
+            proof = compiled.pricing.check(weights, values)
+        else:  # a game's: the best that can be proved at these totals
+            proof = compiled.pricing.prove(weights, compiled.pricing.minimise(weights))
         found.append(rows_bound(compiled, prices, bounds, ratio, proof))
     return max(found)
 
