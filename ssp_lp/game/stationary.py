@@ -53,8 +53,7 @@ def stationary_game(
     """
     check_tolerance(tolerance)
     player = stationary_player(problem)
-    optimum = find_optimum(problem, player, tolerance=tolerance, progress=progress)
-    return GameSolution(problem, player, optimum)
+    return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 
 
 def value_function(solution: GameSolution) -> FloatArray:
@@ -68,7 +67,7 @@ def value_function(solution: GameSolution) -> FloatArray:
     Raises:
         ModelError: not a solution of ``stationary_game``.
     """
-    player, price = solution.player, solution.optimum.price
+    player, price = solution.player, solution.price
     try:
         with closing():
             if isinstance(player, LabelPlayer):
@@ -80,7 +79,7 @@ def value_function(solution: GameSolution) -> FloatArray:
                 return np.broadcast_to(np.inf, best.strategy.choice.shape)
     except STOPS as stop:
         heed(stop)
-        return np.broadcast_to(np.inf, _shape(player, solution.optimum.threshold))
+        return np.broadcast_to(np.inf, _shape(player, solution.threshold))
     raise ModelError("only the stationary game has a value function of the state")
 
 

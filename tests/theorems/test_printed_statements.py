@@ -109,7 +109,7 @@ def test_the_two_sides_of_alpha_end_at_0_and_1():
     """
     problem = hand_problem(MCMP, TWO_MOVES, 0.5, 0.99)
     found, player = stationary_game(problem), stationary_player(problem)
-    game = found.optimum.threshold.game.game
+    game = found.threshold.game.game
     assert found.alpha == 1.0
     for delta in (1e-6, 0.1, 1.0, 5.0):
         lottery = delta_mixture(player, game, found.alpha, delta)
@@ -132,7 +132,7 @@ def test_one_delta_times_the_slope_bounds_the_lottery(criterion):
     }
     problem = hand_problem(criterion, retry, 0.3, 0.95)
     found, player = stationary_game(problem), stationary_player(problem)
-    game = found.optimum.threshold.game.game
+    game = found.threshold.game.game
     for delta in (0.3, 0.1, 1e-2, 1e-4, 1e-6):
         lottery = delta_mixture(player, game, found.alpha, delta)
         slope = max(abs(game.excess(lottery.minus)), abs(game.excess(lottery.plus)))
