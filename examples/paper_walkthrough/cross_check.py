@@ -39,16 +39,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 def identity(game: GameSolution) -> str:
     """Compare alpha* with what c* and the price make of it (mathematics, section 6)."""
-    optimum = game.optimum
-    share = 1.0 - optimum.spent if game.problem.ratio else 1.0
-    mine, other = optimum.objective * share, optimum.price * optimum.spent
+    share = 1.0 - game.spent if game.problem.ratio else 1.0
+    mine, other = game.objective * share, game.price * game.spent
     return f"alpha* = {game.alpha:.12f}, from c* and the price {mine / (mine + other):.12f}"
 
 
 def delta_table(game: GameSolution) -> str:
     """Cost and failure of z*_delta, relative to c* and to the budget."""
-    inner, ratio = game.optimum.threshold.game.game, game.problem.ratio
-    share = 1.0 - game.optimum.spent if ratio else 1.0
+    inner, ratio = game.threshold.game.game, game.problem.ratio
+    share = 1.0 - game.spent if ratio else 1.0
     rows = ["  delta     cost above c*   failure above the budget   weight of pi_+"]
     for delta in DELTAS:
         mixed = delta_mixture(game.player, inner, game.alpha, delta)

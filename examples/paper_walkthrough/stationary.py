@@ -136,7 +136,7 @@ def section_3_5_scan() -> list[Row]:
     return [
         *rows,
         Row("least of them, within epsilon = 3/5", least.objective, 2 / GAMMA),
-        Row("epsilon*, where it lies", least.optimum.spent, 1 - GAMMA**2 * Fraction(9, 20)),
+        Row("epsilon*, where it lies", least.spent, 1 - GAMMA**2 * Fraction(9, 20)),
     ]
 
 

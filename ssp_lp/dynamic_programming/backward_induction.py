@@ -68,11 +68,10 @@ def least_backwards(
         if stuck >= 0:
             raise SolverError(HOLDS_MASS)
         return choice, values
-    for level in dynamics.levels:
-        total = pair_cost[level.pairs] + level.rows @ values
+    for states, pairs, offsets, rows, departs in dynamics.levels:
+        total = pair_cost[pairs] + rows @ values
         ahead = np.full_like(total, np.inf)
-        np.divide(total, level.departs, out=ahead, where=level.departs > 0.0)
-        values[level.states] = segment_minima(ahead, level.offsets)
-        first = first_minimisers(ahead, values[level.states], level.offsets)
-        choice[level.states] = level.pairs[first]
+        np.divide(total, departs, out=ahead, where=departs > 0.0)
+        values[states] = segment_minima(ahead, offsets)
+        choice[states] = pairs[first_minimisers(ahead, values[states], offsets)]
     return choice, values

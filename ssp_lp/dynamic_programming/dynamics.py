@@ -30,15 +30,10 @@ _KEPT_CHAINS = 4
 _KEPT_STATES = 100_000  # states up to which they are kept
 
 
-@dataclass(frozen=True, eq=False)
-class Level:
-    """States that lead to earlier levels only, with their pairs."""
-
-    states: IntArray
-    pairs: IntArray
-    offsets: IntArray  # of each state's pairs among these, [states of the level + 1]
-    rows: sp.csr_array  # [pairs of the level, all states], without self-loops
-    departs: FloatArray  # [pairs of the level] 0 where a pair only waits
+Level = tuple[IntArray, IntArray, IntArray, sp.csr_array, FloatArray]
+"""States that lead to earlier levels only, [some states], with their pairs, [some pairs]; the
+offsets of each state's pairs among these; their rows, [some pairs, states], without self-loops;
+and the probability of departing, 0 where a pair only waits, [some pairs]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +122,7 @@ def _levels(dynamics: Dynamics) -> Iterator[Level]:
         pairs = concatenated_ranges(begin, counts)
         rows = sp.csr_array(moving[pairs])
         departs = dynamics.exits[pairs] + np.asarray(rows.sum(axis=1)).ravel()
-        yield Level(states, pairs, np.append(0, np.cumsum(counts)), rows, departs)
+        yield states, pairs, np.append(0, np.cumsum(counts)), rows, departs
         first = before.indptr[states]
         entering = before.indices[concatenated_ranges(first, before.indptr[states + 1] - first)]
         owners = home[entering]

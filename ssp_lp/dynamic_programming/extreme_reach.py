@@ -26,15 +26,6 @@ _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where p
 
 
 @dataclass(frozen=True, eq=False)
-class Exits:
-    """A process that is left in two ways; ``hit + miss`` is what leaves it."""
-
-    dynamics: Dynamics
-    hit: FloatArray  # [pairs]
-    miss: FloatArray  # [pairs]
-
-
-@dataclass(frozen=True, eq=False)
 class ExtremeReach:
     """An extreme probability of hitting, a checked bound of it, and who attains it."""
 
@@ -44,16 +35,20 @@ class ExtremeReach:
     tied: BoolArray  # [pairs] pairs that attain the extreme
 
 
-def extreme_reach(exits: Exits, *, greatest: bool) -> ExtremeReach:
+def extreme_reach(
+    dynamics: Dynamics, hit: FloatArray, miss: FloatArray, *, greatest: bool
+) -> ExtremeReach:
     """The greatest or the least probability of hitting, from every state.
 
     No policy may be able to stay for ever (end components are contracted, or there are none).
 
     Args:
-        exits: the process.
+        dynamics: the process.
+        hit: probability of leaving it by hitting, [pairs].
+        miss: probability of leaving it otherwise, [pairs].
         greatest: or least.
     """
-    dynamics, wanted, other = exits.dynamics, exits.hit, exits.miss
+    wanted, other = hit, miss
     if dynamics.n_states == 0:
         nothing = np.zeros(0)
         return ExtremeReach(nothing, nothing, np.zeros(0, dtype=np.int32), wanted > 0.0)
@@ -77,7 +72,7 @@ def extreme_reach(exits: Exits, *, greatest: bool) -> ExtremeReach:
         least = dual_bound(dynamics, other, missed, choice=settled.choice).values
     totals = evaluate_policy(dynamics, settled.choice, both, _PRECISE)
     won, lost = totals.values.T
-    tied = _tied(exits, settled, wanted, other, (won, totals.low[:, 0]), lost)
+    tied = _tied(dynamics, settled, wanted, other, (won, totals.low[:, 0]), lost)
     reach, missed = np.clip(won, 0.0, 1.0), np.clip(lost, 0.0, 1.0)
     least = np.minimum(least, missed)
     most = 1.0 - least
@@ -94,7 +89,7 @@ def extreme_reach(exits: Exits, *, greatest: bool) -> ExtremeReach:
 
 
 def _tied(
-    exits: Exits,
+    dynamics: Dynamics,
     settled: Settled,
     wanted: FloatArray,
     other: FloatArray,
@@ -102,8 +97,7 @@ def _tied(
     lost: FloatArray,
 ) -> BoolArray:
     """Pairs by which nothing is lost, however often they come round, [pairs]."""
-    dynamics, home = exits.dynamics, exits.dynamics.pair_state
-    high, low = won
+    home, (high, low) = dynamics.pair_state, won
     ahead, _ = precise_advantages(home, dynamics.transitions, dynamics.exits, wanted, high, low)
     size = np.minimum(high, lost)[home]  # the smaller of both is known to that relative accuracy
     size = np.where(size > 0.0, size, np.maximum(high, lost)[home])

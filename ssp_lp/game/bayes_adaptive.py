@@ -52,8 +52,7 @@ def bayes_adaptive(
     """
     check_tolerance(tolerance)
     player = bayes_player(problem)
-    optimum = find_optimum(problem, player, tolerance=tolerance, progress=progress)
-    return GameSolution(problem, player, optimum)
+    return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 
 
 def posterior(alpha: float, discount: float) -> float:

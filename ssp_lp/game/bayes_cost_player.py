@@ -15,11 +15,12 @@ import scipy.sparse as sp
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.cost_player import CostPlayer, cost_aware
+from ssp_lp.game.cost_player import CostPlayer, LayeredStrategy, cost_aware
 from ssp_lp.game.tail import Tail, undiscounted
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.timed import TimedPolicy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.totals.levels import Levels
 
 _FIRST_HORIZON = 32
 _SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
@@ -33,7 +34,9 @@ _SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
 class _TimedLayers:
     """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
 
-    choice: IntArray  # [horizon, cap, nodes] position among the pairs of the node
+    choice: IntArray  # [horizon, layers, nodes] position among the pairs of the node
+    levels: Levels  # the totals of the layers
+    cap: float  # in units
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,9 +68,8 @@ class BayesCostPlayer:
         """
         weights = np.array([objective_weight, condition_weight])
         first = self.stationary.response(objective_weight, condition_weight, accuracy)
-        cap, horizon, sweeps, gap = len(first.strategy.choice), _FIRST_HORIZON, first.sweeps, np.inf
+        cap, horizon, sweeps, gap = first.strategy.cap, _FIRST_HORIZON, first.sweeps, np.inf
         while True:
-            self._check_size(cap, horizon)
             response = self._response(weights, cap, horizon)
             sweeps += response.sweeps
             pays = response.payoff(objective_weight, condition_weight)
@@ -77,10 +79,10 @@ class BayesCostPlayer:
             horizon *= 2
             cap *= 2 if gap > _SLOW * before else 1
 
-    def _check_size(self, cap: int, horizon: int) -> None:
-        if cap * horizon * self.base.n_nodes > _MOST_ENTRIES:
+    def _check_size(self, layers: int, horizon: int) -> None:
+        if layers * horizon * self.base.n_nodes > _MOST_ENTRIES:
             raise ModelError(
-                f"{horizon:,} steps x {cap:,} layers of accumulated cost on "
+                f"{horizon:,} steps x {layers:,} layers of accumulated cost on "
                 f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
             )
 
@@ -90,16 +92,16 @@ class BayesCostPlayer:
         Sure failure counts exactly 0 here: rounding is counted where something is summed.
         """
         base, gamma = self.base, self.base.survival
-        horizon, cap, _ = self.response(1.0, price, accuracy).strategy.choice.shape
-        layers = np.arange(cap + base.width - 1)
-        stage, worth = self._stage(layers[:cap]), price * gamma * base.gain[:, None]
-        weights = np.array([1.0, price])
-        lowest = self.tail.surplus(layers, weights * [1.0, gamma**horizon], base.unit).T
+        strategy: _TimedLayers = self.response(1.0, price, accuracy).strategy
+        horizon, levels = len(strategy.choice), strategy.levels
+        stage, worth = self._stage(levels), price * gamma * base.gain[:, None]
+        weights, beyond_cap = np.array([1.0, price]), levels.totals[levels.cap :]
+        lowest = self.tail.surplus(levels.totals, weights * [1.0, gamma**horizon]).T
         for time in reversed(range(horizon)):
             saved = gamma**time * worth
-            size = stage + saved + self._ahead(np.abs(lowest), cap)
-            below = self._least(stage - saved + self._ahead(lowest, cap) - self._lost * size)[1]
-            beyond = self.tail.surplus(layers[cap:], weights * [1.0, gamma**time], base.unit)
+            size = stage + saved + self._ahead(np.abs(lowest), levels)
+            below = self._least(stage - saved + self._ahead(lowest, levels) - self._lost * size)[1]
+            beyond = self.tail.surplus(beyond_cap, weights * [1.0, gamma**time])
             lowest = np.hstack([below, beyond.T])
         terms = np.append(base.start * lowest[:, 0], -price * base.start_goal)
         return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
@@ -116,7 +118,8 @@ class BayesCostPlayer:
         stages: list[CostAwarePolicy] = []
         for time, choice in enumerate(rows):
             if time == 0 or not np.array_equal(choice, rows[time - 1]):
-                stage = cost_aware(self.base, self.tail, choice, never)
+                layers = LayeredStrategy(choice, never, strategy.levels, strategy.cap)
+                stage = cost_aware(self.base, self.tail, layers)
             stages.append(stage)
         return TimedPolicy(tuple(stages))
 
@@ -131,9 +134,10 @@ class BayesCostPlayer:
         longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
         return (longest + 4) * MACHINE_EPSILON
 
-    def _stage(self, layers: IntArray) -> FloatArray:
+    def _stage(self, levels: Levels) -> FloatArray:
         """E[G_o] of each pair in each layer, [pairs, layers]."""
-        return self.base.gain[:, None] * (layers * self.base.unit) + self.base.gain_cost[:, None]
+        paid = levels.totals[: levels.cap]
+        return np.asarray(self.base.gain[:, None] * paid + self.base.gain_cost[:, None])
 
     @cached_property
     def _blocks(self) -> list[sp.csr_array]:
@@ -142,52 +146,62 @@ class BayesCostPlayer:
         steps = sp.csc_array(base.steps / base.survival)
         return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
 
-    def _ahead(self, values: FloatArray, cap: int) -> FloatArray:
-        """E[value after the step] of each pair in each layer below the cap, [pairs, cap].
+    def _ahead(self, values: FloatArray, levels: Levels) -> FloatArray:
+        """E[value after the step] of each pair in each layer below the cap, [pairs, layers].
 
         Args:
-            values: [nodes, cap + width - 1].
+            values: [nodes, totals].
+            levels: the totals, and which step leads where.
         """
-        parts = (b @ values[:, k : k + cap] for k, b in enumerate(self._blocks) if b.nnz)
-        return np.asarray(sum(parts, np.zeros((len(self.base.gain), cap))))
+        leads = levels.leads(self.base.width)
+        parts = (b @ values[:, leads[:, k]] for k, b in enumerate(self._blocks) if b.nnz)
+        return np.asarray(sum(parts, np.zeros((len(self.base.gain), levels.cap))))
 
-    def _response(self, weights: FloatArray, cap: int, horizon: int) -> BestResponse:
-        """Backward induction from the horizon, where pi'_or takes over for good."""
-        base, gamma = self.base, self.base.survival
-        layers = np.arange(cap + base.width - 1)
-        attained = self.tail.attained(layers, np.full(base.n_nodes, -np.inf), base.unit)
+    def _response(self, weights: FloatArray, m: float, horizon: int) -> BestResponse:
+        """Backward induction from the horizon, where pi'_or takes over for good.
+
+        Args:
+            weights: of J_obj and J_cond, [2].
+            m: the cap M, in units.
+            horizon: steps.
+        """
+        base, gamma, levels = self.base, self.base.survival, self.stationary.levels(m)
+        cap, totals = levels.cap, levels.totals
+        self._check_size(cap, horizon)
+        attained = self.tail.attained(totals, np.full(base.n_nodes, -np.inf))
         objective, condition = attained[..., 0].T, attained[..., 1].T
         beyond = objective[:, cap:], condition[:, cap:]
-        lowest = self._beyond(layers, weights * [1.0, gamma**horizon], cap)
-        stage = self._stage(layers[:cap])
+        lowest = self._beyond(levels, weights * [1.0, gamma**horizon])
+        stage = self._stage(levels)
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
         for time in reversed(range(horizon)):
             now = weights * [1.0, gamma**time]
             priced = now[0] * stage + now[1] * base.failure[:, None]
-            best, below = self._least(priced + self._ahead(lowest, cap))
+            best, below = self._least(priced + self._ahead(lowest, levels))
             choice[time] = (best - base.pair_offsets[:-1, None]).T
-            on_objective = np.take_along_axis(stage + self._ahead(objective, cap), best, 0)
+            on_objective = np.take_along_axis(stage + self._ahead(objective, levels), best, 0)
             on_condition = np.take_along_axis(
-                base.failure[:, None] + gamma * self._ahead(condition, cap), best, 0
+                base.failure[:, None] + gamma * self._ahead(condition, levels), best, 0
             )
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
-            lowest = np.hstack([below, self.tail.bound(layers[cap:], now, base.unit).T])
-        return self._at_start(weights, objective, condition, lowest, _TimedLayers(choice))
+            lowest = np.hstack([below, self.tail.bound(totals[cap:], now).T])
+        return self._at_start(
+            weights, objective, condition, lowest, _TimedLayers(choice, levels, m)
+        )
 
-    def _beyond(self, layers: IntArray, weights: FloatArray, cap: int) -> FloatArray:
-        """Lower bound of every policy's weighted cost from the horizon on, [nodes, layers].
+    def _beyond(self, levels: Levels, weights: FloatArray) -> FloatArray:
+        """Lower bound of every policy's weighted cost from the horizon on, [nodes, totals].
 
         Discounting the objective too can only lower it, so the stationary game bounds this one.
 
         Args:
-            layers: of accumulated cost, [layers].
+            levels: the totals.
             weights: with that of J_cond as it has faded by then.
-            cap: layers below the cap.
         """
-        bound = self.tail.bound(layers, weights, self.base.unit)
-        below = np.stack(list(self.stationary.lowest(weights, cap)))[::-1]
+        bound, cap = self.tail.bound(levels.totals, weights), levels.cap
+        below = np.stack(list(self.stationary.lowest(weights, levels)))[::-1]
         bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 

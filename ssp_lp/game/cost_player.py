@@ -23,6 +23,9 @@ from ssp_lp.game.tail import Tail, outer_tail
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.totals.ladder import Ladder
+from ssp_lp.processes.totals.levels import Levels
+from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
 from ssp_lp.processes.totals.window import Window
 
 _MOST_ENTRIES = 200_000_000
@@ -33,6 +36,8 @@ _FIRST_LAYERS = 16
 _LAYER_ROUNDING = 16.0 * MACHINE_EPSILON
 """Relative rounding of a bound, per layer of the sweep: more layers cannot undo it."""
 
+_SAME_LAYER = 1e-9  # of a unit: the rounding of a total, far below a step
+
 _RARE = 1e-3
 """Greatest success up to which J_cond is counted from 1; above it few digits are lost without."""
 
@@ -41,11 +46,13 @@ _STALLED = 1e-8
 
 
 @dataclass(frozen=True, eq=False)
-class _LayeredStrategy:
+class LayeredStrategy:
     """A decision for each (layer, node), followed by a tail from the cap on."""
 
-    choice: IntArray  # [cap, nodes] position among the pairs of the node
-    threshold: FloatArray  # [nodes] layer from which the tail is pi'_or
+    choice: IntArray  # [layers, nodes] position among the pairs of the node
+    threshold: FloatArray  # [nodes] total from which the tail is pi'_or
+    levels: Levels  # the totals of the layers, and those beyond the cap
+    cap: float  # M, in units
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +74,31 @@ class CostPlayer:
         """What follows beyond M."""
         return outer_tail(self.base, self.origin)
 
+    @property
+    def dearest(self) -> float:
+        """Units that M is moved by at least: what the dearest step costs, and a little more."""
+        steps = step_lattice(self.base.quotient.model)[1]
+        return float(steps[-1]) if self.base.by_steps else float(self.base.width)
+
+    def levels(self, cap: float) -> Levels:
+        """The totals below M, all that can occur, and those at which tails take over.
+
+        Raises:
+            ModelError: they are too many.
+        """
+        base, most = self.base, _MOST_ENTRIES // max(self.base.n_nodes, 1)
+        most = min(most, _MOST_LAYERS)
+        if not base.by_steps and cap <= most:
+            return Levels.of_lattice(base.exact_unit, int(cap), base.width)
+        model = base.quotient.model
+        sums = sums_in(model, cap, min(most, MOST_SUMS)) if base.by_steps else None
+        if sums is None:
+            raise ModelError(
+                f"the totals below {cap * base.unit:g} are too many for the game on "
+                f"{base.n_nodes:,} states (unit {base.unit:g}): round the costs to a coarser grid"
+            )
+        return Levels.of_sums(Ladder(np.append(sums, cap), step_lattice(model)[1], complete=True))
+
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
     ) -> BestResponse:
@@ -81,27 +113,23 @@ class CostPlayer:
             ModelError: the table of decisions would be too large.
         """
         weights = np.array([objective_weight, condition_weight])
-        cap, sweeps, lost = self._first_cap(weights), 0, dict[int, float]()
+        cap, sweeps, lost = self._first_cap(weights), 0, dict[float, float]()
         while True:
-            self._check_size(cap)
             response = self._response(weights, cap)
+            layers = len(response.strategy.choice)
             sweeps += response.sweeps
             pays = response.payoff(objective_weight, condition_weight)
             stalled = pays - response.bound > 0.9 * min(lost.values(), default=np.inf)
             lost[cap] = pays - response.bound
             size = response.size(objective_weight, condition_weight)
-            wanted = max(accuracy, _LAYER_ROUNDING * cap) * size
+            wanted = max(accuracy, _LAYER_ROUNDING * layers) * size
             if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * size):
                 return replace(response, sweeps=sweeps)
-            cap = _larger_cap(lost, wanted) + self.base.width
+            cap = self._whole(_larger_cap(lost, wanted)) + self.dearest
 
-    def _check_size(self, cap: int) -> None:
-        if cap > _MOST_LAYERS or cap * self.base.n_nodes > _MOST_ENTRIES:
-            raise ModelError(
-                f"{cap:,} layers of accumulated cost (unit {self.base.unit:g}) on "
-                f"{self.base.n_nodes:,} states are too many for the game; round the costs to a "
-                "coarser grid"
-            )
+    def _whole(self, cap: float) -> float:
+        """A cap as a whole number of layers, where these are multiples of a unit."""
+        return cap if self.base.by_steps else float(np.ceil(cap))
 
     def surplus(self, price: float, accuracy: float) -> float:
         """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
@@ -110,13 +138,13 @@ class CostPlayer:
         the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
         """
         base, weights = self.base, np.array([1.0, price])
-        cap = len(self.response(1.0, price, accuracy).strategy.choice)
-        bounds = Window(self.tail.surplus(self._beyond(cap), weights, base.unit))
+        levels: Levels = self.response(1.0, price, accuracy).strategy.levels
+        bounds = Window(self.tail.surplus(levels.totals[levels.cap :], weights), levels)
         lowest = np.zeros(base.n_nodes)
         chosen: IntArray = base.pair_offsets[:-1]
         worth = price * base.survival * base.gain
-        for layer in reversed(range(cap)):
-            spent = self._costs(layer)[:, 0]
+        for paid in levels.totals[levels.cap - 1 :: -1].tolist():
+            spent = self._costs(paid)[:, 0]
             lowest, chosen = self._lowest(spent - worth, spent + worth, bounds.flat, chosen)
             bounds.push(lowest)
         terms = np.append(base.start * lowest, -price * base.start_goal)
@@ -124,66 +152,64 @@ class CostPlayer:
 
     def policy(self, response: BestResponse) -> CostAwarePolicy:
         """The response's policy on the model's states, with the cost paid as its memory."""
-        strategy: _LayeredStrategy = response.strategy
-        return cost_aware(self.base, self.tail, strategy.choice, strategy.threshold)
+        return cost_aware(self.base, self.tail, response.strategy)
 
-    def _first_cap(self, weights: FloatArray) -> int:
-        """Layers after which it is best to fail where that can be done for sure, if they are few.
+    def _first_cap(self, weights: FloatArray) -> float:
+        """Units after which it is best to fail where that can be done for sure, if they are few.
 
         Otherwise as many as the least failing policies may need, to be doubled soon.
         """
-        base, cap = self.base, _FIRST_LAYERS * self.base.width
+        base, cap = self.base, _FIRST_LAYERS * self.dearest
         if weights[0] == 0.0:
             return cap
         lossless = base.survival * weights[1] / (weights[0] * base.unit)
-        return int(np.ceil(lossless)) + 1 if lossless <= 8 * cap else cap
+        once_more = self.dearest if base.by_steps else 1.0
+        return self._whole(lossless) + once_more if lossless <= 8 * cap else cap
 
-    def _response(self, weights: FloatArray, cap: int) -> BestResponse:
-        """The best response that follows the tail from M = cap layers on, and a bound for all."""
-        base, threshold = self.base, self.tail.threshold(weights, self.base.unit)
-        measured = Window(self.tail.attained(self._beyond(cap), threshold, base.unit))
+    def _response(self, weights: FloatArray, cap: float) -> BestResponse:
+        """The best response that follows the tail from M = cap units on, and a bound for all."""
+        base, levels = self.base, self.levels(cap)
+        threshold = self.tail.threshold(weights) - _SAME_LAYER * base.unit
+        measured = Window(self.tail.attained(levels.totals[levels.cap :], threshold), levels)
         totals = np.zeros((base.n_nodes, 2))
         most = int(np.diff(base.pair_offsets).max(initial=1))
-        choice = np.empty((cap, base.n_nodes), dtype=least_integer_type(most))
+        choice = np.empty((levels.cap, base.n_nodes), dtype=least_integer_type(most))
         chosen: IntArray = base.pair_offsets[:-1]
-        for layer in reversed(range(cap)):
-            chosen, totals = self._best(self._costs(layer), weights, measured.flat, chosen)
+        for layer in reversed(range(levels.cap)):
+            costs = self._costs(float(levels.totals[layer]))
+            chosen, totals = self._best(costs, weights, measured.flat, chosen)
             choice[layer] = chosen - base.pair_offsets[:-1]
             measured.push(totals)
         settled = np.array([0.0, -base.start_goal if self.origin else base.start_failure])
         objective, failing = (base.start @ totals + settled).tolist()
-        *_, lowest = self.lowest(weights, cap)
+        *_, lowest = self.lowest(weights, levels)
         bound = float(base.start @ lowest + settled @ weights)
-        strategy = _LayeredStrategy(choice, threshold)
-        return BestResponse(objective, failing, bound, strategy, 2 * cap, self.origin)
+        strategy = LayeredStrategy(choice, threshold, levels, cap)
+        return BestResponse(objective, failing, bound, strategy, 2 * levels.cap, self.origin)
 
-    def lowest(self, weights: FloatArray, cap: int) -> Iterator[FloatArray]:
+    def lowest(self, weights: FloatArray, levels: Levels) -> Iterator[FloatArray]:
         """Lower bounds of every policy's weighted cost, [nodes], from the last layer to the first.
 
         Args:
             weights: of J_obj and J_cond, [2].
-            cap: layers.
+            levels: the totals.
         """
         chosen = self.base.pair_offsets[:-1]
-        ahead = Window(self.tail.bound(self._beyond(cap), weights, self.base.unit))
-        for layer in reversed(range(cap)):
-            costs = self._costs(layer)
+        ahead = Window(self.tail.bound(levels.totals[levels.cap :], weights), levels)
+        for paid in levels.totals[levels.cap - 1 :: -1].tolist():
+            costs = self._costs(paid)
             size = np.abs(costs) @ weights
             values, chosen = self._lowest(costs @ weights, size, ahead.flat, chosen)
             ahead.push(values)
             yield values
 
-    def _beyond(self, cap: int) -> IntArray:
-        """Layers beyond the cap that a step can reach, [width - 1]."""
-        return np.arange(cap, cap + self.base.width - 1)
-
-    def _costs(self, layer: int) -> FloatArray:
+    def _costs(self, paid: float) -> FloatArray:
         """E[G_o] and E[G_{d,gamma}] of each pair at an accumulated cost, [pairs, 2].
 
         Counted from origin 1, J_cond is paid where the goal is reached.
         """
         base = self.base
-        objective = base.gain * (layer * base.unit) + base.gain_cost
+        objective = base.gain * paid + base.gain_cost
         failing = -base.survival * base.gain if self.origin else base.failure
         return np.stack([objective, failing], axis=1)
 
@@ -231,7 +257,7 @@ class CostPlayer:
         return values, chosen
 
 
-def _larger_cap(lost: Mapping[int, float], wanted: float) -> int:
+def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
     """A cap at which as little is lost as is wanted, from 1.25 to 4 times the last one."""
     cap = max(lost)
     needed = 2.0 * cap
@@ -239,21 +265,21 @@ def _larger_cap(lost: Mapping[int, float], wanted: float) -> int:
     if lost[cap] < lost[smaller] and wanted > 0.0:
         rate = np.log(lost[smaller] / lost[cap]) / (cap - smaller)
         needed = cap + 1.1 * np.log(lost[cap] / wanted) / rate
-    return int(np.ceil(min(max(needed, 1.25 * cap), 4.0 * cap)))
+    return min(max(needed, 1.25 * cap), 4.0 * cap)
 
 
-def cost_aware(
-    base: AccumulatedCost, tail: Tail, choice: IntArray, threshold: FloatArray
-) -> CostAwarePolicy:
+def cost_aware(base: AccumulatedCost, tail: Tail, strategy: LayeredStrategy) -> CostAwarePolicy:
     """Pull a choice for each (layer, node) back to the model, followed by a tail.
 
     Args:
         base: the process.
         tail: the two policies of which one is followed beyond the choice.
-        choice: position among the pairs of the node, [cap, nodes].
-        threshold: layer from which the tail is pi'_or, [nodes].
+        strategy: the choice, and the total from which the tail is pi'_or.
     """
-    quotient, model = base.quotient, base.quotient.model
+    quotient, model, choice = base.quotient, base.quotient.model, strategy.choice
+    threshold = strategy.threshold / base.unit
+    threshold = threshold if base.by_steps else np.ceil(threshold)
+    known = np.append(strategy.levels.totals[: len(choice)], strategy.cap)
     live = np.flatnonzero(quotient.node_of >= 0)  # in the order of the nodes: none are merged
     pair = quotient.pair_at[base.pair_offsets[:-1] + choice]
     decision = np.full((len(choice), model.n_states), UNDECIDED, dtype=choice.dtype)
@@ -263,5 +289,6 @@ def cost_aware(
         unit=base.unit,
         decision=decision,
         tails=np.stack([quotient.pull_back(c) for c in tail.choice]),
-        tail_threshold=quotient.lift(np.where(threshold <= len(choice), -np.inf, threshold)),
+        tail_threshold=quotient.lift(np.where(threshold <= strategy.cap, -np.inf, threshold)),
+        levels=known if base.by_steps else None,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -26,20 +26,28 @@ _ROUNDED_SUCCESS = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Optimum:
-    """The least c, with its proof, and where the adversary and the budget stand there."""
+class GameSolution:
+    """c* of a problem under one construction of the paper, with its proof."""
 
+    problem: Problem
+    player: Player  # the construction: which policies there are and how their costs are counted
     threshold: Threshold  # the games at epsilon*, with the mixed policy
     spent: float  # epsilon*: the budget; in case S the epsilon' in (0, epsilon] of least c*
-    objective: float  # c*, attained by the mixed policy
-    lower_bound: float  # no policy within the budget has less
-    alpha: float  # alpha* at epsilon*
+    objective: float  # c*, attained by the policy; under the stationary construction c-hat
+    lower_bound: float  # no policy whose J_cond keeps to the budget has less
+    alpha: float  # alpha*: the adversary's weight of the objective MDP at epsilon*
     price: float  # weight of J_cond against J_obj at alpha*: lambda in case M, kappa in case S
+
+    @property
+    def policy(self) -> MixedPolicy:
+        """A lottery over one or two deterministic policies on the original states."""
+        members = tuple(self.player.policy(r) for r in self.threshold.members)
+        return MixedPolicy(members, np.array(self.threshold.weights))
 
 
 def find_optimum(
     problem: Problem, player: Player, *, tolerance: float, progress: Progress | None = None
-) -> Optimum:
+) -> GameSolution:
     """Find c* of a problem by its player's best responses.
 
     Case M: the least c whose game value is at most c. Case S: the least such value over all
@@ -61,31 +69,30 @@ def find_optimum(
     if least > budget + LEAST_BUDGET:
         raise infeasible(problem, budget, least)
     if problem.ratio:
-        return _ratio_optimum(cast(RatioPlayer, player), budget, known, tolerance, progress)
-    return _at_budget(
-        find_threshold(player, budget, 1.0, known, tolerance=tolerance, progress=progress)
-    )
+        return _ratio_optimum(problem, cast(RatioPlayer, player), known, tolerance, progress)
+    found = find_threshold(player, budget, 1.0, known, tolerance=tolerance, progress=progress)
+    return _at_budget(problem, player, found, found.low)
 
 
-def _at_budget(found: Threshold) -> Optimum:
-    return Optimum(
-        found, found.budget, found.high, found.low, found.game.alpha, found.failure_price
-    )
+def _at_budget(problem: Problem, player: Player, found: Threshold, lower: float) -> GameSolution:
+    alpha, price = found.game.alpha, found.failure_price
+    return GameSolution(problem, player, found, found.budget, found.high, lower, alpha, price)
 
 
 def _ratio_optimum(
+    problem: Problem,
     player: RatioPlayer,
-    budget: float,
     known: tuple[BestResponse, ...],
     tolerance: float,
     progress: Progress | None,
-) -> Optimum:
+) -> GameSolution:
     """Theorem 3-1: the least c* over epsilon' in (0, epsilon].
 
     c* = F(e) / (1 - e), with F the convex least J_obj at J_cond = e, falls while ``-F'(e) > c*``
     and rises after: either it still falls at the budget, or its minimum is where failing is worth
     exactly c*, at a single policy.
     """
+    budget = float(problem.failure_budget or 0.0)
     best, responses, is_least = _least_ratio(player, known, tolerance)
     at_goal = best.condition == 0.0  # from the start on: c* of every epsilon' is 0
     origin = best.origin
@@ -97,9 +104,10 @@ def _ratio_optimum(
     if best.failing > budget - origin:
         falls = is_least or _ratio(best) < found.low
         lower = found.low if falls else _slack_bound(player, found.high, budget, tolerance)
-        return replace(_at_budget(found), lower_bound=lower)
+        return _at_budget(problem, player, found, lower)
     c = found.high
-    return Optimum(found, spent, c, _slack_bound(player, c, budget, tolerance), share, c)
+    lower = _slack_bound(player, c, budget, tolerance)
+    return GameSolution(problem, player, found, spent, c, lower, share, c)
 
 
 def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: float) -> float:
@@ -171,34 +179,3 @@ def _is_hopeful(response: BestResponse) -> bool:
 
 def _ratio(response: BestResponse) -> float:
     return response.objective / response.success
-
-
-@dataclass(frozen=True, eq=False)
-class GameSolution:
-    """c* of a problem under one construction of the paper."""
-
-    problem: Problem
-    player: Player  # the construction: which policies there are and how their costs are counted
-    optimum: Optimum
-
-    @property
-    def objective(self) -> float:
-        """c*, attained by the policy; under the stationary construction c-hat."""
-        return self.optimum.objective
-
-    @property
-    def lower_bound(self) -> float:
-        """No policy whose J_cond keeps to the budget has less."""
-        return self.optimum.lower_bound
-
-    @property
-    def alpha(self) -> float:
-        """alpha*: the adversary's weight of the objective MDP at epsilon*."""
-        return self.optimum.alpha
-
-    @property
-    def policy(self) -> MixedPolicy:
-        """A lottery over one or two deterministic policies on the original states."""
-        threshold = self.optimum.threshold
-        members = tuple(self.player.policy(r) for r in threshold.members)
-        return MixedPolicy(members, np.array(threshold.weights))

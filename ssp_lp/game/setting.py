@@ -9,6 +9,7 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
+from ssp_lp.processes.totals.ladder import wanted_rungs
 
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
@@ -86,4 +87,5 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     if not problem.ratio:
         return label_models(problem.model, start, problem.semantics, discount)
     check_reachable(problem)
-    return accumulate_cost(problem.model, start, discount)
+    by_steps = wanted_rungs(problem.model) is not None
+    return accumulate_cost(problem.model, start, discount, by_steps=by_steps)

@@ -53,32 +53,33 @@ def stationary_game(
     """
     check_tolerance(tolerance)
     player = stationary_player(problem)
-    optimum = find_optimum(problem, player, tolerance=tolerance, progress=progress)
-    return GameSolution(problem, player, optimum)
+    return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 
 
 def value_function(solution: GameSolution) -> FloatArray:
     """A checked lower bound of ``J_obj + price * J_cond`` from each state of the process.
 
     Case M: [states of the process]. Case S: infinite, [layers, nodes], which asks ``certify`` for
-    the best that it can prove with so many layers.
+    the best that it can prove with so many layers; [1] where costs have no common unit.
 
     Where no time is left the values are infinite throughout.
 
     Raises:
         ModelError: not a solution of ``stationary_game``.
     """
-    player, price = solution.player, solution.optimum.price
+    player, price = solution.player, solution.price
     try:
         with closing():
             if isinstance(player, LabelPlayer):
                 return player.values(player.response(1.0, price, _TIGHT))
+            if isinstance(player, CostPlayer) and player.base.by_steps:
+                return np.array([np.inf])
             if isinstance(player, CostPlayer):
                 best = player.response(1.0, price, _LESS_TIGHT)
                 return np.broadcast_to(np.inf, best.strategy.choice.shape)
     except STOPS as stop:
         heed(stop)
-        return np.broadcast_to(np.inf, _shape(player, solution.optimum.threshold))
+        return np.broadcast_to(np.inf, _shape(player, solution.threshold))
     raise ModelError("only the stationary game has a value function of the state")
 
 

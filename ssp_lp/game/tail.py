@@ -32,38 +32,38 @@ class Tail:
     survival: float  # gamma; 1 where J_obj is not discounted
     origin: float = 0.0  # 0 or 1, see ``BestResponse``
 
-    def threshold(self, weights: FloatArray, unit: float) -> FloatArray:
-        """Layer of accumulated cost from which pi'_or is no worse than the other, [nodes]."""
+    def threshold(self, weights: FloatArray) -> FloatArray:
+        """Accumulated cost from which pi'_or is no worse than the other, [nodes]."""
         saved = weights[0] * (self.early[0] - self.early[1])
         owed = weights[1] * (self.failing[1] - self.failing[0])
         owed += weights[0] * (self.cost[1] - self.cost[0])
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            layer = np.ceil(owed / (saved * unit) - 1e-9)
-        return np.where(saved > 0.0, layer, np.where(owed <= 0.0, -np.inf, np.inf))
+            total = owed / saved
+        return np.where(saved > 0.0, total, np.where(owed <= 0.0, -np.inf, np.inf))
 
-    def attained(self, layers: IntArray, threshold: FloatArray, unit: float) -> FloatArray:
-        """(J_obj, J_cond - origin) of going on where so much was paid, [layers, nodes, 2].
+    def attained(self, paid: FloatArray, threshold: FloatArray) -> FloatArray:
+        """(J_obj, J_cond - origin) of going on where so much was paid, [totals, nodes, 2].
 
         Section 3.5.1 leaves the tail's J_obj undiscounted; under discounting it is discounted here
         like what comes before M, so that c-hat does not depend on M once M is large.
         """
-        last = layers[:, None] >= threshold
+        last = paid[:, None] >= threshold
         early, cost, failing = (
             np.where(last, v[1], v[0]) for v in (self.early, self.cost, self.failing)
         )
-        return np.stack([(layers[:, None] * unit) * early + cost, failing], axis=-1)
+        return np.stack([paid[:, None] * early + cost, failing], axis=-1)
 
-    def bound(self, layers: IntArray, weights: FloatArray, unit: float) -> FloatArray:
-        """Lower bound of every policy's weighted cost in these layers, [layers, nodes]."""
-        return np.asarray(weights[1] * (1.0 - self.origin) + self.surplus(layers, weights, unit))
+    def bound(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
+        """Lower bound of every policy's weighted cost at these totals, [totals, nodes]."""
+        return np.asarray(weights[1] * (1.0 - self.origin) + self.surplus(paid, weights))
 
-    def surplus(self, layers: IntArray, weights: FloatArray, unit: float) -> FloatArray:
-        """The same, less the weighted cost of sure failure, [layers, nodes].
+    def surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
+        """The same, less the weighted cost of sure failure, [totals, nodes].
 
         Whoever succeeds pays at least what has been paid: ``w_o r E[gamma^(T-1); goal] - w_d
         E[gamma^T; goal]`` is linear in the success, which lies between two bounds.
         """
-        per_success = weights[0] * (layers[:, None] * unit) / self.survival - weights[1]
+        per_success = weights[0] * paid[:, None] / self.survival - weights[1]
         goal = np.where(per_success < 0.0, self.greatest_goal, self.least_goal)
         return np.asarray(per_success * goal)
 

@@ -39,16 +39,6 @@ _STALLED = 0.75
 """Two games, one of them halfway, halve the bracket, unless rounding has the last word."""
 
 
-@dataclass(frozen=True)
-class Trial:
-    """One game of the search: whether its value exceeds eta decides on which side c* lies."""
-
-    c: float
-    alpha: float
-    value: float  # of the game at c
-    eta: float
-
-
 @dataclass(frozen=True, eq=False)
 class Threshold:
     """c* of one epsilon between two bounds, and the mixed policy that attains the upper one."""
@@ -59,7 +49,7 @@ class Threshold:
     game: Equilibrium  # the last game, at c = high where the search was not cut short
     members: tuple[BestResponse, ...]  # one or two policies
     weights: tuple[float, ...]
-    trials: tuple[Trial, ...]
+    games: int  # played, each at another c: whether it can be held says on which side c* lies
     responses: tuple[BestResponse, ...]
     in_time: bool = True  # whether the search ended by itself, not by its deadline
 
@@ -110,25 +100,25 @@ def find_threshold(
     room = _attainable(responses, budget - responses[0].origin if room is None else room)
     budget = responses[0].origin + room
     low, high = 0.0, cheapest_mixture(responses, room)[2] / share
-    trials: list[Trial] = []
+    games = 0
     width = np.inf  # of the bracket after the last game at its upper end
     while True:
-        at = high if len(trials) % 2 == 0 else 0.5 * (low + high)
+        at = high if games % 2 == 0 else 0.5 * (low + high)
         found = _played(player, Game(share * at, budget, room), responses, accuracy)
         responses = list(found.responses)
-        trials.append(Trial(at, found.alpha, found.upper, share * at))
+        games += 1
         low = max(low, _implied(found) / share)
         members, weights, cost = cheapest_mixture(responses, room)
         high = cost / share
         answer = Threshold(
-            budget, min(low, high), high, found, members, weights, tuple(trials), tuple(responses),
+            budget, min(low, high), high, found, members, weights, games, tuple(responses),
             not is_late(),
         )  # fmt: skip
         _tell(progress, answer)
-        late = is_late() or len(trials) >= _MOST_GAMES
+        late = is_late() or games >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
             return answer
-        if len(trials) % 2 == 1:
+        if games % 2 == 1:
             if high - low > _STALLED * width:
                 return answer
             width = high - low

@@ -169,18 +169,17 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
         raise ModelError("method='game' chooses its own cap M: leave cost_cap out")
     found = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
-    optimum = found.optimum
-    replies = optimum.threshold.responses
-    reason = f"the paper's game, {len(optimum.threshold.trials)} values of c"
+    replies = found.threshold.responses
+    reason = f"the paper's game, {found.threshold.games} values of c"
     work = Work(backups=sum(r.sweeps for r in replies))
-    price = max(optimum.price - optimum.objective, 0.0) if problem.ratio else optimum.price
+    price = max(found.price - found.objective, 0.0) if problem.ratio else found.price
     answer = Found(
         policy=found.policy,
-        value=optimum.objective,
-        bound=optimum.lower_bound,
-        failure=optimum.threshold.condition,
+        value=found.objective,
+        bound=found.lower_bound,
+        failure=found.threshold.condition,
         price=price,
         values=value_function(found),
-        note=remarks(problem, optimum.threshold.budget, optimum.threshold.in_time),
+        note=remarks(problem, found.threshold.budget, found.threshold.in_time),
     )
     return assembled(problem, answer, Run(Game.name, reason, len(replies), 0.0, work))

@@ -12,7 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
-from ssp_lp.dynamic_programming.extreme_reach import Exits, extreme_reach
+from ssp_lp.dynamic_programming.extreme_reach import extreme_reach
 from ssp_lp.dynamic_programming.leaving import approach
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.policy_iteration import improve
@@ -135,7 +135,7 @@ def _extreme(
     miss = survival * quotient.at_pairs(successor_means(model, missing)) / departs
     if survival < 1.0:
         miss = miss + (1.0 - survival)
-    reach = extreme_reach(Exits(dynamics, hit, miss), greatest=greatest)
+    reach = extreme_reach(dynamics, hit, miss, greatest=greatest)
     usable = quotient.inside.copy()
     usable[quotient.pair_at[reach.tied & (quotient.pair_at >= 0)]] = True
     return GoalReach(

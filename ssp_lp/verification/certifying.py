@@ -187,12 +187,12 @@ def _rows_bound(
     claims: tuple[float, ...],
 ) -> float:
     """The lower bound that prices and values prove; in case S of ratios that are claimed."""
-    found = [0.0]
+    found, pricing = [0.0], compiled.pricing
     ratios = [r for c in claims if c > 0.0 for r in ratios_below(c)] if compiled.ratio else [0.0]
     for ratio in ratios:
-        weights = np.append(1.0, prices)
-        weights[1] += ratio
-        proof = compiled.pricing.check(weights, values)
+        weights = np.concatenate([[1.0, prices[0] + ratio], prices[1:]])
+        best = None if np.isfinite(values).any() else pricing.minimise(weights)  # after a game
+        proof = pricing.check(weights, values) if best is None else pricing.prove(weights, best)
         found.append(rows_bound(compiled, prices, bounds, ratio, proof))
     return max(found)
 

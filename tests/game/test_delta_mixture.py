@@ -21,7 +21,7 @@ few = settings(max_examples=30, deadline=None, derandomize=True)
 
 def _check_limit(player, found):
     """The excess over eta falls with delta and is at most delta times the steepest slope."""
-    game, alpha = found.optimum.threshold.game.game, found.alpha
+    game, alpha = found.threshold.game.game, found.alpha
     room = 1e-9 * game.stake
     excesses = []
     for delta in DELTAS:
@@ -53,7 +53,7 @@ def test_t3_4_for_the_unapproximated_game(criterion):
     problem = hand_problem(criterion, RETRY, 0.3, 0.95)
     found = bayes_adaptive(problem, tolerance=1e-10)
     lottery = _check_limit(found.player, found)
-    spent = found.optimum.spent
+    spent = found.spent
     share = 1.0 - spent if problem.ratio else 1.0
     assert lottery.objective / share == pytest.approx(found.objective, rel=1e-5)
     assert lottery.condition <= spent * (1 + 1e-5)
@@ -87,9 +87,9 @@ def test_t3_4_on_the_robot(criterion, robot):
     model, start = robot
     problem = criterion(model, start=start, failure_budget=0.05, discount=0.999)
     found = stationary_game(problem, tolerance=1e-8)
-    game = found.optimum.threshold.game.game
+    game = found.threshold.game.game
     lottery = delta_mixture(found.player, game, found.alpha, 1e-5)
-    share = 1.0 - found.optimum.spent if problem.ratio else 1.0
+    share = 1.0 - found.spent if problem.ratio else 1.0
     assert lottery.objective / share == pytest.approx(found.objective, rel=1e-4)
     assert lottery.condition <= 0.05 * (1 + 1e-8)
     real = evaluate(lottery.policy(found.player), problem)

@@ -4,7 +4,7 @@ import pytest
 
 from formulations import MCMP, S3P
 from small_models import EXACT, model_of
-from ssp_lp import InfeasibleError, MixedPolicy, ModelError, Status, solve
+from ssp_lp import InfeasibleError, MixedPolicy, ModelError, Status, certify, solve
 from ssp_lp.analysis.visits import equivalent_randomised_policy
 from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
 from ssp_lp.policies import DeterministicPolicy
@@ -122,3 +122,37 @@ def test_a_policy_of_unknown_memory_has_no_equivalent():
     lottery = MixedPolicy((plain, Secretive(problem.model)), [0.5, 0.5])
     with pytest.raises(ModelError, match="Secretive"):
         equivalent_randomised_policy(lottery, problem)
+
+
+def wandering(costs):
+    """Four places with two ways on of three costs each, and a dear one that is nearly safe."""
+    dear, mid, cheap = costs
+    return {
+        i: {
+            "on": [(0.5, (i + 1) % 4, mid), (0.2, "g", cheap), (0.3, "d", cheap)],
+            "back": [(0.6, (i + 3) % 4, cheap), (0.3, "g", mid), (0.1, "d", mid)],
+            "dear": [(0.55, "g", dear), (0.4, (i + 2) % 4, mid), (0.05, "d", cheap)],
+        }
+        for i in range(4)
+    } | {"d": {}}
+
+
+@pytest.mark.parametrize("costs", [(3.0, 2.0**0.5, 1.0), (2.0**0.5, 1.0, 0.0), (3.0, 1.41, 0.7)])
+def test_the_game_and_column_generation_agree_on_costs_without_a_unit(costs):
+    problem = S3P(model_of(wandering(costs)), 0, failure_budget=0.3, discount=0.9)
+    played, best = solve(problem, method="game"), solve(problem)
+    assert played.objective == pytest.approx(best.objective, rel=1e-9)
+    assert played.gap <= 1e-9
+    certificate = certify(played)
+    assert certificate.accepted
+    assert certificate.gap <= 1e-9
+
+
+def test_the_unapproximated_game_without_a_unit_tends_to_that_with_one():
+    """Its value is continuous in the costs, and its policy costs what the game says."""
+    near, exact = (
+        bayes_adaptive(S3P(model_of(wandering(costs)), 0, failure_budget=0.7, discount=0.6))
+        for costs in ((1.5, 1.0 + 1e-9 * 2.0**0.5, 0.5), (1.5, 1.0, 0.5))
+    )
+    assert near.objective == pytest.approx(exact.objective, rel=1e-6)
+    assert near.lower_bound <= near.objective * (1.0 + 1e-12)

@@ -73,7 +73,7 @@ def test_t3_5_the_threshold_of_a_cap_falls_to_that_of_none():
     }
     problem = hand_problem(S3P, choices, 0.2, 0.99)
     found = stationary_game(problem)
-    spent = found.optimum.spent
+    spent = found.spent
     values = list(_capped_thresholds(problem, spent, (6, 8, 12, 16, 24, 32, 48, 96)))
     assert all(later <= earlier * (1 + 1e-9) for earlier, later in pairwise(values))
     assert values[0] > found.objective * (1 + 1e-4)
@@ -178,7 +178,7 @@ def test_l3_10_is_true_in_the_limit_of_the_cap_only():
     (small,) = _capped_thresholds(problem, 1 - 0.1 * gamma**2, [1])
     assert true.objective < 2.1
     assert small == pytest.approx(11 / gamma, rel=1e-6)
-    *_, large = _capped_thresholds(problem, true.optimum.spent, [1 << k for k in range(3, 7)])
+    *_, large = _capped_thresholds(problem, true.spent, [1 << k for k in range(3, 7)])
     assert stationary_game(problem).objective <= large * (1 + 1e-9)
     assert stationary_game(problem).objective <= true.objective * (1 + 1e-9)
 

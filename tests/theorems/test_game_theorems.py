@@ -88,7 +88,7 @@ def test_t3_1_the_least_c_over_smaller_budgets_is_the_optimum_of_case_s(drawn, g
     found = stationary_game(problem)
     optimum = solve(problem, "columns").objective
     assert found.objective == pytest.approx(optimum, rel=1e-7, abs=1e-9)
-    spent, budget = found.optimum.spent, problem.failure_budget
+    spent, budget = found.spent, problem.failure_budget
     assert 0.0 < spent <= budget
     least = found.player.response(0.0, 1.0, 1e-13).condition
     grid = [least + k / 8 * (budget - least) for k in (8, 6, 4, 2, 1)]
@@ -120,9 +120,9 @@ def test_t3_1_where_the_budget_is_slack():
     found = stationary_game(problem)
     spent = 1.0 - 0.95 * gamma
     assert found.objective == pytest.approx(1 / gamma, rel=1e-9)
-    assert found.optimum.spent == pytest.approx(spent, rel=1e-9)
+    assert found.spent == pytest.approx(spent, rel=1e-9)
     assert found.alpha == pytest.approx(1 - spent, rel=1e-9)
-    assert found.optimum.price == pytest.approx(1 / gamma, rel=1e-9)
+    assert found.price == pytest.approx(1 / gamma, rel=1e-9)
     # J_obj cannot fall below 0.95 any more: c* = 0.95 / (1 - epsilon')
     for threshold in thresholds(problem, [0.1, 0.3, 0.5, 0.9]):
         assert threshold.high == pytest.approx(0.95 / (1 - threshold.budget), rel=1e-9)
@@ -171,7 +171,7 @@ def test_t3_2_on_a_closed_form():
         found = stationary_game(problem)
         share, price = (budget - (1 - gamma)) / (0.05 * gamma), 1 / (0.05 * gamma)
         assert found.objective == pytest.approx(2 - share, rel=1e-9)
-        assert found.optimum.price == pytest.approx(price, rel=1e-6)
+        assert found.price == pytest.approx(price, rel=1e-6)
         assert found.alpha == pytest.approx((2 - share) / (2 - share + price * budget), rel=1e-6)
 
 
@@ -312,7 +312,7 @@ def test_the_adversary_weight_ties_the_engines(criterion, drawn, gamma, share):
     """
     problem = drawn_problem(criterion, drawn, share, gamma)
     found = stationary_game(problem)
-    c, spent, price = found.objective, found.optimum.spent, found.optimum.price
+    c, spent, price = found.objective, found.spent, found.price
     if c < 1e-6:
         return
     own = stake(problem, c) if not problem.ratio else c * (1.0 - spent)
@@ -330,7 +330,7 @@ def test_the_robot_has_one_optimum_by_game_and_by_columns(criterion, robot):
     model, start = robot
     problem = criterion(model, start=start, failure_budget=0.05, discount=0.999)
     found, solution = stationary_game(problem, tolerance=1e-8), solve(problem, "columns")
-    c, spent = found.objective, found.optimum.spent
+    c, spent = found.objective, found.spent
     assert c == pytest.approx(solution.objective, rel=1e-9)
     assert spent == pytest.approx(0.05, abs=1e-12)
     assert found.alpha == pytest.approx(solution.adversary_weight, rel=1e-8)

@@ -8,7 +8,7 @@ from games import game_at, hand_problem
 from references import s3p
 from references.chain import plain_model
 from small_models import TWO_MOVES
-from ssp_lp import ModelError, evaluate, solve
+from ssp_lp import evaluate, solve
 from ssp_lp.game import Game, delta_mixture, play, stationary_game
 from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.stationary import stationary_player, thresholds
@@ -109,7 +109,7 @@ def test_the_two_sides_of_alpha_end_at_0_and_1():
     """
     problem = hand_problem(MCMP, TWO_MOVES, 0.5, 0.99)
     found, player = stationary_game(problem), stationary_player(problem)
-    game = found.optimum.threshold.game.game
+    game = found.threshold.game.game
     assert found.alpha == 1.0
     for delta in (1e-6, 0.1, 1.0, 5.0):
         lottery = delta_mixture(player, game, found.alpha, delta)
@@ -132,25 +132,23 @@ def test_one_delta_times_the_slope_bounds_the_lottery(criterion):
     }
     problem = hand_problem(criterion, retry, 0.3, 0.95)
     found, player = stationary_game(problem), stationary_player(problem)
-    game = found.optimum.threshold.game.game
+    game = found.threshold.game.game
     for delta in (0.3, 0.1, 1e-2, 1e-4, 1e-6):
         lottery = delta_mixture(player, game, found.alpha, delta)
         slope = max(abs(game.excess(lottery.minus)), abs(game.excess(lottery.plus)))
         assert lottery.value - game.stake <= delta * slope + 1e-9 * game.stake
 
 
-def test_assumption_2_1_the_game_needs_a_unit_of_the_costs():
-    """Assumption 2-1: without a common step of the costs the game has no layers, and says so.
-
-    Column generation needs none: its levels are the totals that can occur.
-    """
+def test_assumption_2_1_isolated_totals_are_enough():
+    """Assumption 2-1: costs need no common step; the layers are the totals that can occur."""
     root = 2.0**0.5
     choices = {
         "x": {"a": [(0.5, "g", 1.0), (0.3, "x", root), (0.1, "x", 1.0), (0.1, "d", 1.0)]},
         "d": {"stuck": [(1.0, "d", 1.0)]},
     }
-    with pytest.raises(ModelError, match="unit"):
-        solve(hand_problem(S3P, choices, 0.9, 0.9), "game")
+    discounted = hand_problem(S3P, choices, 0.9, 0.9)
+    played, best = solve(discounted, "game"), solve(discounted)
+    assert played.objective == pytest.approx(best.objective, **EXACT)
     cost_given_success = 1.0 + (0.3 * root + 0.1) / 0.6
     found = solve(hand_problem(S3P, choices, 0.9, None))
     assert found.objective == pytest.approx(cost_given_success, **EXACT)

@@ -103,99 +103,75 @@ def transposed_solve(factors: linalg.SuperLU, inflow: FloatArray) -> FloatArray:
     return np.asarray(factors.solve(inflow, "T"))  # type: ignore[call-overload]
 
 
-class Band:
-    """A narrow component, reduced state by state without subtractions (compiled)."""
+def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None) -> Solver:
+    """Solve the equations of a chain by sparse factors with one step of refinement.
 
-    def __init__(self, own: sp.csr_array, leaving: FloatArray, place: IntArray, width: int) -> None:
-        """Reduce the component.
+    Args:
+        matrix: [states, states].
+        exits: [states].
+        order: states in the order to be kept; None: in one that fills in little.
 
-        Args:
-            own: moves on departing, [members, members].
-            leaving: probability of leaving on departing, [members].
-            place: position of each member in the order in which it is narrow, [members].
-            width: greatest distance of two members that a move joins in that order.
-
-        Raises:
-            SolverError: the component is never left.
-        """
-        from ssp_lp.compiled.elimination import eliminate_band
-
-        entry, size = own.tocoo(), len(leaving)
-        self._place = place
-        self._band, self._departs = np.zeros((size, 2 * width + 1)), np.empty(size)
-        row, column = place[entry.row], place[entry.col]
-        np.add.at(self._band, (row, width + column - row), entry.data)
-        ordered = np.empty(size)
-        ordered[place] = leaving
-        if not eliminate_band(self._band, ordered, self._departs):
-            raise SolverError(HOLDS_MASS)
-
-    def solve(self, right: FloatArray) -> FloatArray:
-        """Totals of the members, [members, rewards]."""
-        from ssp_lp.compiled.elimination import solve_band
-
-        ordered = np.empty_like(right)
-        ordered[self._place] = right
-        solve_band(self._band, self._departs, ordered)
-        return np.asarray(ordered[self._place])
-
-
-class Factors:
-    """Sparse factors, in a given order or in one that fills in little."""
-
-    def __init__(
-        self,
-        own: sp.csr_array,
-        departs: FloatArray,
-        leaving: FloatArray,
-        place: IntArray | None = None,
-    ) -> None:
-        """Factorise the component.
-
-        Args:
-            own: moves on departing, [members, members].
-            departs: probability of departing, [members].
-            leaving: probability of leaving, [members].
-            place: position of each member in the order to be kept; None: one is found.
-
-        Raises:
-            SolverError: there are too many members, or they are never left.
-        """
-        size = len(leaving)
-        if size > _MOST_STATES and place is None:
-            raise SolverError(
-                f"no method solves the equations of a policy on {size:,} states that hang "
-                "together; a discount may help"
-            )
-        self._place = np.arange(size) if place is None else place
-        entry = own.tocoo()
-        row, column = self._place[entry.row], self._place[entry.col]
-        diagonal = np.empty(size)
-        diagonal[self._place] = leaving / departs + np.asarray(own.sum(axis=1)).ravel()
-        every = np.arange(size)
-        self._system = sp.csc_array(
-            (
-                np.concatenate([diagonal, -entry.data]),
-                (np.concatenate([every, row]), np.concatenate([every, column])),
-            ),
-            shape=(size, size),
+    Raises:
+        SolverError: there are too many states, or they are never left.
+    """
+    size = len(exits)
+    if size > _MOST_STATES and order is None:
+        raise SolverError(
+            f"no method solves the equations of a policy on {size:,} states that hang together; a "
+            "discount may help"
         )
-        try:
-            self._factors = linalg.splu(
-                self._system,
-                permc_spec="COLAMD" if place is None else "NATURAL",
-                diag_pivot_thresh=1.0 if place is None else 0.0,
-            )
-        except RuntimeError as error:
-            raise SolverError(HOLDS_MASS) from error
+    system = equations(matrix, exits, order)
+    factors = factorised(system, in_order=order is not None)
 
-    def solve(self, right: FloatArray) -> FloatArray:
-        """Totals of the members, [members, rewards]."""
-        ordered = np.empty_like(right)
-        ordered[self._place] = right
-        x = self._factors.solve(ordered)
-        x = x + self._factors.solve(ordered - self._system @ x)
-        return np.asarray(x[self._place])
+    def solve(right: FloatArray) -> FloatArray:
+        ordered = right if order is None else right[order]
+        found = factors.solve(ordered)
+        found = found + factors.solve(ordered - system @ found)
+        return _in_place(found, order)
+
+    return solve
+
+
+def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width: int) -> Solver:
+    """Solve the equations of a narrow chain, reduced state by state without subtractions.
+
+    Compiled.
+
+    Args:
+        matrix: without self-loops, [states, states].
+        exits: [states].
+        order: states in the order in which the chain is narrow.
+        width: greatest distance of two states that a move joins in that order.
+
+    Raises:
+        SolverError: the chain is never left.
+    """
+    from ssp_lp.compiled.elimination import eliminate_band, solve_band
+
+    entry, size = matrix.tocoo(), len(exits)
+    place = np.empty(size, dtype=np.int64)
+    place[order] = np.arange(size)
+    band, departs = np.zeros((size, 2 * width + 1)), np.empty(size)
+    row, column = place[entry.row], place[entry.col]
+    np.add.at(band, (row, width + column - row), entry.data)
+    if not eliminate_band(band, exits[order], departs):
+        raise SolverError(HOLDS_MASS)
+
+    def solve(right: FloatArray) -> FloatArray:
+        ordered = right[order]
+        solve_band(band, departs, ordered)
+        return _in_place(ordered, order)
+
+    return solve
+
+
+def _in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
+    """What was worked out in some order, in the order of the states."""
+    if order is None:
+        return np.asarray(ordered)
+    result = np.empty_like(ordered)
+    result[order] = ordered
+    return result
 
 
 def reduce_states(inner: FloatArray, leaving: FloatArray, rewards: FloatArray) -> FloatArray:

@@ -17,7 +17,11 @@ from scipy.sparse import csgraph, linalg
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time, pieces
-from ssp_lp.dynamic_programming.linear_systems.direct_solvers import Band, Factors
+from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
+    Solver,
+    band_solver,
+    factor_solver,
+)
 from ssp_lp.errors import SolverError
 
 _TRIAL = 6  # sweeps over which the contraction is judged
@@ -54,7 +58,7 @@ class LargeComponent:
         self._place = np.full(matrix.shape[0], -1, dtype=np.int32)
         self._place[states] = np.arange(len(states), dtype=np.int32)
         self.own, self._departs, self._leaving = self._gathered(exits)
-        self._direct: Band | Factors | None = None
+        self._direct: Solver | None = None
         self._products = 0
 
     def take_products(self) -> int:
@@ -79,8 +83,8 @@ class LargeComponent:
             if self._iterated(right, y, accuracy):
                 x[self._states] = y
                 return
-            self._direct = Factors(self.own, self._departs, self._leaving)
-        x[self._states] = self._direct.solve(right)
+            self._direct = factor_solver(self.own, self._leaving / self._departs)
+        x[self._states] = self._direct(right)
         self._products += 1
 
     def _iterated(self, right: FloatArray, y: FloatArray, accuracy: float) -> bool:
@@ -94,7 +98,7 @@ class LargeComponent:
                 return True
         self._direct = self._narrow()
         if self._direct is not None:
-            y[:] = self._direct.solve(right)
+            y[:] = self._direct(right)
             return True
         return len(right) > _QUICKLY_FACTORED and self._by_krylov(right, y, accuracy)
 
@@ -235,7 +239,7 @@ class LargeComponent:
                 linalg.bicgstab(system, residual, rtol=0.0, atol=target, maxiter=_KRYLOV_STEPS)[0]
             )
 
-    def _narrow(self) -> Band | Factors | None:
+    def _narrow(self) -> Solver | None:
         """The component in an order in which it is narrow, if there is one."""
         size = len(self._states)
         widest = int((_BAND_WORK / size) ** 0.5)
@@ -251,6 +255,7 @@ class LargeComponent:
         width = int(np.abs(place[entry.row] - place[entry.col]).max(initial=0))
         if width > widest:
             return None
+        exits = self._leaving / self._departs
         if self._is_compiled:
-            return Band(self.own, self._leaving / self._departs, place, width)
-        return Factors(self.own, self._departs, self._leaving, place)
+            return band_solver(self.own, exits, order, width)
+        return factor_solver(self.own, exits, order)

@@ -23,6 +23,7 @@ from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
     Solver,
     dense_solver,
     equations,
+    factor_solver,
     factorised,
     reduce_states,
     transposed_solve,
@@ -229,14 +230,7 @@ class System:
         """Solve all equations at once, by factors that are kept."""
         if self.size <= _DENSE_STATES:
             return dense_solver(self.matrix, self.exits)
-        system = equations(self.matrix, self.exits)
-        factors = factorised(system)
-
-        def solve(rewards: FloatArray) -> FloatArray:
-            x = factors.solve(rewards)
-            return np.asarray(x + factors.solve(rewards - system @ x))
-
-        return solve
+        return factor_solver(self.matrix, self.exits)
 
     def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
         """Solve a run of small components, in place."""

@@ -56,6 +56,11 @@ class AccumulatedCost:
         return float(self.lattice.unit)
 
     @property
+    def by_steps(self) -> bool:
+        """Whether "layers" are kinds of steps, in place of multiples of a common unit."""
+        return self.last_steps is not None
+
+    @property
     def width(self) -> int:
         """Layers that one step can reach: 0 .. width - 1 ahead."""
         return self.lattice.width
