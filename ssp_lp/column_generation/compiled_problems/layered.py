@@ -10,8 +10,7 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, required
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.materialise import chosen_pairs, materialise
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess, chosen_pairs, materialise
 
 MOST_ENTRIES = 800_000_000
 """Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.bellman import PairCost
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess
 
 
 @dataclass(frozen=True, eq=False)

@@ -31,8 +31,8 @@ from ssp_lp.dynamic_programming.work import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.processes.layered.process import LayeredProcess
-from ssp_lp.processes.totals.window import Window
+from ssp_lp.processes.layered.layered_process import LayeredProcess
+from ssp_lp.processes.totals.levels import Window
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""

@@ -15,7 +15,7 @@ import numpy as np
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess
 
 _MOST_CELLS = 2_000_000
 """Nodes times layers held at once, with four numbers each; larger layers are swept one by one."""

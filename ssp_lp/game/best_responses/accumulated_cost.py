@@ -24,7 +24,7 @@ from ssp_lp.game.best_responses.value_iteration import Discounted, improved
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.totals.window import Window
+from ssp_lp.processes.totals.levels import Window
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""

@@ -14,7 +14,7 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.highs import highs_lp
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.compiling import occupation_program
+from ssp_lp.programs.program_rows import occupation_program
 
 _MARGIN = 1e-6
 """Relative room above the optimum of a linear program, a thousand times HiGHS's tolerances."""

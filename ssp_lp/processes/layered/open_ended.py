@@ -22,9 +22,8 @@ from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import FailureSemantics
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, ArrivalCharges
 from ssp_lp.processes.layered.charges import Charge
-from ssp_lp.processes.layered.charges_by_layer import ArrivalCharges
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.lattice import layers_within, totals_of
 
