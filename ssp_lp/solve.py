@@ -14,6 +14,7 @@ from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.plain import best_within_budget, cheapest_at_least_failure, extreme_goal
 from ssp_lp.methods.playing import solve_by_game
 from ssp_lp.methods.risk import solve_for_risk
+from ssp_lp.methods.rounded_costs import solve_on_rounded_costs
 from ssp_lp.methods.rows.solving import solve_constrained
 from ssp_lp.methods.worth import solve_for_worth
 from ssp_lp.options import (
@@ -129,6 +130,8 @@ def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution
     measure = problem.semantics.measure
     if isinstance(method, Game):
         return solve_by_game(problem, options)
+    if by_rows(problem) and measure is not None and not has_rows(problem) and not options.program:
+        return solve_on_rounded_costs(problem, options)
     if by_rows(problem) and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
     if measure is not None and measure.maximised:

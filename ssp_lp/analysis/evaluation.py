@@ -23,6 +23,7 @@ from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.model.nearest import ByName
 from ssp_lp.model.terminal_outcomes import end_marks
+from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
@@ -102,7 +103,9 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
             found = _measure(chain, problem)
         members.append(found)
         if measure is not None and weight > 0.0:  # the law needs it as well
-            chains.append(chain or chain_of_law(problem.model, member, start))
+            rounded = isinstance(member, CostAwarePolicy) and member.rounds_up
+            lawful = None if rounded else chain  # what it remembers is more than it pays
+            chains.append(lawful or chain_of_law(problem.model, member, start))
     evaluation = _report(mean_of(members, lottery.weights), problem)
     if measure is None:
         return evaluation

@@ -75,6 +75,7 @@ def _memory(policy: Policy) -> dict[str, Any] | None:
             return {
                 "kind": "layers",
                 "unit": float(policy.unit),
+                "rounds_up": bool(policy.rounds_up),
                 "cap": policy.cap,
                 "tails": len(policy.tails),
                 "threshold": _thresholds(policy.tail_threshold),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.cost_layers import CostLayers
@@ -16,6 +16,7 @@ from ssp_lp.policies.playing import Playable
 from ssp_lp.policies.policy import UNDECIDED, Branches, Policy
 
 _MOST_THRESHOLDS = 64  # of tails that are told apart, beyond the last level
+_CHECKED = 1_000_000  # decisions looked at together
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
 
@@ -31,6 +32,9 @@ class CostAwarePolicy(Policy, Playable):
     policy switches for good to one of its stationary tails: to the last one (which fails where it
     can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
     state, else to the first, or as ``tail_table`` says; memory is then ``cap + tail``.
+
+    Where it ``rounds_up`` a step passes the next whole number of layers: the cost paid is at most
+    what the memory says, so that a law of rounded costs overstates no success.
 
     Where ``levels`` are given the layers are these totals, the last of them the cap: after a step
     memory is the level nearest to the last one plus the step's cost, so that any observed cost
@@ -48,6 +52,7 @@ class CostAwarePolicy(Policy, Playable):
     tail_threshold: FloatArray  # [states] layer from which the last tail is followed
     tail_table: IntArray | None = None  # [layers from the cap on, states] tail, for any other rule
     levels: FloatArray | None = None  # [cap + 1] totals, the first of which is 0; None: multiples
+    rounds_up: bool = False  # costs that are no whole number of layers
 
     def __post_init__(self) -> None:
         if self.levels is not None:
@@ -62,8 +67,10 @@ class CostAwarePolicy(Policy, Playable):
         if self.tail_table is not None:
             object.__setattr__(self, "tail_table", read_only(self.tail_table))
         everywhere = np.arange(self.model.n_states)
-        for layer in self.decision:
-            check_decisions(self.model, self._pairs(layer, everywhere), everywhere)
+        several = max(_CHECKED // max(self.model.n_states, 1), 1)
+        for first in range(0, self.cap, several):
+            some = self.decision[first : first + several]
+            check_decisions(self.model, self._pairs(some, everywhere), everywhere)
         check_decisions(self.model, self.tails, everywhere)
 
     @property
@@ -85,8 +92,8 @@ class CostAwarePolicy(Policy, Playable):
         if self.levels is not None:
             return self._level_layers(self.levels)
         costs = np.unique(self.model.costs[:1] if _is_uniform(self.model) else self.model.costs)
-        steps = np.rint(costs / self.unit)
-        if not (np.abs(costs / self.unit - steps) <= _OFF_LATTICE).all() or self.cap == 0:
+        steps, off = self._passed(costs / self.unit)
+        if off.any() or self.cap == 0:
             return None
         passed, states = steps.astype(np.int64), np.arange(self.model.n_states)
         return CostLayers(
@@ -97,6 +104,7 @@ class CostAwarePolicy(Policy, Playable):
             leads=lambda layer: passed,
             unit=self.unit,
             width=int(passed.max(initial=0)) + 1,
+            rounds_up=self.rounds_up,
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -114,19 +122,26 @@ class CostAwarePolicy(Policy, Playable):
         """Add the observed cost; switch to a tail when the cap is reached.
 
         Raises:
-            ModelError: a cost is no whole number of layers, and there are no levels.
+            ModelError: a cost is no whole number of layers, and nothing says how to round it.
         """
         if self.levels is not None:
             return self._nearest(self.levels, memory, successors, costs)
         paid = np.where(np.isfinite(costs), costs / self.unit, -1.0)
-        steps = np.rint(paid)
+        steps, off = self._passed(paid)
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
-        off = acting & ~((np.abs(paid - steps) <= _OFF_LATTICE) & (steps >= 0) & (steps < 1e15))
+        off = acting & (off | ~((steps >= 0) & (steps < 1e15)))
         if off.any():
             cost = float(costs[int(np.argmax(off))])
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
         layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
         return np.where(acting, self._memory_at(layer, successors), memory)
+
+    def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Whole layers that costs in units pass, and which have none, like ``units``."""
+        if self.rounds_up:
+            return np.ceil(units * (1.0 - SAME_TOTAL)), units < 0.0
+        steps = np.rint(units)
+        return steps, ~(np.abs(units - steps) <= _OFF_LATTICE)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
         """Decisions by level; beyond the last one a layer for each side of the tails' thresholds.
@@ -140,12 +155,15 @@ class CostAwarePolicy(Policy, Playable):
         costs, last = np.unique(self.model.costs), len(self.tails) - 1
         rank = np.where(np.isneginf(threshold), -1, np.searchsorted(told_apart, threshold))
 
-        def leads(level: int) -> IntArray:
-            total = levels[level] + costs
-            nearest = _nearest_level(levels, total)
-            beyond = cap + np.searchsorted(told_apart, total, side="right")
-            return np.where(nearest < cap, nearest, beyond) - level
+        def reached(totals: FloatArray) -> IntArray:
+            nearest = _nearest_level(levels, totals)
+            beyond = cap + np.searchsorted(told_apart, totals, side="right")
+            return np.where(nearest < cap, nearest, beyond)
 
+        def leads(level: int) -> IntArray:
+            return reached(levels[level] + costs) - level
+
+        farthest = reached(levels[:cap] + costs[-1])  # the dearest step leads farthest
         return CostLayers(
             decision=self.decision,
             tails=self.tails,
@@ -153,7 +171,7 @@ class CostAwarePolicy(Policy, Playable):
             costs=costs,
             leads=leads,
             unit=None,
-            width=max(int(leads(level).max(initial=0)) for level in range(cap)) + 1,
+            width=max(int((farthest - np.arange(cap)).max(initial=0)), 0) + 1,
         )
 
     def _nearest(

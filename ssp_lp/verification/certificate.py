@@ -15,6 +15,7 @@ from ssp_lp.column_generation.failure_constraint import CONTRADICTION, Row, rela
 from ssp_lp.column_generation.pricing.explicit import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk import risk_bound
+from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING
 from ssp_lp.policies.cost_aware import levels_of
@@ -91,6 +92,10 @@ def certify(solution: Solution) -> Certificate:
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
     measure = problem.semantics.measure
+    if by_rows(problem) and is_on_rounded_costs(solution):
+        bound, allowed = proved_on_rounded_costs(solution, CERTIFYING)
+        above = measure is not None and measure.maximised
+        return _certificate(found, failure, bound, allowed, "", above=above)
     if by_rows(problem):
         risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate
@@ -110,7 +115,7 @@ def certify(solution: Solution) -> Certificate:
     price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):
         reason = f"the price is not a number >= {penalty:g}"
-        return _certificate(found, failure, 0.0, 0.0, problem.failure_budget, reason)
+        return _certificate(found, failure, 0.0, problem.failure_budget, reason)
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     levels = levels_of(solution.policy.policies, len(values))
     compiled = problem.compile().matching(np.asarray(values), levels)
@@ -121,7 +126,7 @@ def certify(solution: Solution) -> Certificate:
         if not (kept and found.objective < least.objective_bound):
             bound = max(bound, least.objective_bound)
     allowed = max(problem.failure_budget, least.column.failure)
-    return _certificate(found, failure, bound, tail, allowed, "")
+    return replace(_certificate(found, failure, bound, allowed, ""), tail_gap=tail)
 
 
 def _broken_limit(problem: Problem, found: Evaluation) -> str:
@@ -147,7 +152,7 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
         raise ModelError("a certificate needs the prices and their value function")
     if not np.isfinite(found.objective):
         reason = f"the policy's objective is {found.objective}"
-        return _certificate(found, failure, 0.0, 0.0, 1.0, reason)
+        return _certificate(found, failure, 0.0, 1.0, reason)
     values = np.asarray(values)
     levels = levels_of(solution.policy.policies)
     if levels is not None:
@@ -160,7 +165,7 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
         spent += [row.activity(value) for row in condition.rows]
     prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():
-        return _certificate(found, failure, 0.0, 0.0, budget, "a price is not a number >= 0")
+        return _certificate(found, failure, 0.0, budget, "a price is not a number >= 0")
     limited = np.isfinite(compiled.bounds)
     bounds = np.where(limited, compiled.bounds, 0.0)
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
@@ -172,10 +177,8 @@ def _limits_certificate(solution: Solution, found: Evaluation, failure: float) -
     lower = compiled.sense.settled_bound(
         attained if compiled.sense.constant is None else -attained, lower
     )
-    if compiled.sense.constant is None:
-        return _certificate(found, failure, compiled.sense.worth(lower), 0.0, budget, "")
-    proved = _certificate(found, failure, found.objective, 0.0, budget, "")
-    return replace(proved, upper_bound=max(compiled.sense.worth(lower), found.objective))
+    worth, above = compiled.sense.worth(lower), compiled.sense.constant is not None
+    return _certificate(found, failure, worth, budget, "", above=above)
 
 
 def _rows_bound(
@@ -211,22 +214,24 @@ def _lower_bound(
 
 
 def _certificate(
-    found: Evaluation, failure: float, bound: float, tail: float, budget: float, reason: str
+    found: Evaluation, failure: float, bound: float, budget: float, reason: str, above: bool = False
 ) -> Certificate:
+    """The certificate of a bound below what the policy attains, or ``above`` it."""
     if not reason and failure > budget + _BUDGET_ROUNDING:
         reason = f"the policy fails with {failure:.12g}, above the budget {budget:.12g}"
     if not reason and not np.isfinite(found.objective):
         reason = f"the policy's objective is {found.objective}"
     most = found.objective + CONTRADICTION * abs(found.objective) + _BUDGET_ROUNDING
-    if not reason and bound > most:
+    if not reason and bound > most and not above:
         reason = f"the policy's value {found.objective!r} lies below its bound {bound!r}"
     return Certificate(
         objective=found.objective,
-        lower_bound=min(bound, found.objective) if not reason else bound,
+        lower_bound=bound if reason and not above else min(bound, found.objective),
+        upper_bound=max(bound, found.objective) if above else None,
         failure=failure,
         budget=budget,
         budget_slack=budget - failure,
-        tail_gap=tail,
+        tail_gap=0.0,
         accepted=not reason,
         reason=reason,
     )
@@ -237,10 +242,7 @@ def _goal_certificate(problem: Problem, found: Evaluation, failure: float) -> Ce
     aim = problem.semantics.aim
     start = start_distribution(problem.model, problem.start)
     bound = float(start @ extreme_goal_reach(problem.model, aim).bound)
-    if aim is Aim.LEAST_GOAL:
-        return _certificate(found, failure, bound, 0.0, 1.0, "")
-    proved = _certificate(found, failure, found.objective, 0.0, 1.0, "")
-    return replace(proved, upper_bound=max(bound, found.objective))
+    return _certificate(found, failure, bound, 1.0, "", above=aim is not Aim.LEAST_GOAL)
 
 
 def _worth_certificate(solution: Solution, found: Evaluation, failure: float) -> Certificate:
@@ -263,17 +265,16 @@ def _worth_certificate(solution: Solution, found: Evaluation, failure: float) ->
         priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
         bound = max(priced, bound) if budget <= allowed else priced
         allowed = max(budget, allowed)
-    proved = _certificate(found, failure, found.objective, 0.0, allowed, reason)
     worth = problem.semantics.failing_worth - bound
-    return replace(proved, upper_bound=max(worth, found.objective))
+    return _certificate(found, failure, worth, allowed, reason, above=True)
 
 
 def _risk_certificate(solution: Solution, found: Evaluation, failure: float) -> Certificate:
     """A risk given success, and a bound below it that is searched for afresh."""
     if not np.isfinite(found.objective):
-        return _certificate(found, failure, 0.0, 0.0, 1.0, "the goal is never reached")
+        return _certificate(found, failure, 0.0, 1.0, "the goal is never reached")
     bound, allowed = risk_bound(solution.problem, found.objective, CERTIFYING)
-    return _certificate(found, failure, bound, 0.0, allowed, "")
+    return _certificate(found, failure, bound, allowed, "")
 
 
 def _least_failure_certificate(problem: Problem, found: Evaluation, failure: float) -> Certificate:
@@ -296,4 +297,4 @@ def _least_failure_certificate(problem: Problem, found: Evaluation, failure: flo
             if relative_gap(found.objective, priced) <= RELATIVE_GAP:
                 bound = priced
                 break
-    return _certificate(found, failure, bound, 0.0, allowed, "")
+    return _certificate(found, failure, bound, allowed, "")

@@ -134,6 +134,9 @@ class LayeredPricing:
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
         base = self.process.base
+        if self._one_pass is not None:
+            measures = np.stack(self.process.beyond(tail_price), axis=-1)
+            return self._column(self._one_pass.measure(measures, choice), choice, tail_price, 0)
         measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
             check_time()

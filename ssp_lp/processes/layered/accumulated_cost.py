@@ -13,7 +13,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from numpy.lib.stride_tricks import sliding_window_view
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.dynamic_programming.bellman import PairCost
@@ -239,23 +238,36 @@ class ArrivalCharges:
         base = self.base
         if self.grow_evenly or base.arrivals is None:
             return PairCost(base.gain_cost, base.gain, float(self.totals[layer]))
-        size = max(_TABLE // max(*base.arrivals.shape, 1), 1)
+        size = max(_TABLE // max(len(base.gain), 1), 1)
         block, place = divmod(layer, size)
         if block not in self._blocks:
-            charged = self._charged(block * size, min(size, len(self.totals)))
+            some = slice(block * size, min((block + 1) * size, len(self.totals)))
+            charged = np.zeros((some.stop - some.start, len(base.gain)))
+            charged[:, self.arriving] = self.of_arriving(some)
             self._blocks.clear()
-            self._blocks[block] = np.ascontiguousarray((base.arrivals @ charged.T).T)
+            self._blocks[block] = charged
         return PairCost(self._blocks[block][place])
 
-    def _charged(self, first: int, n_layers: int) -> FloatArray:
-        """Charge of arriving from some layers by each kind of step, [layers, kinds]."""
-        base = self.base
+    @cached_property
+    def arriving(self) -> IntArray:
+        """Pairs by which the goal can be reached, [arriving]."""
+        arrivals = self.base.arrivals
+        return np.flatnonzero(self.base.gain if arrivals is None else np.diff(arrivals.indptr))
+
+    def of_arriving(self, some: slice) -> FloatArray:
+        """Expected charge of arriving by the pairs that may, from some layers, [some, arriving]."""
+        base, arrivals = self.base, self.base.arrivals
+        if arrivals is None:
+            return (
+                base.gain_cost[self.arriving] + self.totals[some, None] * base.gain[self.arriving]
+            )
+        kinds = np.unique(arrivals.indices)
         if base.last_steps is not None:
-            paid = self.totals[first : first + n_layers, None]
-            return self.charge.at(paid + base.last_steps)
-        width = base.lattice.width
-        ahead = first + np.arange(n_layers + width - 1)
-        return sliding_window_view(self.charge.at(totals_of(ahead, base.exact_unit)), width)
+            charged = self.charge.at(self.totals[some, None] + base.last_steps[kinds])
+        else:
+            ahead = np.arange(some.start, some.stop)[:, None] + kinds
+            charged = self.charge.at(totals_of(ahead, base.exact_unit))
+        return np.ascontiguousarray((arrivals[self.arriving][:, kinds] @ charged.T).T)
 
     @property
     def at_start(self) -> float:

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -95,23 +95,23 @@ class LayeredProcess:
         return Window(beyond, self.levels)
 
     @cached_property
-    def _charges(self) -> ArrivalCharges:
+    def charges(self) -> ArrivalCharges:
         """What arriving is charged from each layer."""
         return ArrivalCharges(self.base, self.charge, self.levels.totals[: self.cap])
 
     @property
     def grows_evenly(self) -> bool:
         """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
-        return self._charges.grow_evenly
+        return self.charges.grow_evenly
 
     def charged(self, layer: int) -> PairCost:
         """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
-        return self._charges.from_layer(layer)
+        return self.charges.from_layer(layer)
 
     @property
     def start_charge(self) -> float:
         """Charge of the start mass that lies on goals."""
-        return self._charges.at_start
+        return self.charges.at_start
 
     @property
     def beyond_units(self) -> FloatArray:
@@ -173,11 +173,8 @@ class LayeredProcess:
         threshold = np.full(model.n_states, np.inf)
         live = quotient.node_of >= 0
         threshold[live] = self.threshold(tail_price)[quotient.node_of[live]]
-        most = int(np.diff(model.pair_offsets).max(initial=1))
-        decision = np.empty((self.cap, model.n_states), dtype=least_integer_type(most))
-        for layer in range(self.cap):
-            pair = quotient.pull_back(self.base.pair_offsets[:-1] + choice[layer])
-            decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
+        first = self.base.pair_offsets[:-1]
+        decision = quotient.positions(self.cap, lambda some: first + choice[some])
         return CostAwarePolicy(
             model=model,
             unit=self.base.unit,

@@ -16,7 +16,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.expectations import cost_means
@@ -99,14 +99,10 @@ class OpenEnded:
         base, n = self.base, self.n_nodes
         quotient, model = base.quotient, base.quotient.model
         inner = choice[: (self.cap + 1) * n].reshape(self.cap + 1, n) % max(len(base.gain), 1)
-        pairs = [quotient.pull_back(layer) for layer in inner]
-        most = int(np.diff(model.pair_offsets).max(initial=1))
-        decision = np.empty((self.cap + 1, model.n_states), dtype=least_integer_type(most))
-        for layer, pair in enumerate(pairs):
-            decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
-        never, beyond = np.full(model.n_states, np.inf), pairs[-1][None, :]
+        decision = quotient.positions(self.cap, lambda some: inner[some])
+        never, beyond = np.full(model.n_states, np.inf), quotient.pull_back(inner[-1])[None, :]
         levels = None if self.ladder is None else self.ladder.rungs
-        return CostAwarePolicy(model, base.unit, decision[:-1], beyond, never, levels=levels)
+        return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self) -> None:
         """Has to be found on the process itself."""
