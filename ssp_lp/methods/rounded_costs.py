@@ -47,7 +47,7 @@ _MOST = 8_192  # unless more are asked for
 _ROOM = 6_000_000  # states times units, if there is a time limit that ends it before
 _WORTH_WHILE = 1.5  # times as many units: no reason to search again for fewer
 _TYPICAL = 2.0  # costs given success of the safest policy: beyond them few totals matter
-_ROUGH = 1e-3  # relative gap of the first search
+_RARE = 20.0  # times as dear as all that matters may a single step be
 _SHARE = 0.1  # of the gap that rounding leaves: as exactly are rounded problems solved next
 
 
@@ -115,13 +115,13 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best: Solution | None = None
-    bound, began = _no_worse(problem), perf_counter()
-    for unit in _units(problem):
+    bound, span, began = _no_worse(problem), _span(problem), perf_counter()
+    for unit in _units(problem, span):
         spent, began = perf_counter() - began, perf_counter()
         if best is not None and options.deadline - began < spent:
             heed(Stop())
             break
-        rough = _ROUGH if best is None else _SHARE * _gap(best.objective, bound)
+        rough = float(unit) / span if best is None else _SHARE * _gap(best.objective, bound)
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
             near = None if best is None else _near(problem, best)
@@ -132,6 +132,10 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
             if best is None:
                 raise
             heed(stop)
+        except ModelError:  # a table of so many layers is too large
+            if best is None:
+                raise
+            break
         if is_late() or _gap(best.objective, bound) <= options.tolerance:
             break
     if best is None:
@@ -146,11 +150,11 @@ def proved_on_rounded_costs(solution: Solution, options: SolveOptions) -> tuple[
         solution: of ``solve_on_rounded_costs``.
         options: tolerance and limits.
     """
-    units = (p.unit for p in solution.policy.policies if isinstance(p, CostAwarePolicy))
-    unit = next(units, None)
-    exact = next(_units(solution.problem)) if unit is None else exact_cost(unit)
+    problem, members = solution.problem, solution.policy.policies
+    found = (exact_cost(p.unit) for p in members if isinstance(p, CostAwarePolicy))
+    unit = next(found, None) or next(_units(problem, _span(problem)))
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
-    return lattice_bound(solution.problem, exact, rough)
+    return lattice_bound(problem, unit, rough)
 
 
 def lattice_bound(
@@ -221,15 +225,18 @@ def _rounded(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
     kinds, kind = np.unique(model.costs, return_inverse=True)
     units = kinds / float(unit)
     whole = np.ceil(units * (1.0 - SAME_TOTAL)) if up else np.floor(units * (1.0 + SAME_TOTAL))
+    measure = problem.semantics.measure
+    if isinstance(measure, WithinBound):  # one step beyond the bound is as late as any
+        whole = np.minimum(whole, np.ceil(float(measure.bound) / float(unit)) + 2.0)
     costs = totals_of(whole.astype(np.int64), unit)[kind]
     return OnRoundedCosts(problem, replace(model, costs=read_only(costs), exact_costs={}))
 
 
-def _units(problem: Problem) -> Iterator[Fraction]:
+def _units(problem: Problem, span: float) -> Iterator[Fraction]:
     """Smaller and smaller units, as far as is asked for."""
     asked: int | None = getattr(problem, "cost_levels", None)
     most = asked or (max(_MOST, _ROOM // problem.model.n_states) if is_limited() else _MOST)
-    span, many = _span(problem), float(min(_FIRST, most))
+    many = float(min(_FIRST, most))
     while many <= most:
         yield _short(span / many)
         many = min(_FINER * many, float(most)) if _WORTH_WHILE * many <= most else _FINER * many
@@ -243,10 +250,11 @@ def _short(size: float) -> Fraction:
 
 def _span(problem: Problem) -> float:
     """The totals that matter: up to the bound, or some typical costs."""
-    measure = problem.semantics.measure
+    measure, dearest = problem.semantics.measure, float(problem.model.costs.max(initial=0.0))
     if isinstance(measure, WithinBound) and measure.bound > 0.0:
         return float(measure.bound)
-    return _TYPICAL * compiled_constrained(problem).typical_cost or 1.0
+    typical = _TYPICAL * compiled_constrained(problem).typical_cost
+    return max(typical, dearest / _RARE) or 1.0
 
 
 def _is_maximised(problem: Problem) -> bool:
