@@ -15,9 +15,10 @@ from ssp_lp.model.in_short import in_short
 from ssp_lp.model.product import check_product
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import on_original, on_product
+from ssp_lp.policies.remembering import on_original
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.in_product import on_product
 from ssp_lp.processes.layered.charges import TOTAL_COST
 from ssp_lp.processes.quantities.conditions import Condition
 from ssp_lp.processes.totals.ladder import Rungs, rungs_for
