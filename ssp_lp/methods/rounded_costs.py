@@ -115,6 +115,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best: Solution | None = None
+    sign = -1.0 if _is_maximised(problem) else 1.0
     bound, span, began = _no_worse(problem), _span(problem), perf_counter()
     for unit in _units(problem, span):
         spent, began = perf_counter() - began, perf_counter()
@@ -126,8 +127,10 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         try:
             near = None if best is None else _near(problem, best)
             found = _played(problem, unit, finer, near)
-            best = found if best is None or _is_better(problem, found, best) else best
-            bound = _tighter(problem, bound, lattice_bound(problem, unit, finer, near)[0])
+            if best is None or sign * found.objective < sign * best.objective:
+                best = found
+            proved = lattice_bound(problem, unit, finer, near)[0]
+            bound = sign * max(sign * bound, sign * proved)
         except STOPS as stop:
             if best is None:
                 raise
@@ -270,15 +273,6 @@ def _no_worse(problem: Problem) -> float:
     return problem.semantics.failing_worth - measure.charge.lowest
 
 
-def _is_better(problem: Problem, found: Solution, best: Solution) -> bool:
-    gained = found.objective - best.objective
-    return gained > 0.0 if _is_maximised(problem) else gained < 0.0
-
-
-def _tighter(problem: Problem, bound: float, other: float) -> float:
-    return min(bound, other) if _is_maximised(problem) else max(bound, other)
-
-
 def _gap(attained: float, bound: float) -> float:
     return relative_gap(max(attained, bound), min(attained, bound))
 
@@ -288,12 +282,16 @@ def _concluded(
 ) -> Solution:
     """The best policy with the best bound, and what a reader should know."""
     maximised, attained = _is_maximised(problem), best.objective
+    measure = problem.semantics.measure
+    if measure is not None and measure.charge.settled is None and not is_late():
+        attained = measure.of(success_costs(best.policy, problem))  # beyond its table, too
     told = best.note
     if _gap(attained, bound) > options.tolerance and not is_late():
         told = f"costs are rounded to multiples of {float(unit):g}: more cost_levels leave less gap"
     return replace(
         best,
         problem=problem,
+        objective=attained,
         lower_bound=attained if maximised else min(bound, attained),
         upper_bound=max(bound, attained) if maximised else None,
         note=told,
