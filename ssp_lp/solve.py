@@ -18,6 +18,7 @@ from ssp_lp.methods.one_row import (
     solve_for_worth,
 )
 from ssp_lp.methods.risk.least_risk import least_risk
+from ssp_lp.methods.rounded_costs import solve_on_rounded_costs
 from ssp_lp.methods.rows.optimum import solve_constrained
 from ssp_lp.options import (
     ColumnGeneration,
@@ -134,6 +135,8 @@ def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution
     measure = problem.semantics.measure
     if isinstance(method, Game):
         return solve_by_game(problem, options)
+    if by_rows(problem) and measure is not None and not has_rows(problem) and not options.program:
+        return solve_on_rounded_costs(problem, options)
     if by_rows(problem) and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
     if measure is not None and measure.maximised:

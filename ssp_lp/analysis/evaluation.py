@@ -22,6 +22,7 @@ from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.model.naming import ByName
+from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
@@ -114,7 +115,9 @@ def evaluate_each(
             found = _measure(chain, problem)
         members.append(found)
         if measure is not None and weight > 0.0:  # the law needs it as well
-            chains.append(chain or chain_of_law(problem.model, member, start))
+            rounded = isinstance(member, CostAwarePolicy) and member.rounds_up
+            lawful = None if rounded else chain  # what it remembers is more than it pays
+            chains.append(lawful or chain_of_law(problem.model, member, start))
     evaluation = _report(mean_of(members, lottery.weights), problem)
     each = [_report(member, problem) for member in members]
     if measure is None:

@@ -129,7 +129,8 @@ def back_up_layer(
 @njit(cache=True)
 def back_up_layers(
     order: Array, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, charge: Array, growth: Array, owed: Array,
+    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array,
+    first: int, end: int, owed: Array,
     gain: Array, failure: Array, survival: float,
     values: Array, measured: Array, position: Array,
 ) -> None:  # fmt: skip
@@ -142,10 +143,14 @@ def back_up_layers(
         kinds: which kind of step an entry is; 0: a free one, within the layer, [entries].
         nodes: to where it leads, [entries].
         data: [entries].
-        leads: layer that each kind of step leads to, [layers, kinds].
+        leads: layer that each kind of step leads to, [layers, kinds]; or how many ahead of any,
+            [1, kinds].
         paid: total of each layer, [layers].
-        charge: of arriving, [layers or 1, pairs].
+        charge: of arriving, [layers or 1, slots].
+        slot: of each pair among them, [pairs].
         growth: what a unit of the total adds to it, [pairs] or empty.
+        first: layer with which to end.
+        end: the layer after the one to begin with; all from there on are known.
         owed: what a pair costs besides, [pairs].
         gain: [pairs].
         failure: [pairs].
@@ -156,8 +161,8 @@ def back_up_layers(
     """
     n = offsets.size - 1
     begin = np.empty(leads.shape[1], dtype=np.int64)
-    for layer in range(leads.shape[0] - 1, -1, -1):
-        begin[:] = leads[layer] * n
+    for layer in range(end - 1, first - 1, -1):
+        begin[:] = (leads[0] + layer if leads.shape[0] == 1 else leads[layer]) * n
         row = layer if charge.shape[0] > 1 else 0
         factor = paid[layer] if growth.size > 0 else 0.0
         for s in order:
@@ -166,7 +171,7 @@ def back_up_layers(
                 total = 0.0
                 for k in range(indptr[pair], indptr[pair + 1]):
                     total += data[k] * values[begin[kinds[k]] + nodes[k]]
-                stage = charge[row, pair] + owed[pair]
+                stage = charge[row, slot[pair]] + owed[pair]
                 if factor != 0.0:
                     stage += factor * growth[pair]
                 total = stage + total
@@ -182,7 +187,37 @@ def back_up_layers(
                 paying += factor * growth[pick]
             here = layer * n + s
             values[here], position[layer, s] = least, pick - offsets[s]
-            measured[here, 0] = charge[row, pick] + paying
+            measured[here, 0] = charge[row, slot[pick]] + paying
+            measured[here, 1] = failure[pick] + failed
+            measured[here, 2] = survival * gain[pick] + reached
+
+
+@njit(cache=True)
+def measure_layers(
+    order: Array, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
+    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array,
+    first: int, end: int, gain: Array, failure: Array, survival: float,
+    measured: Array, position: Array,
+) -> None:  # fmt: skip
+    """The charge, failure and goal of a given choice in all layers, as in ``back_up_layers``."""
+    n = offsets.size - 1
+    for layer in range(end - 1, first - 1, -1):
+        row = layer if charge.shape[0] > 1 else 0
+        for s in order:
+            pick = offsets[s] + position[layer, s]
+            paying, failed, reached = 0.0, 0.0, 0.0
+            for k in range(indptr[pick], indptr[pick + 1]):
+                ahead = leads[0, kinds[k]] + layer
+                if leads.shape[0] > 1:
+                    ahead = leads[layer, kinds[k]]
+                place = ahead * n + nodes[k]
+                paying += data[k] * measured[place, 0]
+                failed += data[k] * measured[place, 1]
+                reached += data[k] * measured[place, 2]
+            if growth.size > 0 and paid[layer] != 0.0:
+                paying += paid[layer] * growth[pick]
+            here = layer * n + s
+            measured[here, 0] = charge[row, slot[pick]] + paying
             measured[here, 1] = failure[pick] + failed
             measured[here, 2] = survival * gain[pick] + reached
 
@@ -190,7 +225,8 @@ def back_up_layers(
 @njit(cache=True)
 def back_up_layers_safely(
     order: Array, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, charge: Array, growth: Array, owed: Array,
+    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array,
+    first: int, end: int, owed: Array,
     saved: Array, epsilon: float, given: Array, values: Array,
 ) -> None:  # fmt: skip
     """Lower bounds of the least values of all layers; rounding counts against every pair.
@@ -204,8 +240,8 @@ def back_up_layers_safely(
     """
     n = offsets.size - 1
     begin = np.empty(leads.shape[1], dtype=np.int64)
-    for layer in range(leads.shape[0] - 1, -1, -1):
-        begin[:] = leads[layer] * n
+    for layer in range(end - 1, first - 1, -1):
+        begin[:] = (leads[0] + layer if leads.shape[0] == 1 else leads[layer]) * n
         row = layer if charge.shape[0] > 1 else 0
         factor = paid[layer] if growth.size > 0 else 0.0
         for s in order:
@@ -216,8 +252,8 @@ def back_up_layers_safely(
                     term = data[k] * values[begin[kinds[k]] + nodes[k]]
                     total += term
                     size += abs(term)
-                stage = charge[row, pair] + owed[pair] - saved[pair]
-                whole = abs(charge[row, pair]) + owed[pair] + saved[pair]
+                stage = charge[row, slot[pair]] + owed[pair] - saved[pair]
+                whole = abs(charge[row, slot[pair]]) + owed[pair] + saved[pair]
                 if factor != 0.0:
                     stage += factor * growth[pair]
                     whole += factor * growth[pair]

@@ -24,9 +24,8 @@ from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.levels import Levels
+from ssp_lp.processes.totals.levels import Levels, Window
 from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
-from ssp_lp.processes.totals.window import Window
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""

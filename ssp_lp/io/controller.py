@@ -11,7 +11,8 @@ writes the files that it reads:
   - ``weight``: its probability;
   - ``memory``: null, or an object whose ``kind`` is
 
-    - "layers": the cost paid in whole numbers of ``unit``; from ``cap`` on one of ``tails`` tails:
+    - "layers": the cost paid in whole numbers of ``unit``, other costs rounded up to them where it
+      ``rounds_up``; from ``cap`` on one of ``tails`` tails:
       the last one where the layer has reached the state's ``threshold`` (null: never), else the
       first; or by ``table``, from the cap on, [layer][state]. With ``levels``, totals, the layer is
       the one nearest to the last level plus the cost of the step, the last of them the cap, and a
@@ -33,7 +34,7 @@ import json
 import random
 from bisect import bisect_left
 from collections.abc import Hashable
-from math import inf, isclose, isfinite
+from math import ceil, inf, isclose, isfinite
 from os import PathLike
 from typing import Any
 
@@ -42,6 +43,7 @@ GIVE_UP = "give up"
 
 _GIVE_UP_CODE = -1
 _VERSION = 1
+_SAME_TOTAL = 5e-13  # relative distance of costs that are one, summed in two ways
 _OFF_LATTICE = 1e-6  # of a unit: far above the rounding of a sum of costs, far below a step
 
 
@@ -186,6 +188,8 @@ def _after(
     if memory["levels"] is not None:
         return _nearest_level(memory, number, successor, cost if isfinite(cost) else 0.0)
     paid = cost / memory["unit"] if isfinite(cost) else -1.0
+    if memory["rounds_up"] and paid >= 0.0:
+        return _at_layer(memory, number + ceil(paid * (1.0 - _SAME_TOTAL)), successor)
     steps = round(paid)
     if steps < 0 or abs(paid - steps) > _OFF_LATTICE:
         raise ValueError(f"observed cost {cost!r} is no whole number of units {memory['unit']!r}")

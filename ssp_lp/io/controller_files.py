@@ -91,6 +91,7 @@ def _memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | N
             return {
                 "kind": "layers",
                 "unit": float(policy.unit),
+                "rounds_up": bool(policy.rounds_up),
                 "cap": policy.cap,
                 "tails": len(policy.tails),
                 "threshold": _thresholds(policy.tail_threshold),

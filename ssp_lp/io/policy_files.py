@@ -123,7 +123,7 @@ _KINDS: Mapping[str, _Kind] = {
     "cost aware": _Kind(
         CostAwarePolicy,
         on_model=True,
-        numbers=("unit",),
+        numbers=("unit", "rounds_up"),
         arrays=("decision", "tails", "tail_threshold", "tail_table", "levels"),
     ),
     "timed": _Kind(TimedPolicy, lists=("stages",)),

@@ -13,7 +13,7 @@ from ssp_lp.linear_programming.backends import cold_attempts, first_accepted
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.methods.policy_basis import policy_basis
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.compiling import occupation_program, rows_program
+from ssp_lp.programs.program_rows import occupation_program, rows_program
 
 _AGREEMENT = 1e-6
 

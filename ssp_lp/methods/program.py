@@ -27,12 +27,10 @@ from ssp_lp.processes.layered.charges import TOTAL_COST
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.processes.layered.open_ended import OpenEnded
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
-from ssp_lp.programs.accumulated_cost import LayeredModel
-from ssp_lp.programs.augmented import Augmented
-from ssp_lp.programs.failure_label import LabelledModel
+from ssp_lp.programs.augmented import Augmented, LabelledModel
+from ssp_lp.programs.layered_models import LayeredModel, OpenEndedModel
 from ssp_lp.programs.occupation_program import OccupationProgram
-from ssp_lp.programs.open_ended import OpenEndedModel
-from ssp_lp.programs.program_row import ProgramRow
+from ssp_lp.programs.program_rows import ProgramRow
 
 
 def program_of(problem: Problem) -> OccupationProgram:

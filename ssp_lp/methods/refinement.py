@@ -74,13 +74,19 @@ class Outcome:
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
 
-def refined_optimum(compiled: CompiledProblem, budget: float, options: SolveOptions) -> Outcome:
+def refined_optimum(
+    compiled: CompiledProblem,
+    budget: float,
+    options: SolveOptions,
+    guess: DualGuess | None = None,
+) -> Outcome:
     """Search on finer and finer compiled problems until the gap is met, or refining does not help.
 
     Args:
         compiled: the problem to begin with.
         budget: failure budget.
         options: method, tolerance and limits.
+        guess: of the price; None: nothing is known.
 
     Raises:
         InfeasibleError: no policy keeps to the budget.
@@ -91,7 +97,7 @@ def refined_optimum(compiled: CompiledProblem, budget: float, options: SolveOpti
     compiled = compiled if options.program is None else compiled.for_program()
     row = Row(budget, compiled.ratio, compiled.lowest)
     try:
-        outcome = _attempt(compiled, row, None, options, None)
+        outcome = _attempt(compiled, row, None, options, guess)
     except STOPS as stop:
         heed(stop)
         return _safest(compiled, row, stop)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
@@ -16,6 +16,7 @@ from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy
 
 _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are held at once
+_CHECKED = 1_000_000  # decisions looked at together
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
 
@@ -33,6 +34,9 @@ class CostAwarePolicy(Policy):
     can, the paper's pi'_or of section 3.5) where the layer has reached ``tail_threshold`` of the
     state, else to the first, or as ``tail_table`` says; memory is then ``cap + tail``.
 
+    Where it ``rounds_up`` a step passes the next whole number of layers: the cost paid is at most
+    what the memory says, so that a law of rounded costs overstates no success.
+
     Where ``levels`` are given the layers are these totals, the last of them the cap: after a step
     memory is the level nearest to the last one plus the step's cost, so that any observed cost
     will do. Where the levels are all sums that can occur that is the cost paid; on a grid it is
@@ -49,6 +53,7 @@ class CostAwarePolicy(Policy):
     tail_threshold: FloatArray  # [states] layer from which the last tail is followed
     tail_table: IntArray | None = None  # [layers from the cap on, states] tail, for any other rule
     levels: FloatArray | None = None  # [cap + 1] totals, the first of which is 0; None: multiples
+    rounds_up: bool = False  # costs that are no whole number of layers
 
     def __post_init__(self) -> None:
         if self.levels is not None:
@@ -63,8 +68,11 @@ class CostAwarePolicy(Policy):
         if self.tail_table is not None:
             object.__setattr__(self, "tail_table", read_only(self.tail_table))
         everywhere = np.arange(self.model.n_states)
-        for layer in self.decision:
-            check_decisions(self.model, self._pairs(layer, everywhere))
+        several = max(_CHECKED // max(self.model.n_states, 1), 1)
+        for first in range(0, self.cap, several):
+            check_decisions(
+                self.model, self._pairs(self.decision[first : first + several], everywhere)
+            )
         check_decisions(self.model, self.tails)
 
     @property
@@ -82,8 +90,8 @@ class CostAwarePolicy(Policy):
         if self.levels is not None:
             return self._level_layers(self.levels)
         costs = np.unique(self.model.costs[:1] if _is_uniform(self.model) else self.model.costs)
-        steps = np.rint(costs / self.unit)
-        if not (np.abs(costs / self.unit - steps) <= _OFF_LATTICE).all() or self.cap == 0:
+        steps, off = self._passed(costs / self.unit)
+        if off.any() or self.cap == 0:
             return None
         passed, states = steps.astype(np.int64), np.arange(self.model.n_states)
         return CostLayers(
@@ -94,6 +102,7 @@ class CostAwarePolicy(Policy):
             leads=lambda layer: passed,
             unit=self.unit,
             width=int(passed.max(initial=0)) + 1,
+            rounds_up=self.rounds_up,
         )
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
@@ -111,19 +120,26 @@ class CostAwarePolicy(Policy):
         """Add the observed cost; switch to a tail when the cap is reached.
 
         Raises:
-            ModelError: a cost is no whole number of layers, and there are no levels.
+            ModelError: a cost is no whole number of layers, and nothing says how to round it.
         """
         if self.levels is not None:
             return self._nearest(self.levels, memory, successors, costs)
         paid = np.where(np.isfinite(costs), costs / self.unit, -1.0)
-        steps = np.rint(paid)
+        steps, off = self._passed(paid)
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
-        off = acting & ~((np.abs(paid - steps) <= _OFF_LATTICE) & (steps >= 0) & (steps < 1e15))
+        off = acting & (off | ~((steps >= 0) & (steps < 1e15)))
         if off.any():
             cost = float(costs[int(np.argmax(off))])
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
         layer = memory + np.where(acting, steps, 0.0).astype(np.int64)
         return np.where(acting, self._memory_at(layer, successors), memory)
+
+    def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Whole layers that costs in units pass, and which have none, like ``units``."""
+        if self.rounds_up:
+            return np.ceil(units * (1.0 - SAME_TOTAL)), units < 0.0
+        steps = np.rint(units)
+        return steps, ~(np.abs(units - steps) <= _OFF_LATTICE)
 
     def _level_layers(self, levels: FloatArray) -> CostLayers | None:
         """Decisions by level; beyond the last a layer for each tail that totals ask for.
@@ -144,12 +160,15 @@ class CostAwarePolicy(Policy):
             return None
         rank = np.where(rank == 0, -1, np.searchsorted(told_apart, rank))
 
-        def leads(level: int) -> IntArray:
-            total = levels[level] + costs
+        def reached(total: FloatArray) -> IntArray:
             nearest = _nearest_level(levels, total)
             beyond = np.searchsorted(told_apart, np.searchsorted(totals, total), side="right")
-            return np.where(moving, np.where(nearest < cap, nearest, cap + beyond) - level, 1)
+            return np.where(nearest < cap, nearest, cap + beyond)
 
+        def leads(level: int) -> IntArray:
+            return np.where(moving, reached(levels[level] + costs) - level, 1)
+
+        farthest = reached(levels[:cap] + costs[moving].max(initial=0.0))
         return CostLayers(
             decision=self.decision,
             tails=self.tails,
@@ -157,7 +176,7 @@ class CostAwarePolicy(Policy):
             costs=costs,
             leads=leads,
             unit=None,
-            width=max(int(leads(level).max(initial=0)) for level in range(cap)) + 1,
+            width=max(int((farthest - np.arange(cap)).max(initial=1)), 1) + 1,
         )
 
     def _moving_costs(self) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import attention_states, dead_ends, staying_pairs
+from ssp_lp.model.graph.reachability import attention_pairs, attention_states, dead_ends
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
 
 
@@ -172,7 +172,7 @@ class EpisodeBatch:
 
 def staying_policy(model: SSP) -> IntArray:
     """A pair that surely avoids the goal in each state that has one, else UNDECIDED, [states]."""
-    pairs = np.flatnonzero(staying_pairs(model, attention_states(model)))
+    pairs = np.flatnonzero(attention_pairs(model, attention_states(model)))
     states = model.pair_state[pairs]
     first = np.flatnonzero(np.diff(states, prepend=-1))
     decision = np.full(model.n_states, UNDECIDED, dtype=np.int64)

@@ -110,7 +110,8 @@ def meaning_of(policy: Policy) -> tuple[object, ...]:
         case CostAwarePolicy():
             rule = policy.tail_threshold if policy.tail_table is None else policy.tail_table
             levels = b"" if policy.levels is None else policy.levels.tobytes()
-            return policy.cap, policy.unit, len(policy.tails), rule.tobytes(), levels
+            kept = policy.cap, policy.unit, policy.rounds_up, len(policy.tails)
+            return *kept, rule.tobytes(), levels
         case JointMemory():
             return tuple(meaning_of(keeper) for keeper in policy.keepers)
         case StochasticPolicy(carrier=Policy() as carrier):

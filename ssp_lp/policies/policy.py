@@ -53,6 +53,7 @@ class CostLayers:
     leads: Callable[[int], IntArray]  # layer -> layers that each class of step passes, [classes]
     unit: float | None  # cost of a layer; None: layers are levels that totals are rounded to
     width: int  # 1 + the most layers that a step passes
+    rounds_up: bool = False  # whether steps that cost no whole number of units pass one layer more
 
     @property
     def count(self) -> int:

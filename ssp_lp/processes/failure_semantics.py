@@ -12,7 +12,7 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, segment_minima
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import staying_pairs
+from ssp_lp.model.graph.reachability import attention_pairs
 from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.layered.measures_of_law import Measure
 
@@ -124,7 +124,7 @@ def give_up_charges(
         if semantics.charge_failing_step:
             costs = cost_means(model) if costs is None else costs
             if not anywhere:
-                costs = np.where(staying_pairs(model, attention), costs, np.inf)
+                costs = np.where(attention_pairs(model, attention), costs, np.inf)
             charge[allowed] = segment_minima(costs, model.pair_offsets)[allowed]
     charge[wandering] = 0.0
     return charge

@@ -6,12 +6,12 @@ such a component is free, so an exact process treats it as one place (mathematic
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, least_integer_type, segment_ids
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
@@ -19,6 +19,8 @@ from ssp_lp.model.graph.end_components import end_components
 from ssp_lp.model.graph.reachability import approach_pairs, dead_ends, pairs_into
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
+
+_TOGETHER = 1_000_000  # decisions, states times layers, that are pulled back at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +132,32 @@ class Quotient:
         return np.bincount(
             self.node_of[live], weights=distribution[live], minlength=self.n_nodes
         ).astype(np.float64)
+
+    def positions(self, n_layers: int, chosen: Callable[[slice], IntArray]) -> IntArray:
+        """Decisions on states in many layers, as positions among the states' pairs.
+
+        Args:
+            n_layers: number of layers.
+            chosen: position among this quotient's pairs in some layers, [some layers, nodes].
+
+        Returns:
+            [layers, states] in the smallest integers that hold them: a position or a code.
+        """
+        first, live = self.model.pair_offsets[:-1], np.flatnonzero(self.node_of >= 0)
+        most = int(np.diff(self.model.pair_offsets).max(initial=1))
+        shape = n_layers, self.model.n_states
+        found = np.full(shape, UNDECIDED, dtype=least_integer_type(most))
+        place = self.pair_at - first[self.model.pair_state[np.maximum(self.pair_at, 0)]]
+        place = np.where(self.pair_at < 0, self.pair_at, place).astype(found.dtype)
+        several = max(_TOGETHER // max(self.model.n_states, 1), 1)
+        for begin in range(0, n_layers, several):
+            some = slice(begin, min(begin + several, n_layers))
+            if self.merged.any():
+                pairs = np.stack([self.pull_back(layer) for layer in chosen(some)])
+                found[some] = np.where(pairs < 0, pairs, pairs - first)
+            else:
+                found[some, live] = place[chosen(some)][:, self.node_of[live]]
+        return found
 
     def pull_back(self, choice: IntArray) -> IntArray:
         """Decisions on states from one chosen pair per node.

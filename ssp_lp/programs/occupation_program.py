@@ -28,11 +28,10 @@ from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.augmented import Augmented, ColumnLabel
-from ssp_lp.programs.compiling import rows_program
 from ssp_lp.programs.decomposition import balanced
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure
-from ssp_lp.programs.program_row import ProgramRow
+from ssp_lp.programs.program_rows import ProgramRow, rows_program
 
 if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import ConvexProgram

@@ -47,16 +47,23 @@ class Certificate:
 
 
 def certificate_of(
-    found: Evaluation, bound: float, tail: float, budget: float, reason: str = ""
+    found: Evaluation,
+    bound: float,
+    budget: float,
+    reason: str = "",
+    *,
+    tail: float = 0.0,
+    above: bool = False,
 ) -> Certificate:
     """The verdict on a policy.
 
     Args:
         found: what it attains.
         bound: of every policy's objective.
-        tail: the part of the relative gap that a cap leaves.
         budget: the largest failure allowed.
         reason: why it is refused, if that is known already.
+        tail: the part of the relative gap that a cap leaves.
+        above: whether the bound is one from above.
     """
     failure = failure_of(found)
     if not reason and failure > budget + _BUDGET_ROUNDING:
@@ -64,11 +71,12 @@ def certificate_of(
     if not reason and not np.isfinite(found.objective):
         reason = f"the policy's objective is {found.objective}"
     most = found.objective + CONTRADICTION * abs(found.objective) + _BUDGET_ROUNDING
-    if not reason and bound > most:
+    if not reason and bound > most and not above:
         reason = f"the policy's value {found.objective!r} lies below its bound {bound!r}"
     return Certificate(
         objective=found.objective,
-        lower_bound=min(bound, found.objective) if not reason else bound,
+        lower_bound=bound if reason and not above else min(bound, found.objective),
+        upper_bound=max(bound, found.objective) if above else None,
         failure=failure,
         budget=budget,
         budget_slack=budget - failure,

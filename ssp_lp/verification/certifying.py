@@ -16,6 +16,7 @@ from ssp_lp.column_generation.failure_row import Row, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.least_risk import risk_bound
+from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.options import CERTIFYING, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
@@ -72,6 +73,10 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
     """The certificate of a policy that has been evaluated, its members too."""
     problem = solution.problem
     measure = problem.semantics.measure
+    if by_rows(problem) and is_on_rounded_costs(solution):
+        bound, allowed = proved_on_rounded_costs(solution, CERTIFYING)
+        above = measure is not None and measure.maximised
+        return certificate_of(found, bound, allowed, above=above)
     if by_rows(problem):
         risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate
@@ -106,7 +111,7 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):
         reason = f"the price is not a number >= {penalty:g}"
-        return certificate_of(found, 0.0, 0.0, budget, reason)
+        return certificate_of(found, 0.0, budget, reason)
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     levels = levels_of(solution.policy.policies, len(values))
     compiled = problem.compile().matching(np.asarray(values), levels)
@@ -115,14 +120,14 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
         compiled = compiled.for_program()
         bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
     if attained < budget * _SURELY:
-        return certificate_of(found, bound, tail, budget)
+        return certificate_of(found, bound, budget, tail=tail)
     least = compiled.least_failure()
     if budget <= least.column.failure < 1.0:
         kept = failure_of(found) <= budget  # to the last digit, which tells it from others
         if not (kept and found.objective < least.objective_bound):
             bound = max(bound, least.objective_bound)
     allowed = max(budget, least.column.failure)
-    return certificate_of(found, bound, tail, allowed)
+    return certificate_of(found, bound, allowed, tail=tail)
 
 
 def _broken_limit(problem: Problem, found: Evaluation) -> str:
@@ -148,7 +153,7 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
         raise ModelError("a certificate needs the prices and their value function")
     if not np.isfinite(found.objective):
         reason = f"the policy's objective is {found.objective}"
-        return certificate_of(found, 0.0, 0.0, 1.0, reason)
+        return certificate_of(found, 0.0, 1.0, reason)
     values = np.asarray(values)
     levels = levels_of(solution.policy.policies)
     if levels is not None:
@@ -161,7 +166,7 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
         spent += [row.activity(value) for row in condition.rows]
     prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():
-        return certificate_of(found, 0.0, 0.0, budget, "a price is not a number >= 0")
+        return certificate_of(found, 0.0, budget, "a price is not a number >= 0")
     limited = np.isfinite(compiled.bounds)
     bounds = np.where(limited, compiled.bounds, 0.0)
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
@@ -173,10 +178,8 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     lower = compiled.sense.settled_bound(
         attained if compiled.sense.constant is None else -attained, lower
     )
-    if compiled.sense.constant is None:
-        return certificate_of(found, compiled.sense.worth(lower), 0.0, budget)
-    proved = certificate_of(found, found.objective, 0.0, budget)
-    return replace(proved, upper_bound=max(compiled.sense.worth(lower), found.objective))
+    above = compiled.sense.constant is not None
+    return certificate_of(found, compiled.sense.worth(lower), budget, above=above)
 
 
 def _rows_bound(
@@ -217,10 +220,7 @@ def _goal_certificate(problem: Problem, found: Evaluation) -> Certificate:
     aim = problem.semantics.aim
     start = start_distribution(problem.model, problem.start)
     bound = float(start @ extreme_goal_reach(problem.model, aim).bound)
-    if aim is Aim.LEAST_GOAL:
-        return certificate_of(found, bound, 0.0, 1.0)
-    proved = certificate_of(found, found.objective, 0.0, 1.0)
-    return replace(proved, upper_bound=max(bound, found.objective))
+    return certificate_of(found, bound, 1.0, above=aim is not Aim.LEAST_GOAL)
 
 
 def _worth_certificate(solution: Solution, found: Evaluation) -> Certificate:
@@ -243,17 +243,16 @@ def _worth_certificate(solution: Solution, found: Evaluation) -> Certificate:
         priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
         bound = max(priced, bound) if budget <= allowed else priced
         allowed = max(budget, allowed)
-    proved = certificate_of(found, found.objective, 0.0, allowed, reason)
     worth = problem.semantics.failing_worth - bound
-    return replace(proved, upper_bound=max(worth, found.objective))
+    return certificate_of(found, worth, allowed, reason, above=True)
 
 
 def _risk_certificate(solution: Solution, found: Evaluation) -> Certificate:
     """A risk given success, and a bound below it that is searched for afresh."""
     if not np.isfinite(found.objective):
-        return certificate_of(found, 0.0, 0.0, 1.0, "the goal is never reached")
+        return certificate_of(found, 0.0, 1.0, "the goal is never reached")
     bound, allowed = risk_bound(solution.problem, found.objective, CERTIFYING)
-    return certificate_of(found, bound, 0.0, allowed)
+    return certificate_of(found, bound, allowed)
 
 
 def _least_failure_certificate(problem: Problem, found: Evaluation) -> Certificate:
@@ -276,4 +275,4 @@ def _least_failure_certificate(problem: Problem, found: Evaluation) -> Certifica
             if relative_gap(found.objective, priced) <= RELATIVE_GAP:
                 bound = priced
                 break
-    return certificate_of(found, bound, 0.0, allowed)
+    return certificate_of(found, bound, allowed)

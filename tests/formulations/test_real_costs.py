@@ -7,6 +7,7 @@ decimal; steps that cost something lead on, so that totals are finitely many.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -210,6 +211,73 @@ def test_a_controller_keeps_irrational_totals(tmp_path) -> None:
     controller.observe("mid", ROOT * (1.0 + 1e-12))  # an observed cost near a level
     assert controller.action("mid") == "sure"
     assert all(isinstance(p, CostAwarePolicy) for p in solution.policy.policies)
+
+
+def a_corridor(seed: int) -> SSP:
+    """Eight rooms in a row, each left on foot or by a lift that may fall, costs from the reals."""
+    rng = np.random.default_rng(seed)
+    rooms: dict[str, dict[str, list]] = {}
+    for room in range(8):
+        after, back = f"r{room + 1}", f"r{max(room - 1, 0)}"
+        slow, fast, again = rng.uniform(0.5, 2.0, 3).tolist()
+        rooms[f"r{room}"] = {
+            "walk": [(0.8, after, slow), (0.2, back, again)],
+            "lift": [(0.93, after, fast / 3.0), (0.07, "shaft", fast / 3.0)],
+        }
+    return SSP.from_transitions(
+        {**rooms, "shaft": {}}, goal={"r8"}, treat_actionless_as_dead_ends=True
+    )
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        CostBoundedReach(a_corridor(0), "r0", 9.0, 0.3),
+        GUBS(a_corridor(1), "r0", utility(20.0), 0.3),
+        CVaR(a_corridor(2), "r0", 0.8, 0.3),
+        CostQuantile(a_corridor(3), "r0", 0.8, 0.3),
+    ],
+    ids=lambda problem: type(problem).__name__,
+)
+def test_more_levels_of_rounded_costs_leave_less_gap(problem) -> None:
+    coarse = solve(replace(problem, cost_levels=64))
+    fine = solve(replace(problem, cost_levels=1024))
+    assert 2.0 * fine.gap < coarse.gap
+    bounds = [
+        (s.lower_bound, s.objective) if s.upper_bound is None else (s.objective, s.upper_bound)
+        for s in (coarse, fine)
+    ]
+    assert bounds[0][0] <= bounds[1][0] * (1.0 + 1e-9)
+    assert bounds[1][1] <= bounds[0][1] * (1.0 + 1e-9)
+    for solution in (coarse, fine):
+        told = evaluate(solution.policy, problem)
+        assert told.objective == pytest.approx(solution.objective, rel=1e-5)
+        assert told.failure_probability <= problem.failure_budget + 1e-9
+        certificate = certify(solution)
+        assert certificate.accepted
+        assert certificate.gap < 2.0 * solution.gap + 1e-4
+
+
+def test_a_controller_rounds_costs_up_as_its_policy_does(tmp_path) -> None:
+    model = a_corridor(4)
+    solution = solve(CostBoundedReach(model, "r0", 9.0, 0.3, cost_levels=64))
+    policy = next(p for p in solution.policy.policies if isinstance(p, CostAwarePolicy))
+    save_policy(policy, tmp_path / "policy.zip")
+    loaded = load_policy(tmp_path / "policy.zip", model)
+    assert loaded.rounds_up
+    write_controller(policy, tmp_path / "controller.json")
+    controller = Controller(tmp_path / "controller.json")
+    controller.reset(0)
+    memory, state = policy.start_memory(np.array([0])), 0
+    for after in ("r1", "r2", "r1", "r2", "r3"):
+        assert controller.action(model.states[state]) == model.action_of(
+            int(loaded.branches(np.array([state]), memory).pair[0])
+        )
+        controller.observe(after, 0.71)
+        there = np.array([model.index_of(after)])
+        memory = loaded.remember(memory, np.array([0]), there, np.array([0.71]))
+        state = int(there[0])
+    assert memory[0] == min(5 * int(np.ceil(0.71 / policy.unit)), policy.cap)
 
 
 def test_what_is_refused() -> None:

@@ -17,7 +17,7 @@ from ssp_lp.column_generation.failure_row import Row
 from ssp_lp.linear_programming.highs import solve_with_highs
 from ssp_lp.linear_programming.linear_program import residuals
 from ssp_lp.methods.policy_basis import policy_basis
-from ssp_lp.programs.compiling import occupation_program
+from ssp_lp.programs.program_rows import occupation_program
 
 TIGHT, SLACK = 0.4, 1.0
 

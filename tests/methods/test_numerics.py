@@ -12,7 +12,7 @@ from ssp_lp import SSP, certify, evaluate, solve
 from ssp_lp.analysis.goal_probability import max_goal_probability, min_goal_probability
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.processes.totals.window import Window
+from ssp_lp.processes.totals.levels import Window
 
 
 def model_of(transitions: Any) -> SSP:

@@ -23,10 +23,10 @@ def test_graph_facts_are_the_fixed_points(drawn):
 
 @settings(max_examples=100, deadline=None, derandomize=True)
 @given(problems())
-def test_staying_pairs_keep_to_the_attention_states(drawn):
+def test_attention_pairs_keep_to_the_attention_states(drawn):
     """The staying actions of each attention state."""
     model, reference = library_model(drawn), plain(drawn)
-    staying = reachability.staying_pairs(model, reachability.attention_states(model))
+    staying = reachability.attention_pairs(model, reachability.attention_states(model))
     for state in drawn.choices:
         position = model.index_of(state)
         pairs = range(model.pair_offsets[position], model.pair_offsets[position + 1])

@@ -110,7 +110,7 @@ def test_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
     attention = reachability.attention_states(model)
     assert members(attention) == kept
     staying = {p for p in range(model.n_pairs) if steps[p] | {int(model.pair_state[p])} <= kept}
-    assert members(reachability.staying_pairs(model, attention)) == staying
+    assert members(reachability.attention_pairs(model, attention)) == staying
     some = rng.random(n_states) < 0.3
     expected = {p for p in range(model.n_pairs) if steps[p] & members(some)}
     assert members(reachability.pairs_into(model, some)) == expected

@@ -1,4 +1,4 @@
-"""A small chain with the law of a policy that remembers its cost: its layers made one node each.
+"""A small chain with the law of a policy that remembers its cost: its layers made a few nodes.
 
 Below the cap the cost paid is the layer, so that all that a law needs of a layer is how much mass
 arrives at the goal with it. One sweep forwards finds that, layer by layer. What reaches the cap
@@ -7,7 +7,7 @@ goes on by the policy's tails, whose chains are written out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 
 import numpy as np
@@ -16,12 +16,12 @@ import scipy.sparse as sp
 from ssp_lp.analysis.chain import Chain, policy_chain
 from ssp_lp.analysis.layers.layer_moves import Moves, Staying, closed_states
 from ssp_lp.analysis.layers.layered_measures import LARGE
-from ssp_lp.arrays import FloatArray, IntArray, read_only
+from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.model import SSP
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import UNDECIDED, CostLayers, Policy
-from ssp_lp.processes.totals.lattice import exact_cost
+from ssp_lp.processes.totals.lattice import exact_cost, totals_of
 
 _NOTHING = np.zeros(0, dtype=np.int64)
 
@@ -43,7 +43,7 @@ def chain_of_law(
     layers = policy.layers()
     if (
         layers is None
-        or layers.count * model.n_states < least_nodes
+        or (layers.count * model.n_states < least_nodes and not layers.rounds_up)
         or not _is_exact(model, layers)
     ):
         return policy_chain(model, policy, start)
@@ -52,9 +52,9 @@ def chain_of_law(
 
 
 def _is_exact(model: SSP, layers: CostLayers) -> bool:
-    """Whether every cost is a whole number of layers, and not only as a float."""
-    if layers.unit is None:
-        return False
+    """Whether every cost is a whole number of layers, and not only as a float, or made one."""
+    if layers.unit is None or layers.rounds_up:
+        return layers.rounds_up
     unit, steps = _fraction(model, layers.unit), layers.leads(0).tolist()
     costs = layers.costs.tolist()
     return all(_fraction(model, c) == k * unit for c, k in zip(costs, steps, strict=True))
@@ -98,46 +98,53 @@ def _forwards(moves: Moves, start: FloatArray) -> _Arrived | None:
 
 
 def _spine(model: SSP, layers: CostLayers, found: _Arrived) -> Chain:
-    """One node per layer below the cap, then the tails.
+    """One node per block of layers below the cap, then the tails.
 
-    A node goes on to the next layer, or to the goal at the cost of one; the last one to where the
-    mass lands beyond it. Mass that fails below the cap never starts.
+    A node goes on to the next block, or to the goal at the cost of each layer of its own; the last
+    one to where the mass lands beyond the cap. Mass that fails below the cap never starts.
     """
-    count, room = layers.count, len(found.landed)
-    tail_at = np.stack([layers.tail_at(count + k) for k in range(room)])
+    block = len(found.landed)  # as many layers as a step may pass: no move is much longer
+    count, last = -(-layers.count // block), (layers.count - 1) // block
+    tail_at = np.stack([layers.tail_at(layers.count + k) for k in range(block)])
     parts, first = list[tuple[int, Chain]](), count + 1
-    entries: list[tuple[IntArray, FloatArray, IntArray]] = []
+    moves = list[tuple[IntArray, IntArray, FloatArray, IntArray]]()  # from, to, mass, layer
     for number, tail in enumerate(layers.tails):
         entering = np.where(tail_at == number, found.landed, 0.0)
         total = entering.sum(axis=0)
         if not (total > 0.0).any():
             continue
         chain = policy_chain(model, DeterministicPolicy(model, tail), total)
+        if layers.rounds_up and layers.unit is not None:
+            chain = replace(chain, cost=_rounded_up(chain.cost, layers.unit))
         place = np.full(model.n_states, -1, dtype=np.int64)
         place[chain.state] = np.arange(first, first + chain.n_nodes)
         ahead, state = np.nonzero(entering)
-        entries.append((place[state], entering[ahead, state], ahead + 1))
+        source = np.full(len(ahead), last)
+        moves.append((source, place[state], entering[ahead, state], layers.count + ahead))
         parts.append((first, chain))
         first += chain.n_nodes
-    later = sum(float(mass.sum()) for _, mass, _ in entries) + float(found.goal[count:].sum())
-    left = np.append(np.cumsum(found.goal[1:count][::-1])[::-1], 0.0) + later  # after each layer
-    used = int(np.count_nonzero(left))  # it decreases
-    every, last = np.arange(used), np.full(room, count - 1)
-    beyond = np.arange(room) + 1
-    moves: list[tuple[IntArray, IntArray, FloatArray, IntArray]] = [  # from, to, mass, layers
-        (every[:-1], every[1:], left[1:used], np.ones(max(used - 1, 0), dtype=np.int64)),
-        (every[: count - 1], np.full(min(used, count - 1), count),
-         found.goal[1 : min(used, count - 1) + 1], np.ones(min(used, count - 1), dtype=np.int64)),
-    ]  # fmt: skip
-    if used == count:
-        moves += [(last, np.full(room, count), found.goal[count:], beyond)]
-        moves += [(np.full(len(to), count - 1), to, mass, ahead) for to, mass, ahead in entries]
+    arriving = np.flatnonzero(found.goal[1:] > 0.0) + 1
+    source = np.minimum(arriving // block, last)
+    moves.append((source, np.full(len(arriving), count), found.goal[arriving], arriving))
+    taken = np.zeros(count)
+    for source, _, mass, _ in moves:
+        np.add.at(taken, source, mass)
+    left = np.cumsum(taken[::-1])[::-1]  # from each block on
+    every = np.arange(count - 1)
+    moves.append((every, every + 1, left[1:], (every + 1) * block))
     mass = np.concatenate([part[2] for part in moves])
     kept = np.flatnonzero(mass > 0.0)
-    source, target, ahead = (np.concatenate([part[i] for part in moves])[kept] for i in (0, 1, 3))
-    paid = ahead * float(layers.unit or 0.0)
+    source, target, there = (np.concatenate([part[i] for part in moves])[kept] for i in (0, 1, 3))
+    unit, ahead = float(layers.unit or 0.0), there - source * block
+    paid = totals_of(ahead, exact_cost(unit)) if layers.rounds_up else ahead * unit
     own = source, target, np.asarray(mass[kept] / left[source]), np.asarray(paid)
     return _joined(model, own, parts, count, float(left[0]), float(found.goal[0]))
+
+
+def _rounded_up(costs: FloatArray, unit: float) -> FloatArray:
+    """Costs as whole multiples of a unit, rounded once each, like ``costs``."""
+    layers = np.ceil(costs / unit * (1.0 - SAME_TOTAL)).astype(np.int64)
+    return totals_of(layers, exact_cost(unit))
 
 
 def _joined(

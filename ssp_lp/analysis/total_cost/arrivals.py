@@ -12,7 +12,7 @@ import scipy.sparse as sp
 
 from ssp_lp.analysis.total_cost.layer_powers import LayerPowers, Places
 from ssp_lp.analysis.total_cost.live_chain import FreeMoves, Live
-from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray
+from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, concatenated_ranges
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.totals.lattice import common_unit, last_layer, layers_of, totals_of
 
@@ -167,9 +167,14 @@ class Arrivals:
         Args:
             layer: the first that is not settled if left out; a later one where :attr:`leaps`.
         """
-        ahead = self._here() if layer is None else self._ahead(layer)[1]
-        goal = ahead * self._live.goal[self._places.node]
-        cost = self.cost_of(self._places.delay) * goal + ahead * self._live.cost[self._places.node]
+        if layer is None:
+            occupied = np.flatnonzero(self._waiting)
+            row, node = np.divmod(occupied, self._size)
+            ahead, delay = self._waiting[occupied], (row - self.settled) % self._width
+        else:
+            ahead, node, delay = self._ahead(layer)[1], self._places.node, self._places.delay
+        goal = ahead * self._live.goal[node]
+        cost = self.cost_of(delay) * goal + ahead * self._live.cost[node]
         return float(goal.sum()), float(cost.sum())
 
     @cached_property
@@ -228,14 +233,18 @@ class Arrivals:
     def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
         """Send visits on along the moves that pay or arrive, into the ring that begins here."""
         moves, waiting = self._onward, self._waiting
-        if active.size < _MOSTLY * visits.size:
-            moves, visits = moves[active], visits[active]
-        self._count(moves.nnz)
-        if moves.nnz < waiting.size:
-            share = moves.data * np.repeat(visits, np.diff(moves.indptr))
-            np.add.at(waiting, (moves.indices.astype(np.int64) + begin) % waiting.size, share)
+        if active.size >= _MOSTLY * visits.size:
+            active = np.arange(visits.size)
+        first = moves.indptr[active].astype(np.int64)
+        counts = moves.indptr[active + 1] - first
+        self._count(int(counts.sum()))
+        if counts.sum() < waiting.size:
+            taken = concatenated_ranges(first, counts)
+            share = moves.data[taken] * np.repeat(visits[active], counts)
+            place = (moves.indices[taken].astype(np.int64) + begin) % waiting.size
+            np.add.at(waiting, place, share)
             return
-        sent, turn = moves.T @ visits, waiting.size - begin
+        sent, turn = moves[active].T @ visits[active], waiting.size - begin
         waiting[begin:] += sent[:turn]
         waiting[:begin] += sent[turn:]
 

@@ -24,7 +24,7 @@ from ssp_lp.processes.goal_reach import (
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import Charge, ExponentialReward, TailValues
 from ssp_lp.processes.layered.exponential_utility import MomentReach, cost_horizon, greatest_moment
-from ssp_lp.processes.layered.process import LayeredProcess, Tails
+from ssp_lp.processes.layered.layered_process import LayeredProcess, Tails
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.lattice import layers_within
 from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in

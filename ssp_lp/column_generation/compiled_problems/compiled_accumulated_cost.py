@@ -24,7 +24,7 @@ from ssp_lp.processes.goal_reach import (
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import TailValues
-from ssp_lp.processes.layered.process import LayeredProcess, Tails
+from ssp_lp.processes.layered.layered_process import LayeredProcess, Tails
 
 _FIRST_LAYERS = 2.5
 """Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""

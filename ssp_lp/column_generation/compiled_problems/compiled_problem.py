@@ -25,8 +25,7 @@ from ssp_lp.processes.goal_reach import (
     least_goal_reach,
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.materialise import chosen_pairs, materialise
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess, chosen_pairs, materialise
 
 
 @dataclass(frozen=True, eq=False)

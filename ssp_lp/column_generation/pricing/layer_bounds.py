@@ -12,7 +12,7 @@ from ssp_lp.dynamic_programming.bellman import PairCost, backup_rounding, safe_m
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess
 
 _ONE = np.ones(1)
 

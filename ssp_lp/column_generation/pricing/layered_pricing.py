@@ -35,8 +35,8 @@ from ssp_lp.dynamic_programming.policy_iteration import improve
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.processes.layered.process import LayeredProcess
-from ssp_lp.processes.totals.window import Window
+from ssp_lp.processes.layered.layered_process import LayeredProcess
+from ssp_lp.processes.totals.levels import Window
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
@@ -138,6 +138,9 @@ class LayeredPricing:
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
         base = self.process.base
+        if self._one_pass is not None:
+            measures = np.stack(self.process.beyond(tail_price), axis=-1)
+            return self._column(self._one_pass.measure(measures, choice), choice, tail_price, 0)
         measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
             check_time()

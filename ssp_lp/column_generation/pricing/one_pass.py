@@ -6,7 +6,7 @@ does. Where the free steps within a layer can be put in order they belong to the
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,17 +14,18 @@ import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import pieces
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess
 
-_MOST_CELLS = 2_000_000
+_MOST_CELLS = 8_000_000
 """Nodes times layers held at once, with four numbers each; larger layers are swept one by one."""
 
 _MOST_ENTRIES = 60_000
 """Entries of a layer beyond which calling a loop for each is nothing beside what it does."""
 
 _MOST_CHARGES = 4_000_000
-"""Charges, pairs times layers, where they do not grow evenly."""
+"""Charges, pairs that arrive times layers, where they do not grow evenly."""
 
 _NONE = np.zeros(0)
 
@@ -35,7 +36,10 @@ class OnePass:
 
     process: LayeredProcess
     order: IntArray  # [nodes] each after those that its free steps lead to
-    charge: FloatArray  # [layers or 1, pairs]
+    kinds: IntArray  # [entries] of steps, numbered as they are used
+    leads: IntArray  # [layers, kinds] where they lead; or [1, kinds] how many layers ahead
+    charge: FloatArray  # [layers or 1, slots]
+    slot: IntArray  # [pairs]
     growth: FloatArray  # [pairs] or empty
 
     def minimise(
@@ -53,10 +57,25 @@ class OnePass:
 
         run: Callable[..., None] = back_up_layers
         base, measured = self.process.base, self._with_room(measures)
-        run(
-            *self._parts, owed, base.gain, base.failure, base.survival,
-            self._with_room(values).ravel(), measured.reshape(-1, 3), choice,
-        )  # fmt: skip
+        known = self._with_room(values).ravel(), measured.reshape(-1, 3)
+        for part in self._pieces():
+            run(*self._parts, *part, owed, base.gain, base.failure, base.survival, *known, choice)
+        return np.asarray(measured[0])
+
+    def measure(self, measures: FloatArray, choice: IntArray) -> FloatArray:
+        """Charge, failure and goal from the first layer under a choice, [nodes, 3].
+
+        Args:
+            measures: charge, failure and goal of the tails, [layers beyond, nodes, 3].
+            choice: among each node's pairs, [cap, nodes].
+        """
+        from ssp_lp.compiled.backups import measure_layers
+
+        run: Callable[..., None] = measure_layers
+        base, measured = self.process.base, self._with_room(measures)
+        ends = base.gain, base.failure, base.survival
+        for part in self._pieces():
+            run(*self._parts, *part, *ends, measured.reshape(-1, 3), choice)
         return np.asarray(measured[0])
 
     def lowest(
@@ -74,8 +93,15 @@ class OnePass:
 
         run: Callable[..., None] = back_up_layers_safely
         values = self._with_room(beyond)
-        run(*self._parts, owed, saved, MACHINE_EPSILON, given, values.ravel())
+        for part in self._pieces():
+            run(*self._parts, *part, owed, saved, MACHINE_EPSILON, given, values.ravel())
         return np.asarray(values[: self.process.cap])
+
+    def _pieces(self) -> Iterator[tuple[int, int]]:
+        """First layer and end of each part of a sweep, the last part first."""
+        cap = self.process.cap
+        for some in pieces(cap, cap * len(self.kinds)):
+            yield cap - some.stop, cap - some.start
 
     def _with_room(self, beyond: FloatArray) -> FloatArray:
         """An array for all layers that ends with those beyond the cap."""
@@ -87,10 +113,10 @@ class OnePass:
     @property
     def _parts(self) -> tuple[Any, ...]:
         base, levels = self.process.base, self.process.levels
-        steps, offsets = base.steps_by_kind, unsigned(base.pair_offsets)
+        indptr, _, nodes, data = base.steps_by_kind
+        steps = unsigned(base.pair_offsets), indptr, self.kinds, nodes, data, self.leads
         paid = levels.totals[: self.process.cap]
-        leads = levels.leads(base.width)
-        return self.order, offsets, *steps, leads, paid, self.charge, self.growth
+        return self.order, *steps, paid, self.charge, self.slot, self.growth
 
 
 def one_pass(process: LayeredProcess) -> OnePass | None:
@@ -101,16 +127,25 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
         return None
     if not accelerated(base.later.nnz * cap):
         return None
-    if not process.grows_evenly and len(base.gain) * cap > _MOST_CHARGES:
+    arriving = process.charges.arriving
+    if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
         return None
     order = _order(base)
     if order is None:
         return None
-    first = process.charged(0)
+    used, kinds = np.unique(base.steps_by_kind[1], return_inverse=True)
+    kinds = kinds.astype(np.uint8 if len(used) <= 256 else np.uint32)
+    ahead, slot = process.levels.ahead, np.arange(len(base.gain), dtype=np.uint32)
+    leads = used[None, :] if ahead is None else process.levels.leads(base.width)[:, used]
     if process.grows_evenly:
-        return OnePass(process, order, first.fixed[None, :], first.parts[1])
-    charge = np.stack([process.charged(layer).fixed for layer in range(cap)])
-    return OnePass(process, order, charge, _NONE)
+        first = process.charged(0)
+        whole = first.fixed[None, :], slot, first.parts[1]
+        return OnePass(process, order, kinds, leads.astype(np.int64), *whole)
+    charge = np.zeros((cap, len(arriving) + 1))
+    charge[:, :-1] = process.charges.of_arriving(slice(0, cap))
+    slot[:] = len(arriving)
+    slot[arriving] = np.arange(len(arriving))
+    return OnePass(process, order, kinds, leads.astype(np.int64), charge, slot, _NONE)
 
 
 def _order(base: AccumulatedCost) -> IntArray | None:

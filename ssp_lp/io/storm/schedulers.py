@@ -13,7 +13,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.exported import Exported, exported, write_text
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph.reachability import attention_states, staying_pairs
+from ssp_lp.model.graph.reachability import attention_pairs, attention_states
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE
@@ -116,7 +116,7 @@ class _Automaton:
         codes = sorted(set(chain.memory.tolist()) - {start})
         self._number = {code: k for k, code in enumerate([start, *codes])}
         self._given_up = len(self._number)  # the memory of having given up
-        self._staying = staying_pairs(chain.model, attention_states(chain.model))
+        self._staying = attention_pairs(chain.model, attention_states(chain.model))
         self._found: Decisions = {}
 
     def decisions(self) -> Decisions:

@@ -23,7 +23,7 @@ from ssp_lp.linear_programming.highs import highs_lp
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.methods.integer_programming.process_view import steps_between, within_reach
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.compiling import occupation_program
+from ssp_lp.programs.program_rows import occupation_program
 
 _LEAST_GAP = 1e-10
 _POLL = 0.1  # seconds between two looks at whether HiGHS has ended

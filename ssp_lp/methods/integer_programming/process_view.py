@@ -18,7 +18,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import Compiled
 from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess
 from ssp_lp.processes.quotient import Quotient
 
 _MOST_PAIRS = 500_000

@@ -11,7 +11,7 @@ from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
 from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.risk.question import Question, Trial, question_remarks
+from ssp_lp.methods.risk.question import Near, Question, Trial, question_remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.charges import Late
@@ -19,7 +19,11 @@ from ssp_lp.solution import Run, Solution
 
 
 def least_quantile(
-    problem: Problem, question: Question, level: float, options: SolveOptions
+    problem: Problem,
+    question: Question,
+    level: float,
+    options: SolveOptions,
+    near: Near | None = None,
 ) -> Solution:
     """Gallop up to a bound that some policy keeps, then bisect.
 
@@ -31,6 +35,7 @@ def least_quantile(
         question: the policies that count.
         level: in (0, 1).
         options: method, tolerance and limits.
+        near: where the quantile may be; None: unknown.
 
     Raises:
         ModelError: the quantile lies beyond the largest table of costs.
@@ -38,16 +43,20 @@ def least_quantile(
     places = question.thresholds
     low, refuted, high, calls, late = -1, -1, 0, 0, False  # numbers: too low, proved so, kept
     kept: Trial | None = None
+    kappa, step = (0.0, 0) if near is None else (near.kappa, 1)
+    high = 0 if near is None else places.number(near.total)
     while kept is None or (high - low > 1 and not late):
         middle = high if kept is None else (low + high) // 2
+        if kept is not None and low < 0 < step:  # from what is near, in longer steps
+            middle, step = max(middle, high - step), 2 * step
         try:
-            trial = question.attempt(Late(places.total(middle)), options)
+            trial = question.attempt(Late(places.total(middle)), options, kappa)
         except STOPS as stop:
             heed(stop)
             if kept is None:
                 raise Stop(told=_known(question, refuted)) from stop
             break
-        calls += trial.calls
+        calls, kappa = calls + trial.calls, trial.kappa if near is not None else 0.0
         if trial.value <= _allowed(level):
             kept, high = trial, middle
         else:

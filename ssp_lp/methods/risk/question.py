@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArri
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.initial_columns import DualGuess
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.methods.risk.thresholds import Multiples, SumsThatOccur, Thresholds
@@ -32,6 +34,7 @@ from ssp_lp.solution import CUT_SHORT
 
 _AHEAD = 8.0  # typical costs up to which all sums must be few to be told apart
 _FINE = 500  # thresholds in a typical cost, where totals are rounded
+_NEARBY = 1e-2  # relative uncertainty of a price of failure from another threshold
 _ROUNDING = 1e-14
 """A budget above the least failure by this share of the success is meant to be equal to it."""
 
@@ -46,6 +49,13 @@ class Trial:
     kappa: float  # price of failure at the optimum
     calls: int
     prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
+
+
+class Near(NamedTuple):
+    """Where a search may begin: what is known from rounder costs."""
+
+    total: float  # quantile of a good policy
+    kappa: float  # what failing is worth there; 0: unknown
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +94,8 @@ class _WithinBudget:
             policy = MixedPolicy((pricing.policy(column),), np.ones(1))
             value = column.cost / column.goal
             return Trial(value, min(self._bound(compiled, 0.0), value), policy, 0.0, 2)
-        outcome = refined_optimum(compiled, self.budget, options)
+        guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
+        outcome = refined_optimum(compiled, self.budget, options, guess)
         found = outcome.found
         return Trial(
             found.objective, found.lower_bound, outcome.lottery, found.price, outcome.calls
@@ -223,9 +234,22 @@ def question_of(problem: Problem) -> Question:
     """
     if by_rows(problem):
         return _WithinRows(problem, compiled_constrained(problem).settled())
-    compiled, budget = problem.compile(), problem.failure_budget
+    compiled = problem.compile()
     if not isinstance(compiled, CompiledArrivalCost):
         raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
+    return question_of_compiled(compiled, problem.failure_budget)
+
+
+def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> Question:
+    """The same of a problem whose failure alone is limited, already compiled.
+
+    Args:
+        compiled: of the total cost.
+        budget: of failure; None: only policies of least failure count.
+
+    Raises:
+        InfeasibleError: the budget is below the least failure, or the goal is out of reach.
+    """
     column = checked_least_failure(compiled, budget).column
     least = column.failure
     if budget is not None and budget > least + _ROUNDING * column.goal:

@@ -30,7 +30,7 @@ import numpy as np
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.risk.question import Question, Trial, question_remarks
+from ssp_lp.methods.risk.question import Near, Question, Trial, question_remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
@@ -150,7 +150,11 @@ class _Search:
 
 
 def least_tail_mean(
-    problem: Problem, question: Question, level: float, options: SolveOptions
+    problem: Problem,
+    question: Question,
+    level: float,
+    options: SolveOptions,
+    near: Near | None = None,
 ) -> Solution:
     """Find a policy by alternating, and prove that no other threshold gives a better one.
 
@@ -159,9 +163,10 @@ def least_tail_mean(
         question: the policies that count.
         level: in [0, 1).
         options: method, tolerance and limits.
+        near: where the best threshold may be; None: unknown.
     """
     search = _Search(problem, question, level, options)
-    best, bound = _proved(search)
+    best, bound = _proved(search, near)
     sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
     reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
@@ -193,12 +198,14 @@ def tail_mean_bound(
     return _proved(_Search(problem, question, level, options))[1]
 
 
-def _proved(search: _Search) -> tuple[Best, float]:
+def _proved(search: _Search, near: Near | None = None) -> tuple[Best, float]:
     """The best policy, and a lower bound of every policy's tail mean."""
     places, best = search.question.thresholds, search.attempt(0)
     whole = search.tried[0].lower_bound
     if search.level == 0.0:
         return best, max(whole, 0.0)  # the whole mean: the least threshold is best
+    if near is not None:
+        search.kappas.setdefault(places.number(near.total), near.kappa)
     try:
         while best.threshold not in search.tried and search.in_time:
             best = search.attempt(best.threshold)

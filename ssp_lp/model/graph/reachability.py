@@ -110,7 +110,7 @@ def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
     return leads
 
 
-def staying_pairs(model: SSP, attention: BoolArray) -> BoolArray:
+def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
     """Pairs of attention states whose successors are all attention states, [pairs].
 
     Args:

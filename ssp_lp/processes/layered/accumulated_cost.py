@@ -15,14 +15,16 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
+from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
 from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means, uniform_cost
 from ssp_lp.processes.failure_semantics import survival_of
+from ssp_lp.processes.layered.charges import Charge, TotalCost
 from ssp_lp.processes.live_rows import RowChoice, live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
-from ssp_lp.processes.totals.lattice import Lattice, lattice_of
+from ssp_lp.processes.totals.lattice import Lattice, lattice_of, totals_of
 from ssp_lp.processes.totals.sums import last_steps, step_lattice
 
 
@@ -216,3 +218,67 @@ def _steps(
     rows = replace(rows, ahead=lattice.ahead, width=lattice.width)
     steps = live_rows(rows, survival).matrix
     return sp.csr_array(steps[:, :n]), sp.csr_array(steps[:, n:])
+
+
+_TABLE = 1_000_000
+"""Charges, layers x pairs or x layers of a step, that are worked out together."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArrivalCharges:
+    """A charge of the total cost at the pairs of an accumulated-cost process."""
+
+    base: AccumulatedCost
+    charge: Charge
+    totals: FloatArray  # [layers] what has been paid there
+
+    @property
+    def grow_evenly(self) -> bool:
+        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
+        return isinstance(self.charge, TotalCost)
+
+    def from_layer(self, layer: int) -> PairCost:
+        """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
+        base = self.base
+        if self.grow_evenly or base.arrivals is None:
+            return PairCost(base.gain_cost, base.gain, float(self.totals[layer]))
+        size = max(_TABLE // max(len(base.gain), 1), 1)
+        block, place = divmod(layer, size)
+        if block not in self._blocks:
+            some = slice(block * size, min((block + 1) * size, len(self.totals)))
+            charged = np.zeros((some.stop - some.start, len(base.gain)))
+            charged[:, self.arriving] = self.of_arriving(some)
+            self._blocks.clear()
+            self._blocks[block] = charged
+        return PairCost(self._blocks[block][place])
+
+    @cached_property
+    def arriving(self) -> IntArray:
+        """Pairs by which the goal can be reached, [arriving]."""
+        arrivals = self.base.arrivals
+        return np.flatnonzero(self.base.gain if arrivals is None else np.diff(arrivals.indptr))
+
+    def of_arriving(self, some: slice) -> FloatArray:
+        """Expected charge of arriving by the pairs that may, from some layers, [some, arriving]."""
+        base, arrivals = self.base, self.base.arrivals
+        if arrivals is None:
+            return (
+                base.gain_cost[self.arriving] + self.totals[some, None] * base.gain[self.arriving]
+            )
+        kinds = np.unique(arrivals.indices)
+        if base.last_steps is not None:
+            charged = self.charge.at(self.totals[some, None] + base.last_steps[kinds])
+        else:
+            ahead = np.arange(some.start, some.stop)[:, None] + kinds
+            charged = self.charge.at(totals_of(ahead, base.exact_unit))
+        return np.ascontiguousarray((arrivals[self.arriving][:, kinds] @ charged.T).T)
+
+    @property
+    def at_start(self) -> float:
+        """Charge of the start mass that lies on goals."""
+        return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
+
+    @cached_property
+    def _blocks(self) -> dict[int, FloatArray]:
+        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
+        return {}

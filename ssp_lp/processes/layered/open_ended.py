@@ -16,15 +16,14 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import FailureSemantics
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, ArrivalCharges
 from ssp_lp.processes.layered.charges import Charge
-from ssp_lp.processes.layered.charges_by_layer import ArrivalCharges
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.lattice import layers_within, totals_of
 
@@ -100,14 +99,10 @@ class OpenEnded:
         base, n = self.base, self.n_nodes
         quotient, model = base.quotient, base.quotient.model
         inner = choice[: (self.cap + 1) * n].reshape(self.cap + 1, n) % max(len(base.gain), 1)
-        pairs = [quotient.pull_back(layer) for layer in inner]
-        most = int(np.diff(model.pair_offsets).max(initial=1))
-        decision = np.empty((self.cap + 1, model.n_states), dtype=least_integer_type(most))
-        for layer, pair in enumerate(pairs):
-            decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
-        never, beyond = np.full(model.n_states, np.inf), pairs[-1][None, :]
+        decision = quotient.positions(self.cap, lambda some: inner[some])
+        never, beyond = np.full(model.n_states, np.inf), quotient.pull_back(inner[-1])[None, :]
         levels = None if self.ladder is None else self.ladder.rungs
-        return CostAwarePolicy(model, base.unit, decision[:-1], beyond, never, levels=levels)
+        return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
         """Has to be found on the process itself."""

@@ -36,7 +36,7 @@ from ssp_lp.methods.rows.phase_one import opening
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.compiling import rows_program
+from ssp_lp.programs.program_rows import rows_program
 from strategies import discounts, problems
 
 

@@ -1,4 +1,7 @@
-"""The accumulated-cost process cut at a cap M, with the tail policies that take over there."""
+"""The accumulated-cost process cut at a cap M, with the tail policies that take over there.
+
+Sweeps take it layer by layer; for methods that need it so it is written out state by state.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,16 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, ArrivalCharges
 from ssp_lp.processes.layered.charges import TOTAL_COST, Charge, TailValues
-from ssp_lp.processes.layered.charges_by_layer import ArrivalCharges
 from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.levels import Levels
-from ssp_lp.processes.totals.window import Window
+from ssp_lp.processes.totals.levels import Levels, Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,23 +95,23 @@ class LayeredProcess:
         return Window(beyond, self.levels)
 
     @cached_property
-    def _charges(self) -> ArrivalCharges:
+    def charges(self) -> ArrivalCharges:
         """What arriving is charged from each layer."""
         return ArrivalCharges(self.base, self.charge, self.levels.totals[: self.cap])
 
     @property
     def grows_evenly(self) -> bool:
         """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
-        return self._charges.grow_evenly
+        return self.charges.grow_evenly
 
     def charged(self, layer: int) -> PairCost:
         """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
-        return self._charges.from_layer(layer)
+        return self.charges.from_layer(layer)
 
     @property
     def start_charge(self) -> float:
         """Charge of the start mass that lies on goals."""
-        return self._charges.at_start
+        return self.charges.at_start
 
     @property
     def beyond_units(self) -> FloatArray:
@@ -170,11 +173,8 @@ class LayeredProcess:
         threshold = np.full(model.n_states, np.inf)
         live = quotient.node_of >= 0
         threshold[live] = self.threshold(tail_price)[quotient.node_of[live]]
-        most = int(np.diff(model.pair_offsets).max(initial=1))
-        decision = np.empty((self.cap, model.n_states), dtype=least_integer_type(most))
-        for layer in range(self.cap):
-            pair = quotient.pull_back(self.base.pair_offsets[:-1] + choice[layer])
-            decision[layer] = np.where(pair < 0, pair, pair - model.pair_offsets[:-1])
+        first = self.base.pair_offsets[:-1]
+        decision = quotient.positions(self.cap, lambda some: first + choice[some])
         return CostAwarePolicy(
             model=model,
             unit=self.base.unit,
@@ -183,3 +183,90 @@ class LayeredProcess:
             tail_threshold=threshold,
             levels=None if self.ladder is None else self.ladder.rungs,
         )
+
+
+def materialise(process: LayeredProcess) -> ExplicitProcess:
+    """Write all layers out: state = layer * nodes + node.
+
+    The layers beyond the cap that a step can reach follow, with one pair for each tail policy,
+    so that the written-out process can do all that either tail can; the source state comes last.
+
+    Args:
+        process: the layered process.
+    """
+    base, n, cap = process.base, process.base.n_nodes, process.cap
+    n_beyond = (len(process.levels.totals) - cap) * n
+    n_states = cap * n + n_beyond + 1
+    tails_cost, tails_failure, tails_goal = _tail_pairs(process)
+    steps = _layer_steps(process, n_states)
+    entry = sp.csr_array(
+        (base.start, (np.zeros(n, dtype=np.int64), np.arange(n))), shape=(1, n_states)
+    )
+    cost = np.stack([process.charged(layer).total for layer in range(cap)])
+    own_pairs = np.tile(np.diff(base.pair_offsets), cap)
+    counts = np.concatenate([own_pairs, np.full(n_beyond, tails_cost.shape[1]), [1]])
+    start = np.zeros(n_states)
+    start[-1] = 1.0
+    return ExplicitProcess(
+        pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+        transitions=sp.csr_array(
+            sp.vstack([steps, sp.csr_array((tails_cost.size, n_states)), entry])
+        ),
+        start=start,
+        cost=np.concatenate([cost.ravel(), tails_cost.ravel(), [process.start_charge]]),
+        failure=np.concatenate(
+            [np.tile(base.failure, cap), tails_failure.ravel(), [base.start_failure]]
+        ),
+        goal=np.concatenate(
+            [np.tile(base.survival * base.gain, cap), tails_goal.ravel(), [base.start_goal]]
+        ),
+    )
+
+
+def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -> IntArray:
+    """The pair that a policy takes in each state of the written-out process, [states].
+
+    Args:
+        process: the layered process.
+        choice: position among the pairs of its node, [cap, nodes].
+        tail_price: the price of failure by which tails are chosen beyond the cap.
+    """
+    base, cap, n_tails = process.base, process.cap, len(process.tails.goal)
+    within = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1] + choice
+    last = (process.beyond_units >= process.threshold(tail_price)).ravel()
+    beyond = cap * len(base.gain) + np.arange(last.size) * n_tails + last * (n_tails - 1)
+    source = cap * len(base.gain) + last.size * n_tails
+    return np.concatenate([within.ravel(), beyond, [source]])
+
+
+def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
+    """Transitions of the pairs of all layers, [cap * pairs, states]."""
+    base, n, cap = process.base, process.base.n_nodes, process.cap
+    n_pairs, per_layer = len(base.gain), base.steps.nnz
+    ahead, node = np.divmod(base.steps.indices.astype(np.int64), max(n, 1))
+    columns = (process.levels.leads(base.width)[:, ahead] * n + node).ravel()
+    row_ends = np.tile(base.steps.indptr[1:].astype(np.int64), cap)
+    row_ends += np.repeat(np.arange(cap, dtype=np.int64) * per_layer, n_pairs)
+    index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
+    indptr = np.concatenate([[0], row_ends]).astype(index)
+    return sp.csr_array(
+        (np.tile(base.steps.data, cap), columns.astype(index), indptr),
+        shape=(cap * n_pairs, n_states),
+    )
+
+
+def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Charge, failure and goal mass of following each tail from beyond the cap.
+
+    Returns:
+        3 x [layers * nodes, tails].
+    """
+    tails = process.tails
+    values = tails.values
+    each = TailValues(
+        values.goal.T, values.failure.T, values.early.T, values.cost.T, values.moment.T
+    )
+    cost = process.charge.beyond(process.levels.totals[process.cap :, None, None], each)
+    all_three = (cost, *(np.broadcast_to(v[None], cost.shape) for v in (each.failure, each.goal)))
+    failed, reached = (v.reshape(-1, cost.shape[-1]) for v in all_three[1:])
+    return cost.reshape(-1, cost.shape[-1]), failed, reached

@@ -1,4 +1,7 @@
-"""Case S's process written out, with its way back to the model (paper, section 3.1.1)."""
+"""Accumulated cost written out in layers, with its way back to the model (paper, section 3.1.1).
+
+Up to a cap with tail policies beyond it, or open-ended, one place standing for all costs beyond.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +20,8 @@ from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import ModelFlow, decisions, model_flow, moving_within
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.layered.materialise import materialise
-from ssp_lp.processes.layered.process import LayeredProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess, materialise
+from ssp_lp.processes.layered.open_ended import OpenEnded
 from ssp_lp.programs.augmented import FAIL, GO_FOR_GOAL, START, ColumnLabel
 
 _MIXED = 1e-9  # share of a tail's visits from which it counts
@@ -180,3 +183,57 @@ def layer_flows(
             np.add.at(entering, (reached, model.successors[moved]), mass[moved])
             flow = moving_within(quotient, flow, entering[layer])
         yield flow
+
+
+@dataclass(frozen=True, eq=False)
+class OpenEndedModel:
+    """States and the cost paid so far; from the cap on one policy for all costs."""
+
+    layered: OpenEnded
+
+    @property
+    def process(self) -> ExplicitProcess:
+        """All layers, whose pairs are the columns."""
+        return self.layered.process
+
+    @property
+    def model(self) -> SSP:
+        """The model that it augments."""
+        return self.layered.base.quotient.model
+
+    @property
+    def gives_up(self) -> BoolArray:
+        """Pairs by which a policy gives up, [process pairs]."""
+        own = self.layered.base.quotient.gives_up
+        return np.append(np.tile(own, self.layered.cap + 1), False)
+
+    def label(self, pair: int) -> ColumnLabel:
+        """The state, the action and the accumulated cost of a pair; the last stands for more."""
+        base = self.layered.base
+        if pair == self.process.n_pairs - 1:
+            return ColumnLabel(None, START, 0.0)
+        layer, inner = divmod(pair, len(base.gain))
+        return ColumnLabel(*base.quotient.named(inner), float(self.layered.totals[layer]))
+
+    def pairs_of(self, pair: int, state: int) -> IntArray:
+        """One pair of the process for each accumulated cost."""
+        base = self.layered.base
+        layers = np.arange(self.layered.cap + 1)[:, None] * len(base.gain)
+        return np.asarray((layers + base.quotient.places_of(pair, state)).ravel())
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """One decision for each state and accumulated cost."""
+        return self.layered.policy(choice)
+
+    def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
+        """A policy on states and accumulated cost."""
+        layered, n_states = self.layered, self.model.n_states
+        carrier, everywhere = self.policy(choice), np.arange(n_states)
+        flows = layer_flows(layered.base, visits, layered.start, layered.cap + 1, layered.leads[0])
+        found = []
+        for layer, flow in enumerate(flows):
+            otherwise = carrier.branches(everywhere, np.full(n_states, layer)).pair
+            state, pair, share = decisions(layered.base.quotient, flow, otherwise)
+            found.append((layer * n_states + state, pair, share))
+        keys, pairs, shares = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return StochasticPolicy.from_flows(self.model, keys, pairs, shares, carrier)

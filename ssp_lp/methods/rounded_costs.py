@@ -1,0 +1,299 @@
+"""Criteria of the law of the total cost where the sums are too many: costs on a lattice, twice.
+
+With every cost rounded down to a multiple of a unit a model has a lattice of totals, and as no
+charge falls as the total grows its optimum bounds every policy of the true model from below. With
+every cost rounded up its best policy, which remembers the rounded total, is one of the true model
+too: it reaches the goal as often, and later by the rounded costs than by the true ones. So the two
+optima enclose the truth, whatever the unit, and approach each other as that gets smaller
+(mathematics, section 8). A coarse unit answers in a moment; finer ones follow, by the time left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from time import perf_counter
+
+import numpy as np
+
+from ssp_lp.analysis.total_cost.cost_law import success_costs
+from ssp_lp.arrays import SAME_TOTAL, read_only
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
+from ssp_lp.column_generation.failure_row import relative_gap
+from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late, is_limited
+from ssp_lp.errors import ModelError, SolverError
+from ssp_lp.methods.one_row import solve_for_worth
+from ssp_lp.methods.risk.least_risk import least_risk
+from ssp_lp.methods.risk.question import Near, question_of_compiled
+from ssp_lp.model import SSP
+from ssp_lp.options import SolveOptions
+from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
+from ssp_lp.policies.cost_aware import levels_of
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem, compiled_constrained, has_rows
+from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
+from ssp_lp.processes.layered.measures_of_law import (
+    CostQuantileOf,
+    Measure,
+    TailMeanOf,
+    WithinBound,
+)
+from ssp_lp.processes.totals.lattice import exact_cost, totals_of
+from ssp_lp.solution import Solution
+
+_FIRST = 128  # units in the totals that matter, at first
+_FINER = 4.0  # times as many next
+_MOST = 8_192  # unless more are asked for
+_ROOM = 6_000_000  # states times units, if there is a time limit that ends it before
+_WORTH_WHILE = 1.5  # times as many units: no reason to search again for fewer
+_TYPICAL = 2.0  # costs given success of the safest policy: beyond them few totals matter
+_RARE = 20.0  # times as dear as all that matters may a single step be
+_SHARE = 0.1  # of the gap that rounding leaves: as exactly are rounded problems solved next
+
+
+@dataclass(frozen=True, eq=False)
+class OnRoundedCosts:
+    """A problem on its model with other costs."""
+
+    asked: Problem
+    model: SSP
+    discount: None = None
+
+    @property
+    def ratio(self) -> bool:
+        """As asked."""
+        return self.asked.ratio
+
+    @property
+    def start(self) -> Hashable | Mapping[Hashable, float]:
+        """As asked."""
+        return self.asked.start
+
+    @property
+    def failure_budget(self) -> float | None:
+        """As asked."""
+        return self.asked.failure_budget
+
+    @property
+    def semantics(self) -> FailureSemantics:
+        """As asked."""
+        return self.asked.semantics
+
+    @property
+    def measure(self) -> Measure:
+        """What is made of the law of the total cost.
+
+        Raises:
+            ModelError: nothing is.
+        """
+        if self.semantics.measure is None:
+            raise ModelError(f"{type(self.asked).__name__} is no criterion of the law of a cost")
+        return self.semantics.measure
+
+    def compile(self) -> CompiledArrivalCost:
+        """The process on the lattice of the rounded costs."""
+        start = start_distribution(self.model, self.start)
+        return CompiledArrivalCost(self.model, start, self.measure.charge, self.ratio)
+
+    def solved(self, options: SolveOptions, near: Near | None = None) -> Solution:
+        """Its solution, exact but for the rounded costs."""
+        if self.measure.maximised:
+            return solve_for_worth(self, self.compile(), options)
+        question = question_of_compiled(self.compile(), self.failure_budget)
+        return least_risk(self, options, question, near)
+
+
+def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
+    """The best policy for rounded costs, and the bound of costs rounded the other way.
+
+    Args:
+        problem: a criterion of the law of the total cost, failure alone limited.
+        options: tolerance and limits.
+
+    Raises:
+        InfeasibleError: no policy keeps to the budget.
+        Stop: the time ended before one that does was found.
+    """
+    best: Solution | None = None
+    sign = -1.0 if _is_maximised(problem) else 1.0
+    bound, span, began = _no_worse(problem), _span(problem), perf_counter()
+    for unit in _units(problem, span):
+        spent, began = perf_counter() - began, perf_counter()
+        if best is not None and options.deadline - began < spent:
+            heed(Stop())
+            break
+        rough = float(unit) / span if best is None else _SHARE * _gap(best.objective, bound)
+        finer = replace(options, tolerance=max(options.tolerance, rough))
+        try:
+            near = None if best is None else _near(problem, best)
+            found = _played(problem, unit, finer, near)
+            if best is None or sign * found.objective < sign * best.objective:
+                best = found
+            proved = lattice_bound(problem, unit, finer, near)[0]
+            bound = sign * max(sign * bound, sign * proved)
+        except STOPS as stop:
+            if best is None:
+                raise
+            heed(stop)
+        except ModelError:  # a table of so many layers is too large
+            if best is None:
+                raise
+            break
+        if is_late() or _gap(best.objective, bound) <= options.tolerance:
+            break
+    if best is None:
+        raise SolverError("no unit was tried")
+    return _concluded(problem, best, bound, options, unit)
+
+
+def proved_on_rounded_costs(solution: Solution, options: SolveOptions) -> tuple[float, float]:
+    """The bound of a solution's own unit afresh, and the failure that is allowed.
+
+    Args:
+        solution: of ``solve_on_rounded_costs``.
+        options: tolerance and limits.
+    """
+    problem, members = solution.problem, solution.policy.policies
+    found = (exact_cost(p.unit) for p in members if isinstance(p, CostAwarePolicy))
+    unit = next(found, None) or next(_units(problem, _span(problem)))
+    rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
+    return lattice_bound(problem, unit, rough)
+
+
+def lattice_bound(
+    problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None = None
+) -> tuple[float, float]:
+    """What no policy does better than, by costs rounded down, and the failure that is allowed.
+
+    Args:
+        problem: the problem.
+        unit: of which costs are multiples.
+        options: tolerance and limits.
+        near: where a search may begin; None: unknown.
+    """
+    found = _rounded(problem, unit, up=False).solved(options, near)
+    bound = found.lower_bound if found.upper_bound is None else found.upper_bound
+    budget = problem.failure_budget
+    return bound, found.budget_used if budget is None else max(budget, found.budget_used)
+
+
+def is_on_rounded_costs(solution: Solution) -> bool:
+    """Whether rounded costs gave a solution, or would: no constraint, and no levels of a grid."""
+    policies = solution.policy.policies
+    return (
+        not has_rows(solution.problem)
+        and levels_of(policies) is None
+        and (solution.problem.semantics.measure is not None)
+    )
+
+
+def _near(problem: Problem, best: Solution) -> Near | None:
+    """Where a risk's search may begin, from the policy of coarser costs."""
+    match problem.semantics.measure:
+        case CostQuantileOf(level) | TailMeanOf(level):
+            quantile = success_costs(best.policy, problem).quantile(level)
+            price = best.failure_price
+            return Near(quantile, 0.0 if price is None else price + best.objective)
+    return None
+
+
+def _played(problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None) -> Solution:
+    """The best policy of costs rounded up, on the model itself."""
+    found = _rounded(problem, unit, up=True).solved(options, near)
+    members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
+    return replace(found, policy=MixedPolicy(members, found.policy.weights), value_function=None)
+
+
+def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
+    """A policy of the model with rounded costs on the model itself.
+
+    One that remembers nothing is given a layer to remember, so that its law is rounded alike.
+
+    Raises:
+        ModelError: it remembers something else than the cost paid.
+    """
+    if isinstance(policy, CostAwarePolicy):
+        return replace(policy, model=model, rounds_up=True)
+    if not isinstance(policy, DeterministicPolicy):
+        raise ModelError(f"a {type(policy).__name__} does not remember the cost paid")
+    pair, first = policy.decision, model.pair_offsets[:-1]
+    position = np.where(pair < 0, pair, pair - first)[None, :]
+    never = np.full(model.n_states, np.inf)
+    return CostAwarePolicy(model, float(unit), position, pair[None, :], never, rounds_up=True)
+
+
+def _rounded(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
+    """The problem with costs that are multiples of a unit."""
+    model = problem.model
+    kinds, kind = np.unique(model.costs, return_inverse=True)
+    units = kinds / float(unit)
+    whole = np.ceil(units * (1.0 - SAME_TOTAL)) if up else np.floor(units * (1.0 + SAME_TOTAL))
+    measure = problem.semantics.measure
+    if isinstance(measure, WithinBound):  # one step beyond the bound is as late as any
+        whole = np.minimum(whole, np.ceil(float(measure.bound) / float(unit)) + 2.0)
+    costs = totals_of(whole.astype(np.int64), unit)[kind]
+    return OnRoundedCosts(problem, replace(model, costs=read_only(costs), exact_costs={}))
+
+
+def _units(problem: Problem, span: float) -> Iterator[Fraction]:
+    """Smaller and smaller units, as far as is asked for."""
+    asked: int | None = getattr(problem, "cost_levels", None)
+    most = asked or (max(_MOST, _ROOM // problem.model.n_states) if is_limited() else _MOST)
+    many = float(min(_FIRST, most))
+    while many <= most:
+        yield _short(span / many)
+        many = min(_FINER * many, float(most)) if _WORTH_WHILE * many <= most else _FINER * many
+
+
+def _short(size: float) -> Fraction:
+    """The least number of two digits that is no smaller: its multiples are short decimals."""
+    power = Fraction(10) ** (int(np.floor(np.log10(size))) - 1)
+    return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
+
+
+def _span(problem: Problem) -> float:
+    """The totals that matter: up to the bound, or some typical costs."""
+    measure, dearest = problem.semantics.measure, float(problem.model.costs.max(initial=0.0))
+    if isinstance(measure, WithinBound) and measure.bound > 0.0:
+        return float(measure.bound)
+    typical = _TYPICAL * compiled_constrained(problem).typical_cost
+    return max(typical, dearest / _RARE) or 1.0
+
+
+def _is_maximised(problem: Problem) -> bool:
+    measure = problem.semantics.measure
+    return measure is not None and measure.maximised
+
+
+def _no_worse(problem: Problem) -> float:
+    """What is known of the optimum before anything is solved."""
+    measure = problem.semantics.measure
+    if measure is None or not measure.maximised:
+        return 0.0
+    return problem.semantics.failing_worth - measure.charge.lowest
+
+
+def _gap(attained: float, bound: float) -> float:
+    return relative_gap(max(attained, bound), min(attained, bound))
+
+
+def _concluded(
+    problem: Problem, best: Solution, bound: float, options: SolveOptions, unit: Fraction
+) -> Solution:
+    """The best policy with the best bound, and what a reader should know."""
+    maximised, attained = _is_maximised(problem), best.objective
+    measure = problem.semantics.measure
+    if measure is not None and measure.charge.settled is None and not is_late():
+        attained = measure.of(success_costs(best.policy, problem))  # beyond its table, too
+    told = best.note
+    if _gap(attained, bound) > options.tolerance and not is_late():
+        told = f"costs are rounded to multiples of {float(unit):g}: more cost_levels leave less gap"
+    return replace(
+        best,
+        problem=problem,
+        objective=attained,
+        lower_bound=attained if maximised else min(bound, attained),
+        upper_bound=max(bound, attained) if maximised else None,
+        note=told,
+    )
