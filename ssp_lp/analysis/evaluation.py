@@ -85,7 +85,9 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
         problem: says the start, the discount and the semantics.
 
     Returns:
-        Exact numbers, up to the rounding of linear solves.
+        Exact numbers, up to the rounding of linear solves. Only where a criterion asks for the law
+        of costs whose sums are too many to tell apart, or of a policy that ``rounds_up``, the
+        objective is that of costs rounded up: the true one is as good or better.
 
     Raises:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the

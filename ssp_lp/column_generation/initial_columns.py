@@ -64,14 +64,7 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    doing = "the process was still being built"
-    try:
-        pricing = compiled.pricing()
-        doing = "the totals of a first policy were being worked out"
-        last, price = _beginning(pricing, row, guess)
-    except STOPS as stop:
-        heed(stop)
-        raise Stop(told=doing) from stop
+    pricing, last, price = _begun(compiled, row, guess)
     if price is None:
         return None
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
@@ -100,6 +93,24 @@ def columns_by_pricing(
     if inside is None or last is None:
         return None
     return Secant(pricing, row, inside, outside, last, calls, work)
+
+
+def _begun(
+    compiled: CompiledProblem, row: Row, guess: DualGuess | None
+) -> tuple[PricingProblem, Column | None, float | None]:
+    """The pricing problem, and a column and a price to begin with; a Stop says what was under way.
+
+    Raises:
+        Stop: the time ended before they were known.
+    """
+    doing = "the process was still being built"
+    try:
+        pricing = compiled.pricing()
+        doing = "the totals of a first policy were being worked out"
+        return pricing, *_beginning(pricing, row, guess)
+    except STOPS as stop:
+        heed(stop)
+        raise Stop(told=doing) from stop
 
 
 def _kept_to(

@@ -50,8 +50,7 @@ def extreme_reach(
     """
     wanted, other = hit, miss
     if dynamics.n_states == 0:
-        nothing = np.zeros(0)
-        return ExtremeReach(nothing, nothing, np.zeros(0, dtype=np.int32), wanted > 0.0)
+        return ExtremeReach(hit[:0], hit[:0], np.zeros(0, dtype=np.int32), wanted > 0.0)
     if not greatest:
         wanted, other = other, wanted
     # what is wanted is maximised, which is to minimise the other: each is exact where it is small

@@ -67,6 +67,11 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
     check_model(model, "load_policy")
     header, arrays = read_archive(path, "policy", _VERSION)
     with damage_named(path):
+        horizon = header.get("horizon")
+        if horizon is not None and not isinstance(model, HorizonSSP):
+            begin = arrays[horizon["begin"]]
+            if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
+                model = unroll(model, horizon["steps"], begin.tolist())
         return policy_in(header, arrays, model, check=check)
 
 
@@ -78,11 +83,7 @@ def policy_in(
     Raises:
         ModelError: the model is another one.
     """
-    records, horizon = header["policies"], header.get("horizon")
-    if horizon is not None and not isinstance(model, HorizonSSP):
-        begin = arrays[horizon["begin"]]
-        if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
-            model = unroll(model, horizon["steps"], begin.tolist())
+    records = header["policies"]
     kept, remedy = f"the file was made for {header['sizes']}", ""
     if carries_a_memory(records):
         remedy = "; its policy carries a memory: load it beside product(model, memory)"

@@ -18,7 +18,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.least_risk import risk_bound
 from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
-from ssp_lp.options import CERTIFYING, progress_shown
+from ssp_lp.options import CERTIFYING, Game, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
@@ -172,7 +172,8 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
     claims = found.objective, solution.lower_bound
-    lower = _rows_bound(compiled, prices * limited, raised, values, claims)
+    known = None if solution.method == Game.name else values  # a game's are of its own layers
+    lower = _rows_bound(compiled, prices * limited, raised, known, claims)
     budget = float(raised[0]) if limited[0] else budget
     attained = found.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
@@ -186,16 +187,21 @@ def _rows_bound(
     compiled: CompiledConstrained,
     prices: FloatArray,
     bounds: FloatArray,
-    values: FloatArray,
+    values: FloatArray | None,
     claims: tuple[float, ...],
 ) -> float:
-    """The lower bound that prices and values prove; in case S of ratios that are claimed."""
+    """The lower bound that prices and values prove; in case S of ratios that are claimed.
+
+    Where the values are None, they are worked out afresh.
+    """
     found, pricing = [0.0], compiled.pricing
     ratios = [r for c in claims if c > 0.0 for r in ratios_below(c)] if compiled.ratio else [0.0]
     for ratio in ratios:
         weights = np.concatenate([[1.0, prices[0] + ratio], prices[1:]])
-        best = None if np.isfinite(values).any() else pricing.minimise(weights)  # after a game
-        proof = pricing.check(weights, values) if best is None else pricing.prove(weights, best)
+        if values is None:
+            proof = pricing.prove(weights, pricing.minimise(weights))
+        else:
+            proof = pricing.check(weights, values)
         found.append(rows_bound(compiled, prices, bounds, ratio, proof))
     return max(found)
 

@@ -7,12 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import (
-    MACHINE_EPSILON,
-    FloatArray,
-    IntArray,
-    least_integer_type,
-)
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.column_generation.pricing.layer_bounds import (
     bound_free_steps,
     bound_layer,

@@ -40,8 +40,32 @@ def least_quantile(
     Raises:
         ModelError: the quantile lies beyond the largest table of costs.
     """
+    kept, (low, refuted, high), calls = _searched(question, level, options, near)
+    if not question.thresholds.sharp:
+        refuted, more = _greatest_refuted(question, level, options, refuted, low)
+        calls += more
+    law = success_costs(kept.policy, problem)
+    objective = law.quantile(level)
+    found = Found(
+        policy=kept.policy,
+        value=objective,
+        bound=min(_beyond(question, refuted), objective),
+        failure=1.0 - law.goal,
+        note=question_remarks(question, in_time=high - low <= 1),
+    )
+    reason = f"bisection over cost bounds, {calls} pricing calls"
+    return assembled(problem, found, Run(options.method, reason, calls, 0.0))
+
+
+def _searched(
+    question: Question, level: float, options: SolveOptions, near: Near | None
+) -> tuple[Trial, tuple[int, int, int], int]:
+    """A trial that keeps to its bound, and the calls that it took.
+
+    With it the numbers of bounds: the greatest that is too low, that is proved so, and the kept.
+    """
     places = question.thresholds
-    low, refuted, high, calls, late = -1, -1, 0, 0, False  # numbers: too low, proved so, kept
+    low, refuted, high, calls, late = -1, -1, 0, 0, False
     kept: Trial | None = None
     kappa, step = (0.0, 0) if near is None else (near.kappa, 1)
     high = 0 if near is None else places.number(near.total)
@@ -65,20 +89,7 @@ def least_quantile(
         late = is_late()
         if late and kept is None:
             raise Stop(told=_known(question, refuted))
-    if not places.sharp:
-        refuted, more = _greatest_refuted(question, level, options, refuted, low)
-        calls += more
-    law = success_costs(kept.policy, problem)
-    objective = law.quantile(level)
-    found = Found(
-        policy=kept.policy,
-        value=objective,
-        bound=min(_beyond(question, refuted), objective),
-        failure=1.0 - law.goal,
-        note=question_remarks(question, in_time=high - low <= 1),
-    )
-    reason = f"bisection over cost bounds, {calls} pricing calls"
-    return assembled(problem, found, Run(options.method, reason, calls, 0.0))
+    return kept, (low, refuted, high), calls
 
 
 def _greatest_refuted(
