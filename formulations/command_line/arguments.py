@@ -46,7 +46,9 @@ def _steps(text: str) -> int | str | None:
 
 
 PARAMETERS = {
-    "failure_budget": Parameter("largest failure probability; left out: the least", float, "P"),
+    "failure_budget": Parameter(
+        "largest failure probability; left out: mostly the least", float, "P"
+    ),
     "reach_fraction": Parameter("share of the greatest goal probability to keep", float, "SHARE"),
     "penalty": Parameter("what failing costs", float, "COST"),
     "level": Parameter("of the quantile or the tail, such as 0.95", float, "P"),

@@ -92,7 +92,7 @@ def _by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedModel]:
 
     def labelled(path: Path, goal: Sequence[str], cost: str | None, **more: Any) -> StatedModel:
         if len(goal) != 1:
-            raise ModelError(f"{path}: goals are the states of one label")
+            raise ModelError(f"{path}: name the one label whose states are goals (goal=, --goal)")
         found = read(path, goal=goal[0], cost=cost, **more)
         states = found.initial_states
         return StatedModel(found.model, states[0] if len(states) == 1 else None)

@@ -85,7 +85,9 @@ def policy_in(
     """
     records = header["policies"]
     kept, remedy = f"the file was made for {header['sizes']}", ""
-    if carries_a_memory(records):
+    if horizon := header.get("horizon"):
+        remedy = f"; its policy counts {horizon['steps']:,} steps: give it that horizon"
+    elif carries_a_memory(records):
         remedy = "; its policy carries a memory: load it beside product(model, memory)"
     if pair_print(model) != header["pairs"]:
         raise ModelError(f"{kept}, which has other pairs than {model!r}{remedy}")

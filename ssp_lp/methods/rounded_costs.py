@@ -39,7 +39,7 @@ from ssp_lp.processes.layered.measures_of_law import (
     TailMeanOf,
     WithinBound,
 )
-from ssp_lp.processes.totals.lattice import exact_cost, totals_of
+from ssp_lp.processes.totals.lattice import totals_of
 from ssp_lp.solution import Solution
 
 _FIRST = 128  # units in the totals that matter, at first
@@ -147,18 +147,32 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
     return _concluded(problem, best, bound, options, unit)
 
 
-def proved_on_rounded_costs(solution: Solution, options: SolveOptions) -> tuple[float, float]:
-    """The bound of a solution's own unit afresh, and the failure that is allowed.
+def proved_on_rounded_costs(
+    solution: Solution, attained: float, options: SolveOptions
+) -> tuple[float, float]:
+    """A bound worked out afresh, and the failure that is allowed.
+
+    Units get smaller until the gap is what the solution says, which is taken for no more than that.
 
     Args:
         solution: of ``solve_on_rounded_costs``.
+        attained: what its policy attains.
         options: tolerance and limits.
     """
-    problem, members = solution.problem, solution.policy.policies
-    found = (exact_cost(p.unit) for p in members if isinstance(p, CostAwarePolicy))
-    unit = next(found, None) or next(_units(problem, _span(problem)))
+    problem, sign = solution.problem, -1.0 if _is_maximised(solution.problem) else 1.0
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
-    return lattice_bound(problem, unit, rough)
+    bound, allowed, enough = _no_worse(problem), np.inf, (1.0 + _SHARE) * solution.gap
+    for unit in _units(problem, _span(problem), finest=True):
+        try:
+            proved, allowed = lattice_bound(problem, unit, rough)
+        except ModelError:  # a table of so many layers is too large
+            if np.isinf(allowed):
+                raise
+            break
+        bound = sign * max(sign * bound, sign * proved)
+        if _gap(attained, bound) <= enough:
+            break
+    return bound, allowed
 
 
 def lattice_bound(
@@ -236,10 +250,11 @@ def _rounded(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
     return OnRoundedCosts(problem, replace(model, costs=read_only(costs), exact_costs={}))
 
 
-def _units(problem: Problem, span: float) -> Iterator[Fraction]:
-    """Smaller and smaller units, as far as is asked for."""
+def _units(problem: Problem, span: float, *, finest: bool = False) -> Iterator[Fraction]:
+    """Smaller and smaller units, as far as is asked for; ``finest``: as a time limit ends it."""
     asked: int | None = getattr(problem, "cost_levels", None)
-    most = asked or (max(_MOST, _ROOM // problem.model.n_states) if is_limited() else _MOST)
+    room, ends = max(_MOST, _ROOM // problem.model.n_states), finest or is_limited()
+    most = asked or (room if ends else _MOST)
     many = float(min(_FIRST, most))
     while many <= most:
         yield _short(span / many)
@@ -285,7 +300,10 @@ def _concluded(
     maximised, attained = _is_maximised(problem), best.objective
     measure = problem.semantics.measure
     if measure is not None and measure.charge.settled is None and not is_late():
-        attained = measure.of(success_costs(best.policy, problem))  # beyond its table, too
+        try:
+            attained = measure.of(success_costs(best.policy, problem))  # beyond its table, too
+        except STOPS as stop:
+            heed(stop)
     told = best.note
     if _gap(attained, bound) > options.tolerance and not is_late():
         told = f"costs are rounded to multiples of {float(unit):g}: more cost_levels leave less gap"

@@ -30,6 +30,13 @@ Places = Mapping[Any, Point] | Callable[[Any], Point | None]
 def row_major(rows: int, columns: int) -> Callable[[int], Point]:
     """The middles of cells that are numbered row by row from the upper left corner, from 0.
 
+    Args:
+        rows: how many there are.
+        columns: likewise.
+
+    Raises:
+        ModelError: one of them is no whole number >= 1.
+
     Example:
         >>> place = row_major(4, 4)  # FrozenLake-v1
         >>> place(0), place(7), place(15)

@@ -16,6 +16,8 @@ from ssp_lp.policies.deterministic import check_decisions
 from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy
 
 _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are held at once
+_FAR = 1e15  # layers: no step passes more
+_MOST_PASSED = 20_000_000  # states times layers that one step passes, where costs are rounded up
 _CHECKED = 1_000_000  # decisions looked at together
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
@@ -63,6 +65,8 @@ class CostAwarePolicy(Policy):
                 raise ModelError("levels of accumulated cost must rise from 0 and be finite")
             if len(self.levels) != len(self.decision) + 1:
                 raise ModelError("a policy needs a decision for each level below the last")
+        elif not (np.isfinite(self.unit) and self.unit > 0.0):
+            raise ModelError(f"the unit of accumulated cost must be > 0 and finite: {self.unit!r}")
         for name in ("decision", "tails", "tail_threshold"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         if self.tail_table is not None:
@@ -86,12 +90,14 @@ class CostAwarePolicy(Policy):
         return nothing if self.levels is not None else self._memory_at(nothing, states)
 
     def layers(self) -> CostLayers | None:
-        """Decisions by layer; None where a cost is no whole number of layers."""
+        """Decisions by layer; None where a cost is no whole number of layers, or of very many."""
         if self.levels is not None:
             return self._level_layers(self.levels)
         costs = np.unique(self.model.costs[:1] if _is_uniform(self.model) else self.model.costs)
         steps, off = self._passed(costs / self.unit)
         if off.any() or self.cap == 0:
+            return None
+        if self.rounds_up and steps.max(initial=0.0) * self.model.n_states > _MOST_PASSED:
             return None
         passed, states = steps.astype(np.int64), np.arange(self.model.n_states)
         return CostLayers(
@@ -127,7 +133,7 @@ class CostAwarePolicy(Policy):
         paid = np.where(np.isfinite(costs), costs / self.unit, -1.0)
         steps, off = self._passed(paid)
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
-        off = acting & (off | ~((steps >= 0) & (steps < 1e15)))
+        off = acting & (off | ~((steps >= 0) & (steps <= _FAR)))
         if off.any():
             cost = float(costs[int(np.argmax(off))])
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
@@ -137,7 +143,7 @@ class CostAwarePolicy(Policy):
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Whole layers that costs in units pass, and which have none, like ``units``."""
         if self.rounds_up:
-            return np.ceil(units * (1.0 - SAME_TOTAL)), units < 0.0
+            return np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR), units < 0.0
         steps = np.rint(units)
         return steps, ~(np.abs(units - steps) <= _OFF_LATTICE)
 

@@ -70,9 +70,10 @@ def certificate_of(
         reason = f"the policy fails with {failure:.12g}, above the budget {budget:.12g}"
     if not reason and not np.isfinite(found.objective):
         reason = f"the policy's objective is {found.objective}"
-    most = found.objective + CONTRADICTION * abs(found.objective) + _BUDGET_ROUNDING
-    if not reason and bound > most and not above:
-        reason = f"the policy's value {found.objective!r} lies below its bound {bound!r}"
+    beyond = (found.objective - bound) if above else (bound - found.objective)
+    if not reason and beyond > CONTRADICTION * abs(found.objective) + _BUDGET_ROUNDING:
+        side = "above" if above else "below"
+        reason = f"the policy's value {found.objective!r} lies {side} its bound {bound!r}"
     return Certificate(
         objective=found.objective,
         lower_bound=bound if reason and not above else min(bound, found.objective),

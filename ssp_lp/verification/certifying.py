@@ -74,7 +74,9 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
     problem = solution.problem
     measure = problem.semantics.measure
     if by_rows(problem) and is_on_rounded_costs(solution):
-        bound, allowed = proved_on_rounded_costs(solution, CERTIFYING)
+        if not np.isfinite(found.objective):
+            return certificate_of(found, 0.0, 1.0, "the goal is never reached")
+        bound, allowed = proved_on_rounded_costs(solution, found.objective, CERTIFYING)
         above = measure is not None and measure.maximised
         return certificate_of(found, bound, allowed, above=above)
     if by_rows(problem):

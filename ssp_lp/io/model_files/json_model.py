@@ -92,7 +92,7 @@ def _named(listed: Sequence[Any], at: int) -> str:
 
 def _choice(choice: Mapping[str, Any], cost: str | None, names: set[str]) -> list[list[Any]]:
     """The outcomes of a choice, whose cost goes with each of them."""
-    none_given = dict.fromkeys(names, 0) or {UNIT: 1}
+    none_given = dict.fromkeys(sorted(names), 0) or {UNIT: 1}
     paid = chosen_cost("its choices", {**none_given, **choice["rewards"]}, cost)
     return [[chance, successor, paid] for successor, chance in choice["to"]]
 
@@ -227,8 +227,11 @@ def chosen_cost(where: str, costs: Mapping[Any, Any], cost: str | None) -> Any:
         return costs[cost]
     if cost is None and len(costs) == 1:
         return next(iter(costs.values()))
-    known = ", ".join(repr(name) for name in costs if name is not None) or "none by name"
-    raise ModelError(f"{where}: choose one of the costs, {known}, not {cost!r}")
+    known = ", ".join(repr(name) for name in costs if name is not None)
+    if not known:
+        raise ModelError(f"{where}: the cost has no name, there is none called {cost!r}")
+    said = "" if cost is None else f", not {cost!r}"
+    raise ModelError(f"{where}: choose one of the costs by its name (cost=, --cost): {known}{said}")
 
 
 def _number(value: Any) -> Any:

@@ -157,6 +157,9 @@ def visits(*states: Hashable) -> Quantity:
 
     Args:
         states: states, or labels of states.
+
+    Raises:
+        ModelError: none is given, or a list in place of a state.
     """
     _check_names("visits", states)
     return Quantity(((1.0, Visits(states)),))
