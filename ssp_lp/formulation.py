@@ -264,6 +264,7 @@ class Formulation(_Inherited):
 
     @property
     def _asked(self) -> Problem:
+        """The formulation as the problem that it is."""
         return cast("Problem", self)
 
     def compile(self) -> CompiledProblem:

@@ -172,7 +172,7 @@ def evaluate_precisely(
     before = np.full(k, np.inf)
     right, solved = np.empty((n, k)), np.empty((n, k))
     for _ in range(corrections):
-        _miss(*chain, rewards, x, low, epsilon, right, missed)
+        _precise_miss(*chain, rewards, x, low, epsilon, right, missed)
         enough, better = True, False
         for j in range(k):
             scale = 0.0
@@ -191,11 +191,11 @@ def evaluate_precisely(
 
 
 @njit(cache=True)
-def _miss(
+def _precise_miss(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,
 ) -> None:  # fmt: skip
-    """By what totals miss their equations, [states, rewards], and the most of it, [rewards]."""
+    """By what totals miss their equations, in twice the working precision, and the most of it."""
     for j in range(x.shape[1]):
         missed[j] = 0.0
         for s in range(x.shape[0]):

@@ -130,12 +130,12 @@ def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: A
 def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
     """What ``bicgstab`` carries from step to step: shadow, p and v, [members], and rho, [1]."""
     rho = np.zeros(1)
-    _square(residual, rho)
+    _square_in_sweep(residual, rho)
     return residual.copy(), residual.copy(), np.zeros_like(residual), rho
 
 
 @njit(cache=True)
-def _square(residual: Array, rho: Array) -> None:
+def _square_in_sweep(residual: Array, rho: Array) -> None:
     """The sum of squares, in order."""
     for s in range(residual.size):
         rho[0] += residual[s] * residual[s]

@@ -18,13 +18,13 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.errors import ModelError
-from ssp_lp.game.best_response import BestResponse, Discounted, improved
+from ssp_lp.game.best_response import BestResponse, Discounted, improved_response
 from ssp_lp.game.tail import Tail, outer_tail
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.levels import Levels, Window
+from ssp_lp.processes.totals.levels import Levels, LevelWindow
 from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
 
 _MOST_ENTRIES = 200_000_000
@@ -124,7 +124,7 @@ class CostPlayer:
             wanted = max(accuracy, _LAYER_ROUNDING * layers) * size
             if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * size):
                 return replace(response, sweeps=sweeps)
-            cap = self._whole(_larger_cap(lost, wanted)) + self.dearest
+            cap = self._whole(_larger_cost_cap(lost, wanted)) + self.dearest
 
     def _whole(self, cap: float) -> float:
         """A cap as a whole number of layers, where these are multiples of a unit."""
@@ -138,7 +138,7 @@ class CostPlayer:
         """
         base, weights = self.base, np.array([1.0, price])
         levels: Levels = self.response(1.0, price, accuracy).strategy.levels
-        bounds = Window(self.tail.surplus(levels.totals[levels.cap :], weights), levels)
+        bounds = LevelWindow(self.tail.surplus(levels.totals[levels.cap :], weights), levels)
         lowest = np.zeros(base.n_nodes)
         chosen: IntArray = base.pair_offsets[:-1]
         worth = price * base.survival * base.gain
@@ -169,7 +169,7 @@ class CostPlayer:
         """The best response that follows the tail from M = cap units on, and a bound for all."""
         base, levels = self.base, self.levels(cap)
         threshold = self.tail.threshold(weights) - _SAME_LAYER * base.unit
-        measured = Window(self.tail.attained(levels.totals[levels.cap :], threshold), levels)
+        measured = LevelWindow(self.tail.attained(levels.totals[levels.cap :], threshold), levels)
         totals = np.zeros((base.n_nodes, 2))
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((levels.cap, base.n_nodes), dtype=least_integer_type(most))
@@ -194,7 +194,7 @@ class CostPlayer:
             levels: the totals.
         """
         chosen = self.base.pair_offsets[:-1]
-        ahead = Window(self.tail.bound(levels.totals[levels.cap :], weights), levels)
+        ahead = LevelWindow(self.tail.bound(levels.totals[levels.cap :], weights), levels)
         for paid in levels.totals[levels.cap - 1 :: -1].tolist():
             costs = self._costs(paid)
             size = np.abs(costs) @ weights
@@ -225,7 +225,9 @@ class CostPlayer:
             onward = costs @ weights
             chosen = best_pairs(base.pair_offsets, base.later, onward, ahead @ weights).choice
             return chosen, costs[chosen] + chosen_product(base.later, chosen, ahead)
-        chosen, totals, _ = improved(self._layer(costs + base.later @ ahead), weights, later)
+        chosen, totals, _ = improved_response(
+            self._layer(costs + base.later @ ahead), weights, later
+        )
         return chosen, totals
 
     def _layer(self, onward: FloatArray) -> Discounted:
@@ -250,13 +252,13 @@ class CostPlayer:
             return safe_minima(base.pair_offsets, base.later, cost, size, exact, ahead), guess
         size = size + base.later @ np.abs(ahead)
         onward = pair_cost + base.later @ ahead - backup_rounding(base.later) * size
-        chosen, totals, _ = improved(self._layer(onward[:, None]), np.ones(1), guess)
+        chosen, totals, _ = improved_response(self._layer(onward[:, None]), np.ones(1), guess)
         floor = min(float((onward / (1.0 - base.survival)).min(initial=0.0)), 0.0)
         values = sub_solution(base.instant_dynamics, onward, totals[:, 0], floor)
         return values, chosen
 
 
-def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
+def _larger_cost_cap(lost: Mapping[float, float], wanted: float) -> float:
     """A cap at which as little is lost as is wanted, from 1.25 to 4 times the last one."""
     cap = max(lost)
     needed = 2.0 * cap
@@ -268,7 +270,7 @@ def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
 
 
 def cost_aware(base: AccumulatedCost, tail: Tail, strategy: LayeredStrategy) -> CostAwarePolicy:
-    """Pull a choice for each (layer, node) back to the model, followed by a tail.
+    """Pull the cost player's choice for each (layer, node) back to the model, then a tail.
 
     Args:
         base: the process.

@@ -95,7 +95,7 @@ def policy_in(
             f"{fingerprint(model)[:12]}...: build the same model, or give check=False if it "
             f"differs on purpose{remedy}"
         )
-    return made_of(records, arrays, model)[-1]
+    return policies_in_file(records, arrays, model)[-1]
 
 
 AnyPolicy = Policy | MixedPolicy
@@ -202,7 +202,7 @@ class PolicyRecords:
         return self._known[id(policy)]
 
 
-def made_of(
+def policies_in_file(
     records: list[dict[str, Any]], arrays: Mapping[str, Array], model: SSP
 ) -> list[AnyPolicy]:
     """The policies of :class:`PolicyRecords`, on a model.
@@ -215,17 +215,18 @@ def made_of(
         kind = _KINDS[record["kind"]]
         parts: dict[str, Any] = {"model": model} if kind.on_model else {}
         parts |= {part: record[part] for part in kind.numbers}
-        parts |= {part: _found(arrays, record[part]) for part in kind.arrays}
-        parts |= {part: _found(made, record[part]) for part in kind.policies}
+        parts |= {part: _found_in_file(arrays, record[part]) for part in kind.arrays}
+        parts |= {part: _found_in_file(made, record[part]) for part in kind.policies}
         parts |= {part: tuple(made[k] for k in record[part]) for part in kind.lists}
         made.append(kind.made(**parts))
     return made
 
 
-def _found(kept: Any, key: str | int | None) -> Any:
+def _found_in_file(kept: Any, key: str | int | None) -> Any:
+    """What a policy's file keeps under a key."""
     return None if key is None else kept[key]
 
 
 def carries_a_memory(records: list[dict[str, Any]]) -> bool:
-    """Whether some policy lives on a product and acts on its original model."""
+    """Whether a policy of a file lives on a product and acts on its original model."""
     return any(record["kind"] == "remembering" for record in records)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import cold_attempts, first_accepted
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
@@ -29,7 +29,7 @@ class ProgramOptimum:
 
 
 def solve_program(
-    compiled: CompiledProblem, row: Row, backend: str | None, deadline: float
+    compiled: CompiledProblem, row: FailureRow, backend: str | None, deadline: float
 ) -> ProgramOptimum:
     """Solve a problem's linear program, falling back once to another backend if need be.
 

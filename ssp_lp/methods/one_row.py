@@ -10,10 +10,10 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
-    Sense,
+    ObjectiveSense,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.assembling import Found, assembled
@@ -40,7 +40,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
-        row = Row(1.0, ratio=False)
+        row = FailureRow(1.0, ratio=False)
         optimum = solve_program(compiled, row, options.program.backend, options.deadline)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
         reason, program = "the full linear program agrees with policy iteration", optimum.report
@@ -48,7 +48,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     sign = -1.0 if greatest else 1.0
     found = Found(policy, sign * objective, sign * bound, max(1.0 - objective, 0.0))
     run = Run(options.method, reason, 1, 0.0, program=program)
-    return assembled(problem, found, run, Sense(0.0 if greatest else None))
+    return assembled(problem, found, run, ObjectiveSense(0.0 if greatest else None))
 
 
 def cheapest_at_least_failure(problem: Problem) -> Solution:
@@ -58,7 +58,7 @@ def cheapest_at_least_failure(problem: Problem) -> Solution:
         InfeasibleError: case S, and the goal cannot be reached.
     """
     least = checked_least_failure(problem.compile(), None)
-    row = Row(least.column.failure, problem.ratio)
+    row = FailureRow(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
     reason = "two stages: greatest goal probability, then least cost"
     found = Found(least.policy, objective, least.objective_bound, least.column.failure)
@@ -127,7 +127,9 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
             )
         )
     answer = outcome.answer(outcome.found.price, _note(problem, outcome, options))
-    return assembled(problem, answer, outcome.run(options, _reason(outcome)), Sense(failing))
+    return assembled(
+        problem, answer, outcome.run(options, _reason(outcome)), ObjectiveSense(failing)
+    )
 
 
 def _is_met(outcome: Outcome, failing: float, options: SolveOptions) -> bool:
@@ -139,7 +141,7 @@ def _at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
     least = checked_least_failure(compiled, None)
     found = Found(least.policy, least.column.cost, least.objective_bound, least.column.failure)
     run = Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0)
-    return assembled(problem, found, run, Sense(problem.semantics.failing_worth))
+    return assembled(problem, found, run, ObjectiveSense(problem.semantics.failing_worth))
 
 
 def _reason(outcome: Outcome) -> str:

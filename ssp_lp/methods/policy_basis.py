@@ -19,7 +19,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import columns_at, columns_by_pricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column
@@ -38,7 +38,7 @@ _NEARBY = (1.0 - 1e-6, 1.0 + 1e-6)
 
 
 def policy_basis(
-    compiled: CompiledProblem, process: ExplicitProcess, row: Row, deadline: float
+    compiled: CompiledProblem, process: ExplicitProcess, row: FailureRow, deadline: float
 ) -> PolicyBasis:
     """Search for the optimal policies and make a basis of them.
 
@@ -85,7 +85,7 @@ def _are_together(columns: list[Column], budget: float) -> bool:
     return not all(_parted(columns, budget))
 
 
-def _searched(compiled: CompiledProblem, row: Row, deadline: float) -> Generated:
+def _searched(compiled: CompiledProblem, row: FailureRow, deadline: float) -> Generated:
     """Column generation on the compiled problem as it stands."""
     options = SolveOptions(_TOLERANCE, deadline)
     rule = columns_by_pricing(compiled, row, None, options)

@@ -10,7 +10,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     LeastFailure,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
 from ssp_lp.column_generation.secant import Secant
@@ -38,7 +38,7 @@ class Outcome:
 
     found: Generated
     compiled: CompiledProblem
-    row: Row
+    row: FailureRow
     least: LeastFailure | None = None  # where it had to be worked out
     calls: int = 0
     work: Work = field(default_factory=Work)
@@ -95,7 +95,7 @@ def refined_optimum(
     """
     gaps: list[float] = []
     compiled = compiled if options.program is None else compiled.for_program()
-    row = Row(budget, compiled.ratio, compiled.lowest)
+    row = FailureRow(budget, compiled.ratio, compiled.lowest)
     try:
         outcome = _attempt(compiled, row, None, options, guess)
     except STOPS as stop:
@@ -141,7 +141,7 @@ def _refined(outcome: Outcome, gaps: list[float], options: SolveOptions) -> Outc
     return outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
 
 
-def _safest(compiled: CompiledProblem, row: Row, stop: BaseException) -> Outcome:
+def _safest(compiled: CompiledProblem, row: FailureRow, stop: BaseException) -> Outcome:
     """The policy of least failure, where the time ended before any other within the budget.
 
     Raises:
@@ -171,7 +171,7 @@ def _at_the_edge(outcome: Outcome, options: SolveOptions) -> Outcome:
 
 def _attempt(
     compiled: CompiledProblem,
-    row: Row,
+    row: FailureRow,
     least: LeastFailure | None,
     options: SolveOptions,
     guess: DualGuess | None,
@@ -203,7 +203,7 @@ def _attempt(
 
 def _begun(
     compiled: CompiledProblem,
-    row: Row,
+    row: FailureRow,
     least: LeastFailure | None,
     options: SolveOptions,
     guess: DualGuess | None,

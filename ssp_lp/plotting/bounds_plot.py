@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import LOOKS, Look, axes_or_new, dress
@@ -94,7 +94,7 @@ def _proved(record: BoundsRecord, problem: Problem) -> FloatArray:
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or by_rows(problem) or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
-    pricing, row = problem.compile().for_program().pricing(), Row(budget, problem.ratio)
+    pricing, row = problem.compile().for_program().pricing(), FailureRow(budget, problem.ratio)
     best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken
     for price, objective in zip(record.prices, record.objectives, strict=True):
         slack = problem.ratio and price <= objective

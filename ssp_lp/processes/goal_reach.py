@@ -13,9 +13,9 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.extreme_reach import extreme_reach
-from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import (
     approach_pairs,
@@ -162,11 +162,11 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
     gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
     pair_cost = quotient.at_pairs(cost_means(model, weight)) / departs
-    first = approach(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
+    first = approach_leaving(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
     missing = successor_means(model, (quotient.node_of < 0) & ~model.goal_mask)
     miss = (1.0 - survival) + survival * quotient.at_pairs(missing, 1.0) / departs
     rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
-    settled = improve(dynamics, rewards, only_cost, first)
+    settled = iterate_policy(dynamics, rewards, only_cost, first)
     bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
     early_goal = np.clip(quotient.lift(settled.totals[:, 1]), 0.0, 1.0)
     surely = reach.goal == 1.0  # decided on the graph

@@ -20,7 +20,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
-from ssp_lp.linear_programming.backends import cold_attempts, run
+from ssp_lp.linear_programming.backends import cold_attempts, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.html_table import html_text
@@ -151,7 +151,7 @@ class OccupationProgram:
         """
         tried, deadline, infeasible = [], time.perf_counter() + time_limit, False
         for name, _ in cold_attempts(self.linear, backend):
-            answer = run(self.linear, name, deadline - time.perf_counter())
+            answer = run_backend(self.linear, name, deadline - time.perf_counter())
             told = f"{name}: {answer.status}"
             refused = "infeasible" in answer.status.lower()
             infeasible = infeasible or refused

@@ -12,7 +12,7 @@ from ssp_lp.arrays import RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.least_risk import risk_bound
@@ -210,7 +210,7 @@ def _lower_bound(
     compiled: CompiledProblem, problem: Problem, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
     """Lower bound of the objective, and the relative gap that truncation leaves in it."""
-    row = Row(max(problem.failure_budget or 0.0, 0.0), problem.ratio, compiled.lowest)
+    row = FailureRow(max(problem.failure_budget or 0.0, 0.0), problem.ratio, compiled.lowest)
     slack = slack and problem.ratio
     price = price * (1.0 - _BELOW) if slack else price
     proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
@@ -244,7 +244,7 @@ def _worth_certificate(solution: Solution, found: Evaluation) -> Certificate:
             raise ModelError("a certificate needs the failure price and its value function")
         if not (np.isfinite(price) and price >= 0.0):
             reason, price = "the price is not a number >= 0", 0.0
-        row = Row(max(budget, 0.0), problem.ratio, compiled.lowest)
+        row = FailureRow(max(budget, 0.0), problem.ratio, compiled.lowest)
         values, levels = np.asarray(values), levels_of(solution.policy.policies, len(values))
         priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
         bound = max(priced, bound) if budget <= allowed else priced

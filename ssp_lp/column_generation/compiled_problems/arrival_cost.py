@@ -12,7 +12,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     MOST_ENTRIES,
     CompiledLayered,
     LeastFailure,
-    check_table,
+    check_compiled_table,
 )
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
@@ -102,7 +102,7 @@ class CompiledArrivalCost(CompiledLayered):
                 cap *= _LOWER
                 ladder = self._ladder(cap)
             return LayeredProcess(self.base, ladder.size, self._tails, self.charge, ladder)
-        check_table(int(cap), self.base, "bound on them")
+        check_compiled_table(int(cap), self.base, "bound on them")
         return LayeredProcess(self.base, int(cap), self._tails, self.charge)
 
     def _ladder(self, cap: float) -> Ladder | None:
@@ -150,6 +150,7 @@ class CompiledArrivalCost(CompiledLayered):
 
     @cached_property
     def _tails(self) -> Tails:
+        """The tails beyond the cap that arriving there is charged by."""
         at, moments = self.base.quotient.least_over_members, self._moments
         first: ReachPolicy | MomentReach = self.safest_policy if moments is None else moments
         last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None

@@ -12,7 +12,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     MOST_ENTRIES,
     CompiledLayered,
     LeastFailure,
-    check_table,
+    check_compiled_table,
 )
 from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.errors import ModelError
@@ -71,6 +71,7 @@ class CompiledAccumulatedCost(CompiledLayered):
 
     @cached_property
     def _directed(self) -> ReachPolicy:
+        """A policy that goes for the goal, for the tail beyond the accumulated cost's cap."""
         return goal_directed(self.model, self.survival)
 
     @cached_property
@@ -153,6 +154,7 @@ class CompiledAccumulatedCost(CompiledLayered):
 
     @cached_property
     def _tails(self) -> Tails:
+        """The tails that are followed beyond the cap on accumulated cost."""
         at = self.base.quotient.least_over_members
         least, riskiest = self.riskiest
         exact = self._has_exact_tails
@@ -172,6 +174,7 @@ class CompiledAccumulatedCost(CompiledLayered):
         )
 
     def _cap_layers(self) -> int:
+        """Layers of accumulated cost below the cap."""
         base = self.base
         if self.cap is not None:
             layers = self.cap
@@ -183,5 +186,5 @@ class CompiledAccumulatedCost(CompiledLayered):
             goal = float(base.start @ tails.goal[0]) + base.start_goal
             typical = cost / max(goal, 1e-300) / base.unit
             layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
-        check_table(layers, base, "cost_cap")
+        check_compiled_table(layers, base, "cost_cap")
         return layers

@@ -171,7 +171,7 @@ _ROUNDED = 4e-15  # of what a complement is taken from
 
 
 @dataclass(frozen=True)
-class Sense:
+class ObjectiveSense:
     """A minimum in place of a maximum, or of a quantity with negative weights on ends."""
 
     constant: float | None = None  # what is maximised is this, less what is minimised
@@ -192,7 +192,7 @@ MOST_ENTRIES = 800_000_000
 """Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""
 
 
-def check_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
+def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
     """Raise :class:`ModelError` with a remedy where a table of so many layers is too large."""
     if (layers + base.width) * base.n_nodes > MOST_ENTRIES:
         raise ModelError(

@@ -25,13 +25,13 @@ from ssp_lp.dynamic_programming.bellman import (
     chosen_product,
     unsigned_parts,
 )
-from ssp_lp.dynamic_programming.leaving import approach
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.leaving import approach_leaving
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.layered.layered_process import LayeredProcess
-from ssp_lp.processes.totals.levels import Window
+from ssp_lp.processes.totals.levels import LevelWindow
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
@@ -100,18 +100,25 @@ class LayeredPricing:
             measured.push(totals)
         return self._column(totals, choice, failure_price, self.process.cap)
 
-    def _best(self, cost: PairCost, ahead: Window, inner: IntArray) -> tuple[IntArray, FloatArray]:
+    def _best(
+        self, cost: PairCost, ahead: LevelWindow, inner: IntArray
+    ) -> tuple[IntArray, FloatArray]:
         """The pairs of least value in a layer and their values, [nodes] each."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         if self._acyclic:
             backup = best_pairs(offsets, base.later, cost, ahead.flat)
             return backup.choice, backup.minima
         onward = (cost.total + base.later @ ahead.flat)[:, None]
-        settled = improve(base.instant_dynamics, onward, _ONE, inner)
+        settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
         return settled.choice, settled.values
 
     def _fused(
-        self, cost: PairCost, charge: PairCost, ahead: Window, measured: Window, position: IntArray
+        self,
+        cost: PairCost,
+        charge: PairCost,
+        ahead: LevelWindow,
+        measured: LevelWindow,
+        position: IntArray,
     ) -> tuple[FloatArray, FloatArray]:
         """The same and its measures in one compiled pass, which writes the choice to position."""
         from ssp_lp.compiled.backups import back_up_layer
@@ -144,7 +151,7 @@ class LayeredPricing:
             measured.push(totals)
         return self._column(totals, choice, tail_price, 0)
 
-    def _measured(self, chosen: IntArray, charge: PairCost, ahead: Window) -> FloatArray:
+    def _measured(self, chosen: IntArray, charge: PairCost, ahead: LevelWindow) -> FloatArray:
         """(charge, failure, goal) of a layer's choice, [nodes, 3]."""
         base = self.process.base
         totals = np.empty((base.n_nodes, 3))
@@ -158,12 +165,14 @@ class LayeredPricing:
             totals = base.instant_dynamics.chain(chosen).solve(totals)
         return totals
 
-    def _measures_beyond(self, tail_price: float) -> Window:
+    def _measures_beyond(self, tail_price: float) -> LevelWindow:
+        """The measures of the tails beyond the layers."""
         return self.process.window(np.stack(self.process.beyond(tail_price), axis=-1))
 
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
     ) -> Column:
+        """A column of layered pricing from its choice and totals."""
         base, work = self.process.base, Work(backups, self.process.cap)
         cost, failure, goal = (base.start @ totals).tolist()
         failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
@@ -172,6 +181,7 @@ class LayeredPricing:
         return Column(cost, failure, goal, choice, tail_price, work=work)
 
     def _blank_choice(self) -> IntArray:
+        """A choice in all layers, still to be filled."""
         most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
         return np.empty(self.value_shape, dtype=least_integer_type(most))
 
@@ -260,6 +270,7 @@ class LayeredPricing:
 
     @cached_property
     def _one_pass(self) -> OnePass | None:
+        """The compiled pass over all layers, where there is one."""
         return one_pass(self.process)
 
     @cached_property
@@ -286,9 +297,10 @@ class LayeredPricing:
 
     @cached_property
     def _first_choice(self) -> IntArray:
+        """A choice by which each layer is left."""
         base = self.process.base
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
-        return approach(base.instant_dynamics, leaving)
+        return approach_leaving(base.instant_dynamics, leaving)
 
     def _tail_values(self, price: float, failing: float) -> FloatArray:
         """Values of the tails beyond the cap, [layers, nodes]."""

@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from ssp_lp.analysis.chain import Chain, policy_chain, reaching
+from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.io.model_files.exported import GOAL
 from ssp_lp.io.model_files.raw_model import ModelFile
@@ -92,7 +92,7 @@ def _start_rows(chains: list[Chain], weights: FloatArray, firsts: IntArray, draw
 
 def _rows(chain: Chain, first: int, end: int) -> _Rows:
     """The steps of one member's chain while the goal is in reach, the last of them giving up."""
-    hopeful = reaching(chain, chain.goal > 0.0)
+    hopeful = reaching_in_chain(chain, chain.goal > 0.0)
     quits = np.flatnonzero((chain.give_up > 0.0) & hopeful)
     moves = np.flatnonzero(hopeful[chain.source])
     return (

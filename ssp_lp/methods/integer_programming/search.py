@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from scipy.sparse import linalg
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.assembling import Found
@@ -38,7 +38,7 @@ class _Search:
     """The best policy so far, and the view that it is measured on."""
 
     view: ProcessView
-    row: Row
+    row: FailureRow
     best: Found  # its bound holds of every policy
     tolerance: float  # relative
     deadline: float
@@ -130,7 +130,7 @@ def _searched(search: _Search, found: Generated) -> tuple[Found, bool]:
     return replace(best, bound=min(max(bound, found.lower_bound), best.value)), finished
 
 
-def _allowed(row: Row) -> float:
+def _allowed(row: FailureRow) -> float:
     """The budget with its rounding."""
     return row.budget + min(_ROUNDING, _SMALL * row.budget)
 
@@ -247,7 +247,7 @@ def _answered(
         program.forbid(answer.choice, search.completed(answer.choice)[1])
 
 
-def _bound(row: Row, ratio: float, value: float) -> float:
+def _bound(row: FailureRow, ratio: float, value: float) -> float:
     """The objective's bound from the least ``cost - ratio * goal`` of any policy."""
     if not np.isfinite(value):
         return value

@@ -16,7 +16,7 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.initial_columns import DualGuess
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import refined_optimum
@@ -129,7 +129,7 @@ class _WithinBudget:
         if self.budget is None:
             proof = compiled.pricing().prove(0.0)
             return max(proof.bound, 0.0) / min(float(compiled.start @ compiled.greatest.bound), 1.0)
-        return Row(self.budget, ratio=True).lower_bound(
+        return FailureRow(self.budget, ratio=True).lower_bound(
             compiled.pricing().prove(kappa, slack=slack)
         )
 

@@ -16,7 +16,7 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.pool import Pool, Rows
-from ssp_lp.column_generation.stabilised_master import StabilisedMaster, violation
+from ssp_lp.column_generation.stabilised_master import StabilisedMaster, violation_in_master
 from ssp_lp.compiled.deadline import Stop, closing
 from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.methods.assembling import Found
@@ -48,7 +48,7 @@ def opening(
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     _refuse_empty(compiled, stated, limited)
     rows = pool.rows(1 + limited, compiled.bounds[limited])
-    ended = generate(violation(pool, rows), options)
+    ended = generate(violation_in_master(pool, rows), options)
     if kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
         ratio = _first_ratio(pool, ended) if compiled.ratio else 0.0
@@ -213,7 +213,7 @@ def _conflict_among(
 ) -> Conflict | None:
     """A conflict among some rows, by position among all; None where they can be kept together."""
     part = rows.among(some)
-    ended = generate(violation(pool, part), options)
+    ended = generate(violation_in_master(pool, part), options)
     found = None if kept_to(ended, part) else proved_conflict(pool, part, ended)
     if found is None:
         return None

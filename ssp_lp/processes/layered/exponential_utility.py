@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.leaving import approach_leaving
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.processes.expectations import costless_pairs, successor_means
 from ssp_lp.processes.goal_reach import GoalReach
@@ -63,8 +63,8 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> Moment
     gain = quotient.at_pairs(_shrunk_arrivals(model, rate))
     hit = quotient.at_pairs(successor_means(model, model.goal_mask))
     plain, _ = quotient.dynamics(1.0, departing=False)
-    first = approach(plain, hit > 0)
-    settled = improve(shrinking, gain[:, None], -_ONE, first)
+    first = approach_leaving(plain, hit > 0)
+    settled = iterate_policy(shrinking, gain[:, None], -_ONE, first)
     moment = settled.totals[:, 0]
     bound = -sub_solution(shrinking, -gain, -moment, floor=-1.0 - 1e-9)
     reached = plain.chain(settled.choice).solve(hit[settled.choice])
