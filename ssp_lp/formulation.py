@@ -26,7 +26,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_failure_label import Co
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import InfeasibleError, ModelError, in_short
 from ssp_lp.model import SSP
-from ssp_lp.model.within_steps import check_steps, unroll
+from ssp_lp.model.within_steps import check_steps, unroll_steps
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
@@ -219,7 +219,7 @@ class Formulation(_Inherited):
         if self.horizon is None:
             return self._asked
         start, begin = self._begun, np.flatnonzero(self._begun)
-        model = unroll(self._asked.model, self.horizon, begin.tolist())
+        model = unroll_steps(self._asked.model, self.horizon, begin.tolist())
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
         return cast("Problem", replace(self, **on_it, **as_stated(self)))

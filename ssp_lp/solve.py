@@ -19,7 +19,7 @@ from ssp_lp.methods.one_row import (
 )
 from ssp_lp.methods.risk.least_risk import least_risk
 from ssp_lp.methods.rounded_costs import solve_on_rounded_costs
-from ssp_lp.methods.rows.optimum import solve_constrained
+from ssp_lp.methods.rows.rows_optimum import solve_constrained
 from ssp_lp.options import (
     ColumnGeneration,
     DeterministicPolicies,

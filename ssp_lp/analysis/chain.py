@@ -92,7 +92,7 @@ class Chain:
         return result
 
     def push(self, inflow: FloatArray, survival: float = 1.0) -> FloatArray:
-        """Expected visits of the chain to each node, given what enters each from outside, [nodes]."""
+        """The chain's expected visits of each node, given what enters from outside, [nodes]."""
         everywhere = np.ones(self.n_nodes, dtype=np.bool_)
         return self._system(everywhere, survival)[1].solve_transposed(inflow)
 

@@ -12,7 +12,7 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.problem import Problem, conditions_of, objective_of
 from ssp_lp.processes.expectations import costless_pairs
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
-from ssp_lp.processes.quantities.conditions import Steps, Term
+from ssp_lp.processes.quantities.conditions import StepTerm, Term
 
 
 def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArray:
@@ -46,7 +46,7 @@ def _quantity_value(
 ) -> float:
     """One term of a quantity: a cost on the same chain, visits as a cost, or a way to end."""
     survival = survival_of(problem.discount)
-    if isinstance(term, Steps):
+    if isinstance(term, StepTerm):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
         return value_until_failure(other, counted, problem.semantics, survival, free)
     there = term.states[chain.state].astype(np.float64)

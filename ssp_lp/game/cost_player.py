@@ -25,7 +25,7 @@ from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.levels import Levels, LevelWindow
-from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""

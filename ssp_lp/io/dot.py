@@ -11,7 +11,7 @@ import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain
 from ssp_lp.errors import ModelError
-from ssp_lp.io.tables import memories_of
+from ssp_lp.io.policy_tables import memories_of
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.mixed import as_lottery

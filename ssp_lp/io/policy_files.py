@@ -15,7 +15,7 @@ from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
-from ssp_lp.model.within_steps import HorizonSSP, unroll
+from ssp_lp.model.within_steps import HorizonSSP, unroll_steps
 from ssp_lp.policies import (
     CostAwarePolicy,
     DeterministicPolicy,
@@ -71,7 +71,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
         if horizon is not None and not isinstance(model, HorizonSSP):
             begin = arrays[horizon["begin"]]
             if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
-                model = unroll(model, horizon["steps"], begin.tolist())
+                model = unroll_steps(model, horizon["steps"], begin.tolist())
         return policy_in(header, arrays, model, check=check)
 
 

@@ -34,7 +34,7 @@ class Found:
 def assembled(
     problem: Problem, found: Found, run: Run, sense: ObjectiveSense | None = None
 ) -> Solution:
-    """The solution in the problem's own terms.
+    """The solution, assembled in the problem's own terms.
 
     Args:
         problem: the problem.

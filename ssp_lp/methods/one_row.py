@@ -18,7 +18,7 @@ from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import check_agreement, solve_program
-from ssp_lp.methods.refinement import Outcome, refined_optimum
+from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.problem import Problem
@@ -115,36 +115,43 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
         SolverError: the linear program's answer fails its check.
     """
     if problem.failure_budget is None:
-        return _at_least_failure(problem, compiled)
+        return _row_at_least_failure(problem, compiled)
     failing = problem.semantics.failing_worth
     outcome = refined_optimum(compiled, problem.failure_budget, options)
     gained, worth = -outcome.found.objective, failing - outcome.found.objective
-    if failing != 0.0 and 0.0 < abs(worth) < gained and not _is_met(outcome, failing, options):
+    if (
+        failing != 0.0
+        and 0.0 < abs(worth) < gained
+        and not _is_met_by_row(outcome, failing, options)
+    ):
         finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         outcome = outcome.followed_by(
             refined_optimum(
                 outcome.compiled, problem.failure_budget, replace(options, tolerance=finer)
             )
         )
-    answer = outcome.answer(outcome.found.price, _note(problem, outcome, options))
+    answer = outcome.answer(outcome.found.price, _note_on_row(problem, outcome, options))
     return assembled(
-        problem, answer, outcome.run(options, _reason(outcome)), ObjectiveSense(failing)
+        problem, answer, outcome.run(options, _reason_of_row(outcome)), ObjectiveSense(failing)
     )
 
 
-def _is_met(outcome: Outcome, failing: float, options: SolveOptions) -> bool:
+def _is_met_by_row(outcome: RefinedOutcome, failing: float, options: SolveOptions) -> bool:
+    """Whether one row's outcome meets the tolerance."""
     worth, bound = failing - outcome.found.objective, failing - outcome.found.lower_bound
     return relative_gap(bound, worth) <= options.tolerance
 
 
-def _at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
+def _row_at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
+    """The answer of one row at least failure."""
     least = checked_least_failure(compiled, None)
     found = Found(least.policy, least.column.cost, least.objective_bound, least.column.failure)
     run = Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0)
     return assembled(problem, found, run, ObjectiveSense(problem.semantics.failing_worth))
 
 
-def _reason(outcome: Outcome) -> str:
+def _reason_of_row(outcome: RefinedOutcome) -> str:
+    """Why the search on one row ended, in words."""
     layers = ""
     if isinstance(outcome.compiled, CompiledArrivalCost):
         process, horizon = outcome.compiled.process, outcome.compiled.cost_horizon
@@ -153,8 +160,8 @@ def _reason(outcome: Outcome) -> str:
     return f"backward sweeps over {layers}, {outcome.calls} pricing calls"
 
 
-def _note(problem: Problem, outcome: Outcome, options: SolveOptions) -> str:
-    """What a reader should know."""
+def _note_on_row(problem: Problem, outcome: RefinedOutcome, options: SolveOptions) -> str:
+    """What a reader should know of an answer with one row."""
     found, here = outcome.found, outcome.compiled
     told = remarks(problem, outcome.row.budget, found.finished)
     unsettled = isinstance(here, CompiledArrivalCost) and here.charge.settled is None

@@ -116,18 +116,26 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best: Solution | None = None
-    sign = -1.0 if _is_maximised(problem) else 1.0
-    bound, span, began = _no_worse(problem), _span(problem), perf_counter()
-    for unit in _units(problem, span):
+    sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
+    bound, span, began = (
+        _no_worse_on_rounded(problem),
+        _span_of_rounded_costs(problem),
+        perf_counter(),
+    )
+    for unit in _units_of_rounding(problem, span):
         spent, began = perf_counter() - began, perf_counter()
         if best is not None and options.deadline - began < spent:
             heed(Stop())
             break
-        rough = float(unit) / span if best is None else _SHARE * _gap(best.objective, bound)
+        rough = (
+            float(unit) / span
+            if best is None
+            else _SHARE * _gap_on_rounded_costs(best.objective, bound)
+        )
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
-            near = None if best is None else _near(problem, best)
-            found = _played(problem, unit, finer, near)
+            near = None if best is None else _near_on_rounded_costs(problem, best)
+            found = _played_on_rounded_costs(problem, unit, finer, near)
             if best is None or sign * found.objective < sign * best.objective:
                 best = found
             proved = lattice_bound(problem, unit, finer, near)[0]
@@ -140,11 +148,11 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
             if best is None:
                 raise
             break
-        if is_late() or _gap(best.objective, bound) <= options.tolerance:
+        if is_late() or _gap_on_rounded_costs(best.objective, bound) <= options.tolerance:
             break
     if best is None:
         raise SolverError("no unit was tried")
-    return _concluded(problem, best, bound, options, unit)
+    return _concluded_on_rounded(problem, best, bound, options, unit)
 
 
 def proved_on_rounded_costs(solution: Solution, options: SolveOptions) -> tuple[float, float]:
@@ -156,7 +164,7 @@ def proved_on_rounded_costs(solution: Solution, options: SolveOptions) -> tuple[
     """
     problem, members = solution.problem, solution.policy.policies
     found = (exact_cost(p.unit) for p in members if isinstance(p, CostAwarePolicy))
-    unit = next(found, None) or next(_units(problem, _span(problem)))
+    unit = next(found, None) or next(_units_of_rounding(problem, _span_of_rounded_costs(problem)))
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
     return lattice_bound(problem, unit, rough)
 
@@ -172,7 +180,7 @@ def lattice_bound(
         options: tolerance and limits.
         near: where a search may begin; None: unknown.
     """
-    found = _rounded(problem, unit, up=False).solved(options, near)
+    found = _with_rounded_costs(problem, unit, up=False).solved(options, near)
     bound = found.lower_bound if found.upper_bound is None else found.upper_bound
     budget = problem.failure_budget
     return bound, found.budget_used if budget is None else max(budget, found.budget_used)
@@ -188,7 +196,7 @@ def is_on_rounded_costs(solution: Solution) -> bool:
     )
 
 
-def _near(problem: Problem, best: Solution) -> Near | None:
+def _near_on_rounded_costs(problem: Problem, best: Solution) -> Near | None:
     """Where a risk's search may begin, from the policy of coarser costs."""
     match problem.semantics.measure:
         case CostQuantileOf(level) | TailMeanOf(level):
@@ -198,9 +206,11 @@ def _near(problem: Problem, best: Solution) -> Near | None:
     return None
 
 
-def _played(problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None) -> Solution:
+def _played_on_rounded_costs(
+    problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None
+) -> Solution:
     """The best policy of costs rounded up, on the model itself."""
-    found = _rounded(problem, unit, up=True).solved(options, near)
+    found = _with_rounded_costs(problem, unit, up=True).solved(options, near)
     members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
     return replace(found, policy=MixedPolicy(members, found.policy.weights), value_function=None)
 
@@ -223,7 +233,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     return CostAwarePolicy(model, float(unit), position, pair[None, :], never, rounds_up=True)
 
 
-def _rounded(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
+def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
     """The problem with costs that are multiples of a unit."""
     model = problem.model
     kinds, kind = np.unique(model.costs, return_inverse=True)
@@ -236,23 +246,23 @@ def _rounded(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
     return OnRoundedCosts(problem, replace(model, costs=read_only(costs), exact_costs={}))
 
 
-def _units(problem: Problem, span: float) -> Iterator[Fraction]:
-    """Smaller and smaller units, as far as is asked for."""
+def _units_of_rounding(problem: Problem, span: float) -> Iterator[Fraction]:
+    """Smaller and smaller units to which costs are rounded, as far as is asked for."""
     asked: int | None = getattr(problem, "cost_levels", None)
     most = asked or (max(_MOST, _ROOM // problem.model.n_states) if is_limited() else _MOST)
     many = float(min(_FIRST, most))
     while many <= most:
-        yield _short(span / many)
+        yield _short_decimal(span / many)
         many = min(_FINER * many, float(most)) if _WORTH_WHILE * many <= most else _FINER * many
 
 
-def _short(size: float) -> Fraction:
+def _short_decimal(size: float) -> Fraction:
     """The least number of two digits that is no smaller: its multiples are short decimals."""
     power = Fraction(10) ** (int(np.floor(np.log10(size))) - 1)
     return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
 
 
-def _span(problem: Problem) -> float:
+def _span_of_rounded_costs(problem: Problem) -> float:
     """The totals that matter: up to the bound, or some typical costs."""
     measure, dearest = problem.semantics.measure, float(problem.model.costs.max(initial=0.0))
     if isinstance(measure, WithinBound) and measure.bound > 0.0:
@@ -261,12 +271,13 @@ def _span(problem: Problem) -> float:
     return max(typical, dearest / _RARE) or 1.0
 
 
-def _is_maximised(problem: Problem) -> bool:
+def _is_maximised_on_rounded(problem: Problem) -> bool:
+    """Whether the problem with rounded costs is one of maximising."""
     measure = problem.semantics.measure
     return measure is not None and measure.maximised
 
 
-def _no_worse(problem: Problem) -> float:
+def _no_worse_on_rounded(problem: Problem) -> float:
     """What is known of the optimum before anything is solved."""
     measure = problem.semantics.measure
     if measure is None or not measure.maximised:
@@ -274,20 +285,21 @@ def _no_worse(problem: Problem) -> float:
     return problem.semantics.failing_worth - measure.charge.lowest
 
 
-def _gap(attained: float, bound: float) -> float:
+def _gap_on_rounded_costs(attained: float, bound: float) -> float:
+    """The relative gap between what costs rounded up and down say."""
     return relative_gap(max(attained, bound), min(attained, bound))
 
 
-def _concluded(
+def _concluded_on_rounded(
     problem: Problem, best: Solution, bound: float, options: SolveOptions, unit: Fraction
 ) -> Solution:
     """The best policy with the best bound, and what a reader should know."""
-    maximised, attained = _is_maximised(problem), best.objective
+    maximised, attained = _is_maximised_on_rounded(problem), best.objective
     measure = problem.semantics.measure
     if measure is not None and measure.charge.settled is None and not is_late():
         attained = measure.of(success_costs(best.policy, problem))  # beyond its table, too
     told = best.note
-    if _gap(attained, bound) > options.tolerance and not is_late():
+    if _gap_on_rounded_costs(attained, bound) > options.tolerance and not is_late():
         told = f"costs are rounded to multiples of {float(unit):g}: more cost_levels leave less gap"
     return replace(
         best,

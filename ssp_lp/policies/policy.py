@@ -147,6 +147,7 @@ class Playable(ABC):
         self._current().continue_after_give_up()
 
     def _current(self) -> Episode:
+        """The policy's own episode."""
         if self._episode is None:
             raise ModelError("call reset(rng) before the first action of an episode")
         return self._episode

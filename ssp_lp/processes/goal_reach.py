@@ -82,7 +82,7 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     everything = np.ones(model.n_pairs, dtype=np.bool_) if exact else None
     # moving about in a component risks nothing
     quotient = build_quotient(model, free=everything, ended=sure)
-    found = _extreme(quotient, sure, survival, greatest=True)
+    found = _extreme_reach(quotient, sure, survival, greatest=True)
     inside = sure & ~model.goal_mask
     return replace(
         found,
@@ -107,7 +107,7 @@ def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     if survival == 1.0:
         bound_to = ~reaching_states(model, attention)
     quotient = build_quotient(model, ended=attention | bound_to)
-    found = _extreme(quotient, bound_to, survival, greatest=False)
+    found = _extreme_reach(quotient, bound_to, survival, greatest=False)
     inside = bound_to & ~model.goal_mask
     decision = np.where(attention & ~quotient.dead, GIVE_UP_CODE, found.decision)
     return replace(
@@ -117,7 +117,7 @@ def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     )
 
 
-def _extreme(
+def _extreme_reach(
     quotient: Quotient, hit_states: BoolArray, survival: float, *, greatest: bool
 ) -> GoalReach:
     """The greatest or the least E[survival^T; hit] over the live states.
@@ -146,7 +146,7 @@ def _extreme(
     )
 
 
-def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
+def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
     """Among the policies that attain the extreme, the least E[survival^(T-1) * cost; goal].
 
     A transition to x' is priced g * reach(x'), reach taken one step early under discounting, so
@@ -173,14 +173,16 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     return ReachPolicy(
         decision=quotient.pull_back(settled.choice),
         goal=np.where(surely, 1.0, survival * early_goal),
-        failure=_failing(model, surely, quotient.node_of, settled.totals[:, 2]),
+        failure=_failing_to_reach(model, surely, quotient.node_of, settled.totals[:, 2]),
         early=np.where(surely & ~model.goal_mask, 1.0, early_goal),
         cost=quotient.lift(settled.totals[:, 0]),
         cost_bound=quotient.lift(bound),
     )
 
 
-def _failing(model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray) -> FloatArray:
+def _failing_to_reach(
+    model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray
+) -> FloatArray:
     """The probability of failing from each state; 1 where no node stands for it.
 
     Args:
@@ -220,7 +222,7 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     return ReachPolicy(
         decision=np.where(decision >= 0, decision, UNDECIDED),
         goal=goal,
-        failure=_failing(model, model.goal_mask, node_of, missed),
+        failure=_failing_to_reach(model, model.goal_mask, node_of, missed),
         early=early,
         cost=cost,
         cost_bound=np.zeros(model.n_states),

@@ -28,7 +28,7 @@ from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.augmented import Augmented, ColumnLabel
-from ssp_lp.programs.decomposition import balanced
+from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
@@ -198,7 +198,7 @@ class OccupationProgram:
         visits = answer.x[: self.process.n_pairs] / scale
         return OccupationMeasure(
             program=self,
-            visits=balanced(
+            visits=balanced_visits(
                 self.process, proved.without_noise(visits), proved.choice, self.giving_up
             ),
             duals={name: price * scale for name, price in prices.items()},

@@ -80,7 +80,7 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
     if by_rows(problem):
         risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate
-        certificate, reason = proved(solution, found), _broken_limit(problem, found)
+        certificate, reason = proved(solution, found), _certified_breach(problem, found)
         return replace(certificate, accepted=False, reason=reason) if reason else certificate
     if problem.semantics.aim is not Aim.LEAST_COST:
         return _goal_certificate(problem, found)
@@ -115,10 +115,10 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     levels = levels_of(solution.policy.policies, len(values))
     compiled = problem.compile().matching(np.asarray(values), levels)
-    bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
+    bound, tail = _certified_lower_bound(compiled, problem, kappa, price == 0.0, solution)
     if tail > _LITTLE:  # it may be less beyond the cap with better policies there
         compiled = compiled.for_program()
-        bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
+        bound, tail = _certified_lower_bound(compiled, problem, kappa, price == 0.0, solution)
     if attained < budget * _SURELY:
         return certificate_of(found, bound, budget, tail=tail)
     least = compiled.least_failure()
@@ -130,7 +130,7 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     return certificate_of(found, bound, allowed, tail=tail)
 
 
-def _broken_limit(problem: Problem, found: Evaluation) -> str:
+def _certified_breach(problem: Problem, found: Evaluation) -> str:
     """Which constraint the policy breaks, in words; empty: none."""
     for condition in conditions_of(problem):
         spent = found.secondary_costs[condition.name]
@@ -173,7 +173,7 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
     claims = found.objective, solution.lower_bound
     known = None if solution.method == Game.name else values  # a game's are of its own layers
-    lower = _rows_bound(compiled, prices * limited, raised, known, claims)
+    lower = _certified_rows_bound(compiled, prices * limited, raised, known, claims)
     budget = float(raised[0]) if limited[0] else budget
     attained = found.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
@@ -183,7 +183,7 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     return certificate_of(found, compiled.sense.worth(lower), budget, above=above)
 
 
-def _rows_bound(
+def _certified_rows_bound(
     compiled: CompiledConstrained,
     prices: FloatArray,
     bounds: FloatArray,
@@ -206,7 +206,7 @@ def _rows_bound(
     return max(found)
 
 
-def _lower_bound(
+def _certified_lower_bound(
     compiled: CompiledProblem, problem: Problem, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
     """Lower bound of the objective, and the relative gap that truncation leaves in it."""

@@ -24,7 +24,7 @@ from ssp_lp.processes.goal_reach import (
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import TailValues
-from ssp_lp.processes.layered.layered_process import LayeredProcess, Tails
+from ssp_lp.processes.layered.layered_process import LayeredProcess, LayeredTails
 
 _FIRST_LAYERS = 2.5
 """Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
@@ -153,7 +153,7 @@ class CompiledAccumulatedCost(CompiledLayered):
         return other
 
     @cached_property
-    def _tails(self) -> Tails:
+    def _tails(self) -> LayeredTails:
         """The tails that are followed beyond the cap on accumulated cost."""
         at = self.base.quotient.least_over_members
         least, riskiest = self.riskiest
@@ -165,7 +165,7 @@ class CompiledAccumulatedCost(CompiledLayered):
             first = self._directed
             greatest = np.full(self.base.n_nodes, self.survival)
         both = (first, riskiest)
-        return Tails(
+        return LayeredTails(
             decisions=np.stack([p.decision for p in both]).astype(np.int32),
             values=TailValues.stacked([p.values for p in both], at),
             greatest_goal=greatest,

@@ -20,7 +20,7 @@ from ssp_lp.processes.failure_semantics import survival_of
 from ssp_lp.processes.goal_reach import (
     GoalReach,
     ReachPolicy,
-    cheapest,
+    cheapest_reach,
     greatest_goal_reach,
     least_goal_reach,
 )
@@ -225,13 +225,13 @@ class CompiledLayered(ABC):
     @cached_property
     def safest_policy(self) -> ReachPolicy:
         """The cheapest policy of greatest goal probability."""
-        return cheapest(self.model, self.greatest, self.survival)
+        return cheapest_reach(self.model, self.greatest, self.survival)
 
     @cached_property
     def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
         """The least goal probability and the cheapest policy that attains it (pi'_or)."""
         least = least_goal_reach(self.model, self.survival)
-        return least, cheapest(self.model, least, self.survival)
+        return least, cheapest_reach(self.model, least, self.survival)
 
     def _handing_on(self, other: Self, *kept: str) -> Self:
         """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""

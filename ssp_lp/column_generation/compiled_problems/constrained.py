@@ -20,7 +20,7 @@ from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
-from ssp_lp.processes.goal_reach import cheapest, greatest_goal_reach, least_goal_reach
+from ssp_lp.processes.goal_reach import cheapest_reach, greatest_goal_reach, least_goal_reach
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import Charge
 from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, first_total, truncates
@@ -229,7 +229,7 @@ class CompiledConstrained:
     def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
         survival = survival_of(self.discount)
-        safest = cheapest(self.model, greatest_goal_reach(self.model, survival), survival)
+        safest = cheapest_reach(self.model, greatest_goal_reach(self.model, survival), survival)
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property

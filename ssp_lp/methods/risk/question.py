@@ -20,15 +20,15 @@ from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.initial_columns import DualGuess
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import refined_optimum
-from ssp_lp.methods.risk.thresholds import Multiples, SumsThatOccur, Thresholds
-from ssp_lp.methods.rows.lottery import Truth, taken
-from ssp_lp.methods.rows.optimum import rows_optimum
+from ssp_lp.methods.risk.thresholds import ThresholdMultiples, Thresholds, ThresholdSums
+from ssp_lp.methods.rows.lottery import Truth, taken_by_lottery
 from ssp_lp.methods.rows.proof import bound_at
+from ssp_lp.methods.rows.rows_optimum import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, by_rows, compiled_constrained
-from ssp_lp.processes.layered.charges import Charge, Excess, Late, TotalCost
+from ssp_lp.processes.layered.charges import Charge, ExcessCharge, LateCharge, TotalCostCharge
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
@@ -71,8 +71,8 @@ class _WithinBudget:
     def thresholds(self) -> Thresholds:
         """The totals that can occur."""
         if self.compiled.by_sums:
-            return SumsThatOccur(self.compiled.model)
-        return Multiples(self.compiled.base.exact_unit)
+            return ThresholdSums(self.compiled.model)
+        return ThresholdMultiples(self.compiled.base.exact_unit)
 
     @property
     def allowed(self) -> float:
@@ -145,12 +145,12 @@ class _WithinRows:
     def thresholds(self) -> Thresholds:
         """The totals that can occur, or those of a grid."""
         if self.compiled.rungs is None:
-            return Multiples(self.compiled.base.exact_unit)
+            return ThresholdMultiples(self.compiled.base.exact_unit)
         try:
-            found = SumsThatOccur(self.compiled.model)
+            found = ThresholdSums(self.compiled.model)
             found.number(_AHEAD * self.compiled.typical_cost)
         except ModelError:
-            return Multiples(Fraction(self.compiled.typical_cost / _FINE), sharp=False)
+            return ThresholdMultiples(Fraction(self.compiled.typical_cost / _FINE), sharp=False)
         return found
 
     @property
@@ -190,12 +190,12 @@ class _WithinRows:
 
         def value(policy: MixedPolicy) -> float:
             law = success_costs(policy, self.problem)
-            return _expected(charge, law) / law.goal
+            return _expected_in_question(charge, law) / law.goal
 
         def figures(policy: Policy) -> FloatArray:
             law, found = success_costs(policy, self.problem), evaluate(policy, self.problem)
-            spent = taken(self.compiled, found)
-            return np.array([_expected(charge, law), found.failure_probability, *spent])
+            spent = taken_by_lottery(self.compiled, found)
+            return np.array([_expected_in_question(charge, law), found.failure_probability, *spent])
 
         return Truth(value, figures)
 
@@ -204,18 +204,18 @@ Question = _WithinBudget | _WithinRows
 """The policies among which the least risk is sought."""
 
 
-def _expected(charge: Charge, law: CostLaw) -> float:
+def _expected_in_question(charge: Charge, law: CostLaw) -> float:
     """E[charge; goal].
 
     Raises:
         ModelError: no charge of a risk.
     """
     match charge:
-        case TotalCost():
+        case TotalCostCharge():
             return law.cost
-        case Late(bound):
+        case LateCharge(bound):
             return law.goal - law.within(bound)
-        case Excess(threshold, share):
+        case ExcessCharge(threshold, share):
             return threshold * law.goal + law.excess(threshold) / share
     raise ModelError(f"{charge!r} is no charge of a risk")
 

@@ -38,7 +38,7 @@ _ROOM = 1e-14  # of a bound and of what its complement is made from
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class StepTerm:
     """A cost of steps: that of a model which has it in place of its own."""
 
     model: SSP
@@ -54,7 +54,7 @@ class Steps:
 
 
 @dataclass(frozen=True, eq=False)
-class Arrivals:
+class ArrivalTerm:
     """Arrivals in some states, the start counted; or, as ``others``, endings anywhere else."""
 
     model: SSP
@@ -76,7 +76,7 @@ class Arrivals:
         return counting.arrivals(self.states)
 
 
-Term = Steps | Arrivals
+Term = StepTerm | ArrivalTerm
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +136,7 @@ class Condition:
         """
         goal = self.model.goal_mask
         return any(
-            isinstance(term, Arrivals) and term.others and not (term.states == goal).all()
+            isinstance(term, ArrivalTerm) and term.others and not (term.states == goal).all()
             for row in self.rows or (self.minimised(),)
             for _, term in row.terms
         )
@@ -174,7 +174,7 @@ class Condition:
         for stated, term in self.terms:
             weight = sign * stated
             if weight < 0.0:
-                if not (isinstance(term, Arrivals) and term.final):
+                if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds a cost or visits from below, which takes "
                         "a policy that tosses coins on the way; without accumulated costs, add "
@@ -186,7 +186,11 @@ class Condition:
                 terms.append((weight, term))
         constant = sign * self.constant
         shift = max(-constant, 0.0)  # no coefficient may be negative
-        told = self.name if sign > 0.0 and offset == 0.0 else f"{_signed(offset, sign)}{self.name}"
+        told = (
+            self.name
+            if sign > 0.0 and offset == 0.0
+            else f"{_signed_in_condition(offset, sign)}{self.name}"
+        )
         return UpperRow(
             name=name,
             told=told,
@@ -199,5 +203,6 @@ class Condition:
         )
 
 
-def _signed(offset: float, sign: float) -> str:
+def _signed_in_condition(offset: float, sign: float) -> str:
+    """An offset and the sign that follows it, as a condition prints them."""
     return f"{offset:g} {'+' if sign > 0.0 else '-'} "

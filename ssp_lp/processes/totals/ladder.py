@@ -21,7 +21,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph.kept import kept
 from ssp_lp.processes.expectations import uniform_cost
 from ssp_lp.processes.totals.lattice import common_unit, layers_of
-from ssp_lp.processes.totals.sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
 
 _SUMS_PER_RUNG = 5  # sums told apart rather than so many rungs of a grid
 _ULPS = 1e-15  # relative: the rounding of one sum

@@ -16,7 +16,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.lattice import totals_of
-from ssp_lp.processes.totals.sums import room_of
+from ssp_lp.processes.totals.step_sums import room_of
 
 
 @dataclass(frozen=True, eq=False)
