@@ -69,7 +69,7 @@ def trace_frontier(
     """
     asked = _traceable(problem)
     deadline = deadline_of(time_limit, time.perf_counter())
-    limits = _TracingLimits(gap, steepest_price, point_limit, deadline < np.inf, progress)
+    limits = _Limits(gap, steepest_price, point_limit, deadline < np.inf, progress)
     with progress_shown(verbose), until(deadline) as ended:
         try:
             traced = _traced_and_refined(asked.compile(), limits)
@@ -106,7 +106,7 @@ def _traceable(problem: Problem) -> Problem:
     return problem
 
 
-def _traced_and_refined(compiled: CompiledProblem, limits: _TracingLimits) -> Frontier:
+def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
     """Trace, and again on a finer process while a cap on the cost hides more than the gap.
 
     It hides most where the price is steepest, so that a few pricing calls at that end tell first
@@ -119,7 +119,7 @@ def _traced_and_refined(compiled: CompiledProblem, limits: _TracingLimits) -> Fr
     calls, work, known, begun, steep_only = 0, Work(), None, None, compiled.ratio
     for _ in range(2 * _REFINEMENTS):
         try:
-            traced = _traced_points(compiled, limits, begun, steep_only=steep_only)
+            traced = _traced(compiled, limits, begun, steep_only=steep_only)
         except STOPS as stop:
             heed(stop)
             if known is None:
@@ -138,7 +138,7 @@ def _traced_and_refined(compiled: CompiledProblem, limits: _TracingLimits) -> Fr
 
 
 @dataclass(frozen=True)
-class _TracingLimits:
+class _Limits:
     """How far to trace."""
 
     gap: float
@@ -180,10 +180,8 @@ def _share_lost_in_tracing(compiled: CompiledProblem, traced: Frontier) -> float
     return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
 
 
-def _traced_ends(
-    compiled: CompiledProblem, limits: _TracingLimits
-) -> tuple[list[Column], bool, int, Work]:
-    """The first and the last turning point; whether the last is known; calls made, and work.
+def _ends(compiled: CompiledProblem, limits: _Limits) -> tuple[list[Column], bool, int, Work]:
+    """The first and last point to be traced; whether the last is known; calls made, and work.
 
     Raises:
         ModelError: at the steepest price it is best to fail.
@@ -206,8 +204,8 @@ def _traced_ends(
     return columns, free.finished, rule.calls, rule.work
 
 
-def _traced_points(
-    compiled: CompiledProblem, limits: _TracingLimits, begun: Frontier | None, *, steep_only: bool
+def _traced(
+    compiled: CompiledProblem, limits: _Limits, begun: Frontier | None, *, steep_only: bool
 ) -> Frontier:
     """The turning points of one process.
 
@@ -220,7 +218,7 @@ def _traced_points(
     pricing = compiled.pricing()
     waiting = _WaitingSegments(pricing, compiled.ratio, limits)
     if begun is None:
-        columns, is_known, waiting.calls, work = _traced_ends(compiled, limits)
+        columns, is_known, waiting.calls, work = _ends(compiled, limits)
         open_below = [1.0] * (len(columns) - 1)
     else:
         columns, is_known, work = list(begun._columns), not begun.ends_early, Work()
@@ -250,7 +248,7 @@ def _traced_points(
 class _WaitingSegments:
     """Segments with a policy below them, the worst first where not all can be split. Grows."""
 
-    def __init__(self, pricing: PricingProblem, ratio: bool, limits: _TracingLimits) -> None:
+    def __init__(self, pricing: PricingProblem, ratio: bool, limits: _Limits) -> None:
         """Nothing waits."""
         self.found: list[tuple[float, int, tuple[Column, Column, Column]]] = []  # a heap
         self.calls, self.work = 0, Work()
@@ -289,7 +287,6 @@ class _WaitingSegments:
             heed(stop)
 
     def _best_at(self, price: float, warm: Column) -> Column:
-        """The best policy at the price of a segment that is traced."""
         found = self._pricing.minimise(price, warm)
         self.calls, self.work = self.calls + 1, self.work + found.work
         return replace(found, found_at=price)

@@ -24,7 +24,7 @@ from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.levels import Levels, LevelWindow
+from ssp_lp.processes.totals.levels import Levels, Window
 from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 
 _MOST_ENTRIES = 200_000_000
@@ -138,7 +138,7 @@ class CostPlayer:
         """
         base, weights = self.base, np.array([1.0, price])
         levels: Levels = self.response(1.0, price, accuracy).strategy.levels
-        bounds = LevelWindow(self.tail.surplus(levels.totals[levels.cap :], weights), levels)
+        bounds = Window(self.tail.surplus(levels.totals[levels.cap :], weights), levels)
         lowest = np.zeros(base.n_nodes)
         chosen: IntArray = base.pair_offsets[:-1]
         worth = price * base.survival * base.gain
@@ -169,7 +169,7 @@ class CostPlayer:
         """The best response that follows the tail from M = cap units on, and a bound for all."""
         base, levels = self.base, self.levels(cap)
         threshold = self.tail.threshold(weights) - _SAME_LAYER * base.unit
-        measured = LevelWindow(self.tail.attained(levels.totals[levels.cap :], threshold), levels)
+        measured = Window(self.tail.attained(levels.totals[levels.cap :], threshold), levels)
         totals = np.zeros((base.n_nodes, 2))
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((levels.cap, base.n_nodes), dtype=least_integer_type(most))
@@ -194,7 +194,7 @@ class CostPlayer:
             levels: the totals.
         """
         chosen = self.base.pair_offsets[:-1]
-        ahead = LevelWindow(self.tail.bound(levels.totals[levels.cap :], weights), levels)
+        ahead = Window(self.tail.bound(levels.totals[levels.cap :], weights), levels)
         for paid in levels.totals[levels.cap - 1 :: -1].tolist():
             costs = self._costs(paid)
             size = np.abs(costs) @ weights

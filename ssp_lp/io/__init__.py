@@ -72,7 +72,7 @@ _MODULES = {
     "storm.programs": "read_with_storm",
     "storm.schedulers": "write_scheduler",
     "storm.to_storm": "to_stormpy write_umb",
-    "tables": "policy_table to_frame",
+    "policy_tables": "policy_table to_frame",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
 

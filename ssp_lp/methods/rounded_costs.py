@@ -117,25 +117,17 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
     """
     best: Solution | None = None
     sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
-    bound, span, began = (
-        _no_worse_on_rounded(problem),
-        _span_of_rounded_costs(problem),
-        perf_counter(),
-    )
+    bound, span, began = _no_worse(problem), _rounded_span(problem), perf_counter()
     for unit in _units_of_rounding(problem, span):
         spent, began = perf_counter() - began, perf_counter()
         if best is not None and options.deadline - began < spent:
             heed(Stop())
             break
-        rough = (
-            float(unit) / span
-            if best is None
-            else _SHARE * _gap_on_rounded_costs(best.objective, bound)
-        )
+        rough = float(unit) / span if best is None else _SHARE * _rounded_gap(best.objective, bound)
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
             near = None if best is None else _near_on_rounded_costs(problem, best)
-            found = _played_on_rounded_costs(problem, unit, finer, near)
+            found = _played(problem, unit, finer, near)
             if best is None or sign * found.objective < sign * best.objective:
                 best = found
             proved = lattice_bound(problem, unit, finer, near)[0]
@@ -148,7 +140,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
             if best is None:
                 raise
             break
-        if is_late() or _gap_on_rounded_costs(best.objective, bound) <= options.tolerance:
+        if is_late() or _rounded_gap(best.objective, bound) <= options.tolerance:
             break
     if best is None:
         raise SolverError("no unit was tried")
@@ -164,7 +156,7 @@ def proved_on_rounded_costs(solution: Solution, options: SolveOptions) -> tuple[
     """
     problem, members = solution.problem, solution.policy.policies
     found = (exact_cost(p.unit) for p in members if isinstance(p, CostAwarePolicy))
-    unit = next(found, None) or next(_units_of_rounding(problem, _span_of_rounded_costs(problem)))
+    unit = next(found, None) or next(_units_of_rounding(problem, _rounded_span(problem)))
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
     return lattice_bound(problem, unit, rough)
 
@@ -206,9 +198,7 @@ def _near_on_rounded_costs(problem: Problem, best: Solution) -> Near | None:
     return None
 
 
-def _played_on_rounded_costs(
-    problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None
-) -> Solution:
+def _played(problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None) -> Solution:
     """The best policy of costs rounded up, on the model itself."""
     found = _with_rounded_costs(problem, unit, up=True).solved(options, near)
     members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
@@ -262,7 +252,7 @@ def _short_decimal(size: float) -> Fraction:
     return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
 
 
-def _span_of_rounded_costs(problem: Problem) -> float:
+def _rounded_span(problem: Problem) -> float:
     """The totals that matter: up to the bound, or some typical costs."""
     measure, dearest = problem.semantics.measure, float(problem.model.costs.max(initial=0.0))
     if isinstance(measure, WithinBound) and measure.bound > 0.0:
@@ -272,12 +262,11 @@ def _span_of_rounded_costs(problem: Problem) -> float:
 
 
 def _is_maximised_on_rounded(problem: Problem) -> bool:
-    """Whether the problem with rounded costs is one of maximising."""
     measure = problem.semantics.measure
     return measure is not None and measure.maximised
 
 
-def _no_worse_on_rounded(problem: Problem) -> float:
+def _no_worse(problem: Problem) -> float:
     """What is known of the optimum before anything is solved."""
     measure = problem.semantics.measure
     if measure is None or not measure.maximised:
@@ -285,7 +274,7 @@ def _no_worse_on_rounded(problem: Problem) -> float:
     return problem.semantics.failing_worth - measure.charge.lowest
 
 
-def _gap_on_rounded_costs(attained: float, bound: float) -> float:
+def _rounded_gap(attained: float, bound: float) -> float:
     """The relative gap between what costs rounded up and down say."""
     return relative_gap(max(attained, bound), min(attained, bound))
 
@@ -299,7 +288,7 @@ def _concluded_on_rounded(
     if measure is not None and measure.charge.settled is None and not is_late():
         attained = measure.of(success_costs(best.policy, problem))  # beyond its table, too
     told = best.note
-    if _gap_on_rounded_costs(attained, bound) > options.tolerance and not is_late():
+    if _rounded_gap(attained, bound) > options.tolerance and not is_late():
         told = f"costs are rounded to multiples of {float(unit):g}: more cost_levels leave less gap"
     return replace(
         best,

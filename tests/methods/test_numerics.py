@@ -12,7 +12,7 @@ from ssp_lp import SSP, certify, evaluate, solve
 from ssp_lp.analysis.goal_probability import max_goal_probability, min_goal_probability
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.processes.totals.levels import LevelWindow
+from ssp_lp.processes.totals.levels import Window
 
 
 def model_of(transitions: Any) -> SSP:
@@ -115,7 +115,7 @@ def test_steps_that_skip_many_layers() -> None:
 
 
 def test_the_window_slides() -> None:
-    window = LevelWindow(np.arange(6.0).reshape(3, 2))
+    window = Window(np.arange(6.0).reshape(3, 2))
     layers = [np.array([10.0 + i, 20.0 + i]) for i in range(25)]
     for i, layer in enumerate(layers):
         window.push(layer)

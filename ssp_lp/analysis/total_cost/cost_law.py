@@ -275,7 +275,6 @@ class CostLaw:
 
     @cached_property
     def _followed(self) -> Followed:
-        """The totals of the law, followed as far as a question needs."""
         exact = self._prospects[0].chain.model.exact_costs
         return Followed(LiveChain.of(self._prospects, self._weights), exact, self.conditional_mean)
 
@@ -292,12 +291,10 @@ def _gain_by_cost_law(utility: Utility, at_infinity: float) -> Utility:
 
 
 def _check_cost_number(value: float | Fraction, name: str) -> None:
-    """Raise :class:`ModelError` for a cost that is no number."""
     if isnan(value):
         raise ModelError(f"the {name} must be a number")
 
 
 def _check_law_level(level: float) -> None:
-    """Raise :class:`ModelError` for a level at which the law of the cost has no quantile."""
     if not 0.0 <= level < 1.0:
         raise ModelError(f"level must lie in [0, 1), not {level!r}{as_percentage(level)}")

@@ -31,7 +31,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.layered.layered_process import LayeredProcess
-from ssp_lp.processes.totals.levels import LevelWindow
+from ssp_lp.processes.totals.levels import Window
 
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
@@ -100,9 +100,7 @@ class LayeredPricing:
             measured.push(totals)
         return self._column(totals, choice, failure_price, self.process.cap)
 
-    def _best(
-        self, cost: PairCost, ahead: LevelWindow, inner: IntArray
-    ) -> tuple[IntArray, FloatArray]:
+    def _best(self, cost: PairCost, ahead: Window, inner: IntArray) -> tuple[IntArray, FloatArray]:
         """The pairs of least value in a layer and their values, [nodes] each."""
         base, offsets = self.process.base, self.process.base.pair_offsets
         if self._acyclic:
@@ -113,12 +111,7 @@ class LayeredPricing:
         return settled.choice, settled.values
 
     def _fused(
-        self,
-        cost: PairCost,
-        charge: PairCost,
-        ahead: LevelWindow,
-        measured: LevelWindow,
-        position: IntArray,
+        self, cost: PairCost, charge: PairCost, ahead: Window, measured: Window, position: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """The same and its measures in one compiled pass, which writes the choice to position."""
         from ssp_lp.compiled.backups import back_up_layer
@@ -151,7 +144,7 @@ class LayeredPricing:
             measured.push(totals)
         return self._column(totals, choice, tail_price, 0)
 
-    def _measured(self, chosen: IntArray, charge: PairCost, ahead: LevelWindow) -> FloatArray:
+    def _measured(self, chosen: IntArray, charge: PairCost, ahead: Window) -> FloatArray:
         """(charge, failure, goal) of a layer's choice, [nodes, 3]."""
         base = self.process.base
         totals = np.empty((base.n_nodes, 3))
@@ -165,14 +158,13 @@ class LayeredPricing:
             totals = base.instant_dynamics.chain(chosen).solve(totals)
         return totals
 
-    def _measures_beyond(self, tail_price: float) -> LevelWindow:
+    def _measures_beyond(self, tail_price: float) -> Window:
         """The measures of the tails beyond the layers."""
         return self.process.window(np.stack(self.process.beyond(tail_price), axis=-1))
 
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
     ) -> Column:
-        """A column of layered pricing from its choice and totals."""
         base, work = self.process.base, Work(backups, self.process.cap)
         cost, failure, goal = (base.start @ totals).tolist()
         failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
@@ -270,7 +262,6 @@ class LayeredPricing:
 
     @cached_property
     def _one_pass(self) -> OnePass | None:
-        """The compiled pass over all layers, where there is one."""
         return one_pass(self.process)
 
     @cached_property

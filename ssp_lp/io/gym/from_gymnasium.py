@@ -104,7 +104,7 @@ def from_gymnasium(
     """
     limit = step_limit_of(env)
     table, begin = _table_of(env), _start_of_environment(env, start)
-    model = _model_of_environment(_EnvironmentListing(table, begin, goal), _cost_function(cost))
+    model = _model_of_environment(_GymListing(table, begin, goal), _cost_function(cost))
     logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
         raise ModelError(f"horizon must be 'env', a number of steps or None, not {horizon!r}")
@@ -140,31 +140,25 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> Table:
     if listed is None:
         raise ModelError(f"{env.unwrapped!r} has no table of transitions, env.unwrapped.P")
     return {
-        state: {
-            action: _gymnasium_outcomes(state, action, rows)
-            for action, rows in _gymnasium_entries(actions)
-        }
-        for state, actions in _gymnasium_entries(listed)
+        state: {action: _gym_outcomes(state, action, rows) for action, rows in _entries(actions)}
+        for state, actions in _entries(listed)
     }
 
 
-def _gymnasium_entries(listed: Any) -> list[tuple[Hashable, Any]]:
-    """Keys and values of a dict, or positions and entries of a list."""
+def _entries(listed: Any) -> list[tuple[Hashable, Any]]:
+    """Keys and values of the environment's dict, or positions and entries of a list."""
     rows = listed.items() if isinstance(listed, Mapping) else enumerate(listed)
-    return [(plain_from_gymnasium(key), value) for key, value in rows]
+    return [(gym_value(key), value) for key, value in rows]
 
 
-def plain_from_gymnasium(value: Any) -> Any:
+def gym_value(value: Any) -> Any:
     """A number of numpy's as one of Python's; anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _gymnasium_outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
+def _gym_outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
     """The environment's outcomes of a pair, checked."""
-    found = [
-        (float(p), plain_from_gymnasium(to), float(reward), bool(over))
-        for p, to, reward, over in rows
-    ]
+    found = [(float(p), gym_value(to), float(reward), bool(over)) for p, to, reward, over in rows]
     total = fsum(p for p, *_ in found)
     if abs(total - 1.0) > SINGLE_PRECISION_SUM:
         raise ModelError(
@@ -181,16 +175,14 @@ def _start_of_environment(
         shares = getattr(env.unwrapped, "initial_state_distrib", None)
         if shares is None:
             raise ModelError("the environment has no initial_state_distrib: give start=")
-        start = {state: float(share) for state, share in _gymnasium_entries(shares)}
+        start = {state: float(share) for state, share in _entries(shares)}
     if not isinstance(start, Mapping):
-        return {plain_from_gymnasium(start): 1.0}
+        return {gym_value(start): 1.0}
     total = fsum(start.values())
     if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
         raise ModelError(f"the start's probabilities sum to {total:.9g}")
     return {
-        plain_from_gymnasium(state): float(share) / total
-        for state, share in start.items()
-        if share != 0.0
+        gym_value(state): float(share) / total for state, share in start.items() if share != 0.0
     }
 
 
@@ -204,19 +196,17 @@ def _cost_function(cost: str | CostFunction) -> CostFunction:
 
 
 def _step_cost(state: Any, action: Any, next_state: Any, reward: float) -> float:
-    """A cost of 1 for each step of the environment."""
     return 1.0
 
 
 def _reward_cost(state: Any, action: Any, next_state: Any, reward: float) -> float:
-    """The environment's negative reward as a cost."""
     return max(0.0, -reward)
 
 
 _COSTS: dict[str, CostFunction] = {"step": _step_cost, "reward": _reward_cost}
 
 
-def _model_of_environment(listing: _EnvironmentListing, cost: CostFunction) -> EnvironmentSSP:
+def _model_of_environment(listing: _GymListing, cost: CostFunction) -> EnvironmentSSP:
     """The model of an environment: every state of its table, and the ends."""
     label = listing.label
     transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, float]]]] = {
@@ -238,7 +228,7 @@ def _model_of_environment(listing: _EnvironmentListing, cost: CostFunction) -> E
 
 
 @dataclass(frozen=True)
-class _EnvironmentListing:
+class _GymListing:
     """An environment's table, and which of its states are ends and goals."""
 
     table: Table
@@ -253,7 +243,7 @@ class _EnvironmentListing:
     @cached_property
     def steps(self) -> list[Outcome]:
         """The environment's outcomes listed there."""
-        return _steps_of_environment(self.going)
+        return _gym_steps(self.going)
 
     @cached_property
     def goals(self) -> frozenset[Hashable]:
@@ -269,26 +259,18 @@ class _EnvironmentListing:
 
     @cached_property
     def _goes_on(self) -> frozenset[Hashable]:
-        """The environment's states in which an episode may go on."""
-        return frozenset(self.begin) | {
-            to for _, to, _, over in _steps_of_environment(self.table) if not over
-        }
+        return frozenset(self.begin) | {to for _, to, _, over in _gym_steps(self.table) if not over}
 
     @cached_property
     def _only_ends(self) -> frozenset[Hashable]:
-        """The environment's states in which episodes only end."""
-        return (
-            frozenset(to for _, to, _, over in _steps_of_environment(self.table) if over)
-            - self._goes_on
-        )
+        return frozenset(to for _, to, _, over in _gym_steps(self.table) if over) - self._goes_on
 
     @cached_property
     def _states(self) -> list[Hashable]:
-        """All states that the environment's table names."""
         return list(dict.fromkeys([*self.table, *(to for _, to, _, _ in self.steps)]))
 
 
-def _steps_of_environment(table: Table) -> list[Outcome]:
+def _gym_steps(table: Table) -> list[Outcome]:
     """All outcomes in the environment's table."""
     return [row for actions in table.values() for rows in actions.values() for row in rows]
 

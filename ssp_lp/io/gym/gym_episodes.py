@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError, optional_module
-from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, plain_from_gymnasium, step_limit_of
+from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, gym_value, step_limit_of
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
@@ -73,7 +73,7 @@ class GymParty:
     def begin(self, shown: Any) -> GymEpisode:
         """An episode in what an environment shows after its reset."""
         player = self._players[int(self._rng.choice(len(self._players), p=self._weights))]
-        return GymEpisode(self, player, plain_from_gymnasium(shown))
+        return GymEpisode(self, player, gym_value(shown))
 
     def check(self, pair: int, successor: int, terminated: bool) -> None:
         """Raise :class:`ModelError` if the table does not know of a step."""
@@ -116,7 +116,7 @@ class GymEpisode:
 
     def observe(self, shown: Any, reward: Any, terminated: Any, truncated: Any) -> None:
         """Take what the environment shows after a step."""
-        party, model, there = self._party, self._party.model, plain_from_gymnasium(shown)
+        party, model, there = self._party, self._party.model, gym_value(shown)
         successor = model.index_of(model.label(there, bool(terminated)))
         party.check(self._pair, successor, bool(terminated))
         action = model.action_of(self._pair)

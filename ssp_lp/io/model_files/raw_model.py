@@ -209,7 +209,7 @@ def _leaves_in_raw_model(raw: RawModel, state: IntArray, n_states: int) -> BoolA
 
 
 def distinct_actions(names: Sequence[str], pair_state: IntArray) -> Sequence[str]:
-    """Action names of a raw model, distinct in each state: a repeated one gets a number, [pairs]."""
+    """Action names of a raw model, distinct in each state: a repeat gets a number, [pairs]."""
     table: dict[str, int] = {}
     code = np.array([table.setdefault(name, len(table)) for name in names], dtype=np.int64)
     order = np.lexsort((code, pair_state))

@@ -18,7 +18,7 @@ from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, ArrivalCharges
 from ssp_lp.processes.layered.charges import TOTAL_COST, Charge, TailValues
 from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.levels import Levels, LevelWindow
+from ssp_lp.processes.totals.levels import Levels, Window
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,9 +90,9 @@ class LayeredProcess:
         """The total at which the table ends, in units."""
         return self.cap if self.ladder is None else float(self.ladder.rungs[-1])
 
-    def window(self, beyond: FloatArray) -> LevelWindow:
+    def window(self, beyond: FloatArray) -> Window:
         """Values of the layers ahead, beginning with those beyond the cap, [layers, ...]."""
-        return LevelWindow(beyond, self.levels)
+        return Window(beyond, self.levels)
 
     @cached_property
     def charges(self) -> ArrivalCharges:

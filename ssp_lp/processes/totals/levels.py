@@ -68,7 +68,7 @@ class Levels:
 _SLACK = 4  # the buffer holds this many windows, so that all is moved once in three windows
 
 
-class LevelWindow:
+class Window:
     """Values of the next layers, nearest first; a layer is pushed at the front."""
 
     def __init__(self, first: FloatArray, levels: Levels | None = None) -> None:
