@@ -42,8 +42,8 @@ from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     GiveUp,
     as_percentage,
+    check_failure_setting,
     check_penalty,
-    check_setting,
     parse_give_up,
     start_distribution,
 )
@@ -194,7 +194,7 @@ class Formulation(_Inherited):
         given = vars(self)
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
-        check_setting(given.get("_stated_budget", budget), given.get("discount"), share)
+        check_failure_setting(given.get("_stated_budget", budget), given.get("discount"), share)
         if "give_up" in given:
             given["give_up"] = parse_give_up(given["give_up"])
         if not isinstance(self._asked.model, SSP):

@@ -190,7 +190,7 @@ def deadline_of(time_limit: float | None, began: float) -> float:
 
 
 def _logged_progress(progress: Progress | None) -> Progress:
-    """The option's function itself, after the logger has been told the same."""
+    """The progress function itself, after the logger has been told the same."""
 
     def told(calls: int, price: float, objective: float) -> None:
         _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)

@@ -275,7 +275,7 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
 
 
 def check_numbers(**named: object) -> None:
-    """Check that arguments are numbers: Python's, numpy's or fractions.
+    """Check that a problem's arguments are numbers: Python's, numpy's or fractions.
 
     Raises:
         ModelError: one is not; it is named.

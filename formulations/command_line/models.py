@@ -34,7 +34,7 @@ class CommandModel:
 
     @property
     def start(self) -> Start:
-        """Where an episode begins.
+        """Where an episode of the command's model begins.
 
         Raises:
             ModelError: neither the model nor the user says so.

@@ -25,7 +25,7 @@ def reached(
     probabilities: FloatArray,
     start: IntArray,
 ) -> BoolArray:
-    """States that a run from the start states may visit, [states].
+    """By a compiled search, states that a run from the start states may visit, [states].
 
     Args:
         pair_offsets: [states + 1].
@@ -65,7 +65,7 @@ def _search_forwards(
 def reaching(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, goals: IntArray
 ) -> BoolArray:
-    """States from which a run may reach a goal, goals included, [states].
+    """By a compiled search, states from which a run may reach a goal, goals included, [states].
 
     Args:
         offsets: of the predecessors, [states + 1].
@@ -211,7 +211,7 @@ def _approach_search(
 def leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
 ) -> BoolArray:
-    """Pairs that may lead to one of the states, [pairs]."""
+    """By a search of the graph, pairs that may lead into one of the states, [pairs]."""
     leads = np.zeros(len(outcome_offsets) - 1, dtype=np.bool_)
     _search_leading_into(outcome_offsets, unsigned(successors), probabilities, states, leads)
     return leads

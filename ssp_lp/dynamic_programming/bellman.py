@@ -42,14 +42,14 @@ class PairCost:
 
     @property
     def total(self) -> FloatArray:
-        """The cost of each pair, [pairs]."""
+        """The cost of each pair in a Bellman backup, [pairs]."""
         if self.slope is None or self.factor == 0.0:
             return self.fixed
         return self.fixed + self.factor * self.slope
 
     @property
     def parts(self) -> tuple[FloatArray, FloatArray, float]:
-        """(fixed, slope, factor) with an array in place of a missing slope."""
+        """In a Bellman backup (fixed, slope, factor), an array in place of a missing slope."""
         return self.fixed, _NONE if self.slope is None else self.slope, float(self.factor)
 
 

@@ -58,7 +58,7 @@ def policy_basis(
     found, pricing = _searched_for_basis(compiled, row, deadline), compiled.pricing()
     best = pricing.minimise(found.price, found.columns[0])
     columns = [column for column in (*found.columns, best) if column.choice is not None]
-    if found.price > (found.objective if row.ratio else 0.0) and _are_without_basis(
+    if found.price > (found.objective if row.ratio else 0.0) and _are_without_a_basis(
         columns, row.budget
     ):
         columns += [pricing.minimise(found.price * factor, best) for factor in _NEARBY]
@@ -82,7 +82,7 @@ def _parted_for_basis(columns: list[Column], budget: float) -> tuple[list[Column
     return inside, [column for column in columns if column.failure > budget]
 
 
-def _are_without_basis(columns: list[Column], budget: float) -> bool:
+def _are_without_a_basis(columns: list[Column], budget: float) -> bool:
     """Whether all lie on one side of the budget: it is the failure of a policy, up to rounding."""
     return not all(_parted_for_basis(columns, budget))
 

@@ -179,7 +179,7 @@ class Quotient:
         return self._routed(decision)
 
     def _routed(self, decision: IntArray) -> IntArray:
-        """Decisions by which a node of the quotient is left from each of its states."""
+        """Decisions on states, with a way through the node for its members that have none."""
         lost = self.merged & (decision == UNDECIDED)
         if not lost.any():
             return decision

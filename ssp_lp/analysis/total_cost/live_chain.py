@@ -127,7 +127,7 @@ class FreeChainMoves:
         return self.gathered(np.eye(len(self._leaving)))
 
     def gathered(self, rewards: FloatArray) -> FloatArray:
-        """Expected rewards of all visits within one layer, by where it is entered.
+        """Expected rewards of all visits of a live chain within one layer, by where it is entered.
 
         Args:
             rewards: of a visit, [nodes, rewards].

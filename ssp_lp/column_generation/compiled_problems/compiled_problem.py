@@ -179,7 +179,7 @@ class ObjectiveSense:
     offset: float = 0.0  # what is minimised is so much more than what is asked
 
     def worth(self, value: float) -> float:
-        """The problem's objective where what is minimised has a value."""
+        """The compiled problem's objective where what is minimised has a value."""
         return value - self.offset if self.constant is None else self.constant - value
 
     def settled_bound(self, value: float, bound: float) -> float:

@@ -94,7 +94,7 @@ class ExplicitPricing:
 
     @cached_property
     def _first(self) -> Column:
-        """The totals of the leaving policy, from which explicit pricing begins."""
+        """The column of the leaving policy, from which explicit pricing begins."""
         return self.measure(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:

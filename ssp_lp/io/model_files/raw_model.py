@@ -119,7 +119,7 @@ class ModelFile:
 
     @property
     def start(self) -> Hashable:
-        """The one initial state.
+        """The one initial state of a file's raw model.
 
         Raises:
             ModelError: the file names none, or several.

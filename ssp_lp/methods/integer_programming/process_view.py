@@ -135,7 +135,7 @@ def _merged_nodes(quotient: Quotient) -> BoolArray:
 
 
 def _check_view_size(n_pairs: int) -> None:
-    """Raise :class:`ModelError` where the view of a process is too large for integers."""
+    """Raise :class:`ModelError` where the view of a process is too large for an integer program."""
     if n_pairs > _MOST_PAIRS:
         raise ModelError(
             f"policy_class='deterministic': a mixed-integer program of {n_pairs:,} pairs is too "

@@ -213,7 +213,7 @@ def _minimised_in_search(
     ratio, bound = known if row.ratio else 0.0, 0.0
     for _ in range(_RATIOS):
         cost = process.cost - ratio * process.goal
-        _begin_search(search, program, cost)
+        _begin_policy_search(search, program, cost)
         answer = _searched_program(search, program, cost, is_outer=is_outer)
         bound = max(bound, min(_bound_of_search(row, ratio, answer.bound), known))
         if not answer.finished:
@@ -227,7 +227,7 @@ def _minimised_in_search(
     return bound, False
 
 
-def _begin_search(search: _PolicySearch, program: IntegerProgram, cost: FloatArray) -> None:
+def _begin_policy_search(search: _PolicySearch, program: IntegerProgram, cost: FloatArray) -> None:
     """Begin at the best policy so far, where it is one of the process's."""
     choice = search.choice
     if choice is None:

@@ -59,7 +59,7 @@ class Near(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _WithinBudget:
+class _QuestionWithinBudget:
     """Failure alone is limited."""
 
     compiled: CompiledArrivalCost  # of the total cost
@@ -135,7 +135,7 @@ class _WithinBudget:
 
 
 @dataclass(frozen=True, eq=False)
-class _WithinRows:
+class _QuestionWithinRows:
     """Other quantities are limited, too."""
 
     problem: Problem
@@ -200,7 +200,7 @@ class _WithinRows:
         return Truth(value, figures)
 
 
-Question = _WithinBudget | _WithinRows
+Question = _QuestionWithinBudget | _QuestionWithinRows
 """The policies among which the least risk is sought."""
 
 
@@ -233,7 +233,7 @@ def question_of(problem: Problem) -> Question:
         ModelError: the problem is not compiled to accumulated costs.
     """
     if by_rows(problem):
-        return _WithinRows(problem, compiled_constrained(problem).settled())
+        return _QuestionWithinRows(problem, compiled_constrained(problem).settled())
     compiled = problem.compile()
     if not isinstance(compiled, CompiledArrivalCost):
         raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
@@ -253,13 +253,13 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
     column = checked_least_failure(compiled, budget).column
     least = column.failure
     if budget is not None and budget > least + _ROUNDING * column.goal:
-        return _WithinBudget(compiled, budget, least)
+        return _QuestionWithinBudget(compiled, budget, least)
     note = ""
     if budget is not None and budget != least:
         side = "below" if budget < least else "above"
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return _WithinBudget(compiled.safest(), None, least, note)
+    return _QuestionWithinBudget(compiled.safest(), None, least, note)
 
 
 def question_remarks(question: Question, *, in_time: bool) -> str:

@@ -146,7 +146,7 @@ class Conflict:
     allowed: float  # the sum that the bounds allow
 
     def told(self, names: list[str], bounds: FloatArray, every: str) -> str:
-        """The proof in words.
+        """The proof of phase 1's conflict in words.
 
         Args:
             names: of the rows of the conflict.

@@ -52,7 +52,7 @@ class TailValues:
     def stacked(
         cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
     ) -> TailValues:
-        """Several policies' values, one row each, seen by some other index."""
+        """Several policies' values to be charged, one row each, seen by some other index."""
         return cls(
             np.stack([seen(p.goal) for p in policies]),
             np.stack([seen(p.failure) for p in policies]),
@@ -62,7 +62,7 @@ class TailValues:
         )
 
     def row(self, number: int) -> TailValues:
-        """The values of one policy out of several, whose number is the first index."""
+        """The values to be charged of one policy of several, whose number is the first index."""
         return TailValues(
             self.goal[number],
             self.failure[number],

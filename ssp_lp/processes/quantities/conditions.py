@@ -45,11 +45,11 @@ class StepTerm:
 
     @property
     def free(self) -> BoolArray:
-        """Pairs that never cost anything, [pairs]."""
+        """Pairs that cost nothing in the condition, [pairs]."""
         return costless_pairs(self.model)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """The cost, [pairs], and at the source."""
+        """The cost that the condition counts, [pairs], and at the source."""
         return counting.cost(self.model)
 
 
@@ -64,13 +64,13 @@ class ArrivalTerm:
 
     @property
     def free(self) -> BoolArray:
-        """Pairs that never lead there, [pairs]; endings are no steps."""
+        """Pairs that never arrive where the condition counts, [pairs]; endings are no steps."""
         if self.final:
             return np.ones(self.model.n_pairs, dtype=np.bool_)
         return ~pairs_into(self.model, self.states)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Their probability, [pairs], and at the source."""
+        """The probability of arriving where the condition counts, [pairs], and at the source."""
         if self.others:
             return counting.other_endings(self.states)
         return counting.arrivals(self.states)
@@ -94,7 +94,7 @@ class UpperRow:
 
     @cached_property
     def free(self) -> BoolArray:
-        """Pairs of the model that add nothing to it, [pairs]."""
+        """Pairs of the model that add nothing to the condition's row, [pairs]."""
         result = np.ones(self.condition.model.n_pairs, dtype=np.bool_)
         for _, term in self.terms:
             result &= term.free
