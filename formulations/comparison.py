@@ -92,14 +92,14 @@ class CriteriaComparison:
         return html_table("Criteria", self._cells(), _HEAD, self._notes())
 
     def _cells(self) -> list[list[str]]:
-        """Each row's name and numbers."""
+        """Each criterion's name and numbers."""
         return [
             [row.criterion, *("-" if v is None else f"{v:.6g}" for v in row.numbers)]
             for row in self.rows
         ]
 
     def _notes(self) -> list[str]:
-        """Why some have no numbers."""
+        """Why some criteria have no numbers."""
         return [f"{row.criterion}: {row.note}" for row in self.rows if row.note]
 
     def summary(self) -> str:
@@ -169,10 +169,10 @@ def compare_criteria(
         FinitePenalty, penalty 10              2     1              1      0.1       10
     """
     asked = [
-        *_questions(model, start, failure_budgets, penalties, reach_fractions),
-        *_questions_of_risk(model, start, failure_budgets, cost_bounds, levels),
+        *_compared_problems(model, start, failure_budgets, penalties, reach_fractions),
+        *_compared_risks(model, start, failure_budgets, cost_bounds, levels),
     ]
-    for budget, words in _within(failure_budgets) if limits else ():
+    for budget, words in _compared_budgets(failure_budgets) if limits else ():
         problem = ConstrainedCost(model, start, limits or {}, failure_budget=budget)
         asked.append((f"ConstrainedCost, {words}", problem))
     for factor, bonus in exponential_utilities:
@@ -182,17 +182,18 @@ def compare_criteria(
     with progress_shown(verbose):
         for number, (name, question) in enumerate(asked, 1):
             _LOG.info("%d of %d: %s", number, len(asked), name)
-            rows.append(_row(name, question, horizon))
+            rows.append(_criterion_row(name, question, horizon))
     return CriteriaComparison(tuple(rows))
 
 
-def _questions(
+def _compared_problems(
     model: SSP,
     start: Hashable | Mapping[Hashable, float],
     budgets: Sequence[float],
     penalties: Sequence[float],
     fractions: Sequence[float],
 ) -> Iterator[tuple[str, Problem]]:
+    """The problems of all criteria that are compared, with their names."""
     yield "MaxProb", MaxProb(model, start)
     yield "MinProb", MinProb(model, start)
     yield "MinCost", MinCost(model, start)
@@ -208,14 +209,15 @@ def _questions(
         yield f"FinitePenalty, penalty {penalty:g}", FinitePenalty(model, start, penalty)
 
 
-def _questions_of_risk(
+def _compared_risks(
     model: SSP,
     start: Hashable | Mapping[Hashable, float],
     budgets: Sequence[float],
     bounds: Sequence[float | Fraction],
     levels: Sequence[float],
 ) -> Iterator[tuple[str, Problem]]:
-    within = _within(budgets)
+    """The problems of risk that are compared, with their names."""
+    within = _compared_budgets(budgets)
     for bound in bounds:
         name = f"CostBoundedReach, cost {float(bound):g}"
         yield name, CostBoundedReach(model, start, bound)
@@ -227,12 +229,13 @@ def _questions_of_risk(
             yield f"CVaR {level:g}, {words}", CVaR(model, start, level, budget)
 
 
-def _within(budgets: Sequence[float]) -> list[tuple[float | None, str]]:
-    """Least failure and each budget, with their names."""
+def _compared_budgets(budgets: Sequence[float]) -> list[tuple[float | None, str]]:
+    """Least failure and each budget that is compared, with their names."""
     return [(None, "least failure"), *((b, f"failure budget {b:g}") for b in budgets)]
 
 
-def _row(name: str, problem: Any, horizon: int | None) -> CriterionRow:
+def _criterion_row(name: str, problem: Any, horizon: int | None) -> CriterionRow:
+    """A criterion's row of the comparison."""
     if horizon is not None:
         problem = replace(problem, horizon=horizon, **as_stated(problem))
     try:

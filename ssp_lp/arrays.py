@@ -124,7 +124,7 @@ def first_minimisers(values: FloatArray, minima: FloatArray, offsets: IntArray) 
 
 
 def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
-    """``columns @ weights``, without waking the threads of a matrix product, [rows].
+    """A weighted sum of an array's columns, without waking the threads of a matrix product.
 
     Args:
         columns: [rows, columns]; few columns.
@@ -138,7 +138,7 @@ def weighted(columns: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def expected(start: FloatArray, values: FloatArray) -> npt.NDArray[Any]:
-    """``start @ values`` over the states that are started in, for a start that is mostly zeros.
+    """``start @ values`` of arrays over states, for a start that is mostly zeros.
 
     Args:
         start: distribution, [states].

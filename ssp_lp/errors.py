@@ -92,7 +92,7 @@ def optional_module(name: str, extra: str) -> ModuleType:
 
 
 def in_short(value: Any) -> str:
-    """The value's repr where it is short; else what it is and how large."""
+    """For an error: the value's repr where it is short; else what it is and how large."""
     if isinstance(value, enum.Enum):
         return repr(str(value.value))
     if isinstance(value, np.ndarray):
@@ -116,16 +116,16 @@ def did_you_mean(unknown: Hashable, names: Iterable[Hashable]) -> str:
     A name that reads the same counts as nearest, such as 3 for '3' or (1, 2) for [1, 2].
     """
     some = list(islice(names, _LOOKED_AT))
-    plain = _as_read(unknown)
-    found = next((name for name in some if _as_read(name) == plain), None)
+    plain = _as_read_for_error(unknown)
+    found = next((name for name in some if _as_read_for_error(name) == plain), None)
     if found is None and isinstance(unknown, str):
         words = [name for name in some if isinstance(name, str)]
         found = next(iter(get_close_matches(unknown, words, n=1)), None)
     return "" if found is None else f"; did you mean {found!r}?"
 
 
-def _as_read(name: Hashable) -> str:
-    """A name without what people slip on: quotes, brackets, blanks, capitals."""
+def _as_read_for_error(name: Hashable) -> str:
+    """For an error's hint: a name without quotes, brackets, blanks and capitals."""
     return str(name).translate(_DROPPED).casefold()
 
 

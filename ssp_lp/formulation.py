@@ -26,7 +26,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_failure_label import Co
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import InfeasibleError, ModelError, in_short
 from ssp_lp.model import SSP
-from ssp_lp.model.within_steps import check_steps, unroll
+from ssp_lp.model.within_steps import check_steps, unroll_steps
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
@@ -42,8 +42,8 @@ from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     GiveUp,
     as_percentage,
+    check_failure_setting,
     check_penalty,
-    check_setting,
     parse_give_up,
     start_distribution,
 )
@@ -194,7 +194,7 @@ class Formulation(_Inherited):
         given = vars(self)
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
-        check_setting(given.get("_stated_budget", budget), given.get("discount"), share)
+        check_failure_setting(given.get("_stated_budget", budget), given.get("discount"), share)
         if "give_up" in given:
             given["give_up"] = parse_give_up(given["give_up"])
         if not isinstance(self._asked.model, SSP):
@@ -219,7 +219,7 @@ class Formulation(_Inherited):
         if self.horizon is None:
             return self._asked
         start, begin = self._begun, np.flatnonzero(self._begun)
-        model = unroll(self._asked.model, self.horizon, begin.tolist())
+        model = unroll_steps(self._asked.model, self.horizon, begin.tolist())
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
         return cast("Problem", replace(self, **on_it, **as_stated(self)))
@@ -264,6 +264,7 @@ class Formulation(_Inherited):
 
     @property
     def _asked(self) -> Problem:
+        """The formulation as the problem that it is."""
         return cast("Problem", self)
 
     def compile(self) -> CompiledProblem:

@@ -175,7 +175,7 @@ def options_of(
     deadline = deadline_of(time_limit, began)
     asked = method.relaxation if isinstance(method, DeterministicPolicies) else method
     program = asked if isinstance(asked, LinearProgramming) else None
-    return SolveOptions(tolerance, deadline, _logged(progress), program)
+    return SolveOptions(tolerance, deadline, _logged_progress(progress), program)
 
 
 def deadline_of(time_limit: float | None, began: float) -> float:
@@ -189,8 +189,8 @@ def deadline_of(time_limit: float | None, began: float) -> float:
     return float("inf") if time_limit is None else began + float(time_limit)
 
 
-def _logged(progress: Progress | None) -> Progress:
-    """The function itself, after the logger has been told the same."""
+def _logged_progress(progress: Progress | None) -> Progress:
+    """The progress function itself, after the logger has been told the same."""
 
     def told(calls: int, price: float, objective: float) -> None:
         _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
@@ -215,10 +215,10 @@ def progress_shown(asked: bool = True) -> Iterator[None]:
         ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
     """
     logger = logging.getLogger(LOGGER)
-    if not asked or any(isinstance(known, _Lines) for known in logger.handlers):
+    if not asked or any(isinstance(known, _ProgressLines) for known in logger.handlers):
         yield  # nothing, or it is shown already
         return
-    shown = _Lines(sys.stderr)
+    shown = _ProgressLines(sys.stderr)
     level, passed_on = logger.level, logger.propagate
     logger.addHandler(shown)
     logger.setLevel(logging.DEBUG)
@@ -232,7 +232,7 @@ def progress_shown(asked: bool = True) -> Iterator[None]:
         shown.close()
 
 
-class _Lines(logging.Handler):
+class _ProgressLines(logging.Handler):
     """Lines of what is done; below them, where it can be overwritten, what is under way."""
 
     def __init__(self, stream: TextIO) -> None:
@@ -262,6 +262,7 @@ class _Lines(logging.Handler):
         super().close()
 
     def _clear(self) -> None:
+        """Clear the line of progress that was under way."""
         if self._under_way:
             self._stream.write(f"\r{' ' * _WIDTH}\r")
             self._under_way = False

@@ -21,7 +21,7 @@ from ssp_lp.processes.in_product import on_product
 from ssp_lp.processes.layered.charges import TOTAL_COST
 from ssp_lp.processes.quantities.conditions import Condition
 from ssp_lp.processes.totals.ladder import Rungs, rungs_for
-from ssp_lp.processes.totals.sums import MOST_SUMS
+from ssp_lp.processes.totals.step_sums import MOST_SUMS
 
 
 class Problem(Protocol):
@@ -107,14 +107,14 @@ def rungs_of(problem: Problem) -> Rungs | None:
 
 
 def by_sums(problem: Problem) -> bool:
-    """Whether totals are the sums that can occur, each a layer of backward sweeps."""
+    """Whether a problem's totals are the sums that can occur, each a layer of backward sweeps."""
     of_law = problem.semantics.measure is not None
-    if has_rows(problem) or (not of_law and _is_cut(problem)):
+    if has_rows(problem) or (not of_law and _is_cut_problem(problem)):
         return False
     return (rungs := rungs_of(problem)) is not None and rungs.most == MOST_SUMS
 
 
-def _is_cut(problem: Problem) -> bool:
+def _is_cut_problem(problem: Problem) -> bool:
     """Whether case S is discounted, or its costs are told apart up to a cap of the user's."""
     return problem.discount is not None or getattr(problem, "cost_cap", None) is not None
 
@@ -275,7 +275,7 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
 
 
 def check_numbers(**named: object) -> None:
-    """Check that arguments are numbers: Python's, numpy's or fractions.
+    """Check that a problem's arguments are numbers: Python's, numpy's or fractions.
 
     Raises:
         ModelError: one is not; it is named.

@@ -19,7 +19,7 @@ from ssp_lp.methods.one_row import (
 )
 from ssp_lp.methods.risk.least_risk import least_risk
 from ssp_lp.methods.rounded_costs import solve_on_rounded_costs
-from ssp_lp.methods.rows.optimum import solve_constrained
+from ssp_lp.methods.rows.rows_optimum import solve_constrained
 from ssp_lp.options import (
     ColumnGeneration,
     DeterministicPolicies,
@@ -89,7 +89,7 @@ def solve(
     options = options_of(chosen, tolerance, began, time_limit, progress)
     _check_method(problem, chosen)
     with progress_shown(verbose):
-        solution, status = _proved(problem, chosen, options)
+        solution, status = _solved_with_proof(problem, chosen, options)
     reason = solution.run.reason
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")
@@ -103,14 +103,16 @@ def solve(
     )
 
 
-def _proved(problem: Problem, method: Method, options: SolveOptions) -> tuple[Solution, Status]:
+def _solved_with_proof(
+    problem: Problem, method: Method, options: SolveOptions
+) -> tuple[Solution, Status]:
     """The answer to the problem that is solved, checked, and why the search ended."""
     try:
         with until(options.deadline) as deadline:
-            solution = _solved(unrolled(problem), method, options)
+            solution = _solved_by_driver(unrolled(problem), method, options)
     except Stop as stop:
-        raise _unanswered(problem, deadline, stop) from None
-    _check_answer(solution)
+        raise _unsolved(problem, deadline, stop) from None
+    _check_solution(solution)
     found = solution.run.method, solution.run.pricing_calls, solution.objective
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *found)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
@@ -118,7 +120,7 @@ def _proved(problem: Problem, method: Method, options: SolveOptions) -> tuple[So
     return solution, deadline.status(solution.gap, options.tolerance)
 
 
-def _unanswered(problem: Problem, deadline: Deadline, stop: Stop) -> BaseException:
+def _unsolved(problem: Problem, deadline: Deadline, stop: Stop) -> BaseException:
     """What to raise where the time ended before there was an answer."""
     if deadline.is_interrupted:
         return KeyboardInterrupt(stop.told)
@@ -130,8 +132,8 @@ def _unanswered(problem: Problem, deadline: Deadline, stop: Stop) -> BaseExcepti
     )
 
 
-def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """By the driver that knows the problem."""
+def _solved_by_driver(problem: Problem, method: Method, options: SolveOptions) -> Solution:
+    """Solve a problem by the driver that knows it."""
     measure = problem.semantics.measure
     if isinstance(method, Game):
         return solve_by_game(problem, options)
@@ -152,7 +154,7 @@ def _solved(problem: Problem, method: Method, options: SolveOptions) -> Solution
 
 
 def _check_method(problem: Problem, method: Method) -> None:
-    """Check that a method knows a problem.
+    """Check that the method that solves a problem knows it.
 
     Raises:
         ModelError: it does not.
@@ -172,14 +174,14 @@ def _check_method(problem: Problem, method: Method) -> None:
 
 
 def _with_gap(solution: Solution, tolerance: float) -> str:
-    """The note, which says so where the tolerance is missed and nothing else says why."""
+    """The solution's note, which says so where the tolerance is missed and nothing else does."""
     if solution.note or solution.gap <= tolerance:
         return solution.note
     return f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
 
 
-def _check_answer(solution: Solution) -> None:
-    """Check what every answer must satisfy, whoever found it.
+def _check_solution(solution: Solution) -> None:
+    """Check what every answer of ``solve`` must satisfy, whoever found it.
 
     Raises:
         SolverError: a probability outside [0, 1], a budget that is not kept, weights that are no

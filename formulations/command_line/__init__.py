@@ -30,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: those of the command line, if left out.
     """
     try:
-        return _run(argument_parser().parse_args(arguments))
+        return _run_command(argument_parser().parse_args(arguments))
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:  # what is left would be flushed at exit, and complained of
@@ -38,13 +38,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return UNREAD
 
 
-def _run(asked: Namespace) -> int:
+def _run_command(asked: Namespace) -> int:
+    """Run the command that was asked for; its exit code."""
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
     try:
         with warnings.catch_warnings(), progress_shown(asked.verbose):
-            warnings.showwarning = _warn
+            warnings.showwarning = _warn_on_command_line
             for line in import_module(f"{__name__}.commands").COMMANDS[asked.command](asked):
                 print(line)
         sys.stdout.flush()
@@ -59,7 +60,8 @@ def _run(asked: Namespace) -> int:
     return 0
 
 
-def _warn(message: Warning | str, *_: object, **__: object) -> None:
+def _warn_on_command_line(message: Warning | str, *_: object, **__: object) -> None:
+    """Write a warning on the standard error of the command line."""
     _tell(f"warning: {message}")
 
 

@@ -20,14 +20,15 @@ if TYPE_CHECKING:
 
 def json_answer(answer: Any) -> list[str]:
     """The lines of an answer in JSON; what is no finite number is null."""
-    return [json.dumps(_finite(answer), indent=2, ensure_ascii=False)]
+    return [json.dumps(_finite_answer(answer), indent=2, ensure_ascii=False)]
 
 
-def _finite(value: Any) -> Any:
+def _finite_answer(value: Any) -> Any:
+    """An answer in which what is no finite number is None."""
     if isinstance(value, Mapping):
-        return {name: _finite(one) for name, one in value.items()}
+        return {name: _finite_answer(one) for name, one in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_finite(one) for one in value]
+        return [_finite_answer(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
@@ -72,7 +73,8 @@ def policy_writer(path: str | None) -> PolicyWriter | None:
     raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {path!r}")
 
 
-def _write_table(solution: Solution, of: CommandModel, path: str) -> None:
+def _write_answer_table(solution: Solution, of: CommandModel, path: str) -> None:
+    """Write the policy of an answer as a table."""
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(("state", "memory", "action", "probability", "member"))
@@ -86,5 +88,5 @@ _WRITERS: dict[str, PolicyWriter] = {
     ".npz": lambda solution, of, path: save_policy(solution.policy, path),
     ".json": lambda solution, of, path: write_controller(solution.policy, path),
     ".dot": lambda solution, of, path: write_dot(solution.policy, path, of.start),
-    ".csv": _write_table,
+    ".csv": _write_answer_table,
 }

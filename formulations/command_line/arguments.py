@@ -30,15 +30,15 @@ class Parameter(NamedTuple):
     metavar: str = ""
 
 
-def _number(text: str) -> Fraction:
-    """A number as it is written: 0.1 is a tenth."""
+def _number_argument(text: str) -> Fraction:
+    """An argument's number as it is written: 0.1 is a tenth."""
     try:
         return Fraction(text)
     except ZeroDivisionError as error:
         raise ValueError(text) from error
 
 
-def _steps(text: str) -> int | str | None:
+def _steps_argument(text: str) -> int | str | None:
     """A horizon: a number of steps, none, or "env", the environment's own."""
     if text == "env":
         return text
@@ -52,7 +52,7 @@ PARAMETERS = {
     "reach_fraction": Parameter("share of the greatest goal probability to keep", float, "SHARE"),
     "penalty": Parameter("what failing costs", float, "COST"),
     "level": Parameter("of the quantile or the tail, such as 0.95", float, "P"),
-    "cost_bound": Parameter("the total cost to keep to", _number, "COST"),
+    "cost_bound": Parameter("the total cost to keep to", _number_argument, "COST"),
     "cost_budget": Parameter("the expected cost to keep to", float, "COST"),
     "risk_factor": Parameter("of the exponential utility, < 0 to shun risk", float, "X"),
     "goal_bonus": Parameter("utility of the goal itself", float, "X"),
@@ -156,6 +156,7 @@ def argument_parser() -> ArgumentParser:
 
 
 def _add_model(one: ArgumentParser) -> None:
+    """Add the arguments that name a model."""
     model = one.add_argument_group("the model")
     model.add_argument(
         "--goal", nargs="+", default=[], metavar="STATE", help="goal states, or their label"
@@ -165,7 +166,7 @@ def _add_model(one: ArgumentParser) -> None:
     model.add_argument("--constants", metavar="N=5,...", help="what a program leaves open")
     model.add_argument(
         "--horizon",
-        type=_steps,
+        type=_steps_argument,
         default="env",
         metavar="N",
         help="reach the goal within N steps; an environment's own limit if left out, or none",
@@ -173,6 +174,7 @@ def _add_model(one: ArgumentParser) -> None:
 
 
 def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
+    """Add the arguments that ask a criterion."""
     question = one.add_argument_group("the question")
     question.add_argument(
         "--criterion", choices=criteria, default="mcmp", metavar="NAME",
@@ -195,6 +197,7 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
 
 
 def _add_solve(one: ArgumentParser) -> None:
+    """Add the arguments of ``solve``."""
     _add_question(one, list(CRITERIA))
     search = one.add_argument_group("the search")
     search.add_argument("--method", metavar="NAME", help="columns, lp, game, deterministic")
@@ -211,6 +214,7 @@ def _add_solve(one: ArgumentParser) -> None:
 
 
 def _add_frontier(one: ArgumentParser) -> None:
+    """Add the arguments of ``frontier``."""
     _add_question(one, ["mcmp", "s3p"])
     one.add_argument("--gap", type=float, metavar="GAP", help="how near; 1e-9")
     one.add_argument("--points", type=int, metavar="N", help="at most so many turning points")
@@ -222,10 +226,12 @@ def _add_frontier(one: ArgumentParser) -> None:
 
 
 def _add_info(one: ArgumentParser) -> None:
+    """Add the arguments of ``info``."""
     one.add_argument("--json", action="store_true", help="for other programs")
 
 
 def _add_simulate(one: ArgumentParser) -> None:
+    """Add the arguments of ``simulate``."""
     one.add_argument("--policy", required=True, metavar="FILE", help="of solve --policy-out")
     one.add_argument("--episodes", type=int, default=10_000, metavar="N", help="10,000")
     one.add_argument("--seed", type=int, default=0, metavar="N", help="0")
@@ -235,6 +241,7 @@ def _add_simulate(one: ArgumentParser) -> None:
 
 
 def _add_compare(one: ArgumentParser) -> None:
+    """Add the arguments of ``compare``."""
     for name in ("failure_budget", "penalty", "reach_fraction", "cost_bound", "level"):
         said = PARAMETERS[name]
         flag = f"--{name.replace('_', '-')}"
@@ -243,6 +250,7 @@ def _add_compare(one: ArgumentParser) -> None:
 
 
 def _add_program(one: ArgumentParser) -> None:
+    """Add the arguments of ``program``."""
     _add_question(one, [name for name in CRITERIA if name not in {"cost-quantile", "cvar"}])
     one.add_argument("--out", metavar="FILE", help="write it: .mps or .lp")
 

@@ -35,7 +35,8 @@ from ssp_lp.plotting import plot_cost_law, plot_frontier
 from ssp_lp.policies.policy import Policy
 
 
-def _solve(asked: Namespace) -> Iterable[str]:
+def _solve_command(asked: Namespace) -> Iterable[str]:
+    """The command ``solve``."""
     write, figure = policy_writer(asked.policy_out), figure_for(asked.plot)
     found = command_model(asked)
     tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
@@ -47,11 +48,11 @@ def _solve(asked: Namespace) -> Iterable[str]:
         level = {} if asked.level is None else {"level": asked.level}
         plot_cost_law(success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
-    return json_answer(_told(solution)) if asked.json else [solution.summary()]
+    return json_answer(_told_by_command(solution)) if asked.json else [solution.summary()]
 
 
-def _told(solution: Solution) -> dict[str, Any]:
-    """A solution as a table for other programs."""
+def _told_by_command(solution: Solution) -> dict[str, Any]:
+    """A command's solution as a table for other programs."""
     found = solution.evaluation
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
     return {
@@ -78,7 +79,7 @@ def _told(solution: Solution) -> dict[str, Any]:
 
 
 def _decisions(policy: Policy) -> dict[str, Any]:
-    """The decisions by state, with a horizon by state and steps; of another policy what it is."""
+    """The decisions that a command prints, by state; of a policy with memory what it is."""
     inner = getattr(policy, "inner", policy)
     if not isinstance(inner, DeterministicPolicy):
         return {"kind": repr(policy)}
@@ -93,7 +94,8 @@ def _decisions(policy: Policy) -> dict[str, Any]:
 _POINT = ("failure", "goal", "cost", "objective", "price")
 
 
-def _frontier(asked: Namespace) -> Iterable[str]:
+def _frontier_command(asked: Namespace) -> Iterable[str]:
+    """The command ``frontier``."""
     figure = figure_for(asked.plot)
     gap = {} if asked.gap is None else {"gap": asked.gap}
     problem = problem_of(asked, command_model(asked))
@@ -114,7 +116,8 @@ def _frontier(asked: Namespace) -> Iterable[str]:
     return [*aligned_table(_POINT, cells), f"gap {traced.gap:.1e}"]
 
 
-def _info(asked: Namespace) -> Iterable[str]:
+def _info_command(asked: Namespace) -> Iterable[str]:
+    """The command ``info``."""
     model, start = command_model(asked).written_out
     facts: dict[str, float] = {
         "states": model.n_states,
@@ -131,7 +134,8 @@ def _info(asked: Namespace) -> Iterable[str]:
     return [f"{name:<17} {value:,}" for name, value in facts.items()]
 
 
-def _simulate(asked: Namespace) -> Iterable[str]:
+def _simulate_command(asked: Namespace) -> Iterable[str]:
+    """The command ``simulate``."""
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
     policy = load_policy(asked.policy, problem.unrolled.model)
@@ -161,12 +165,14 @@ def _simulate(asked: Namespace) -> Iterable[str]:
 
 
 def _in_words(value: Any) -> str:
+    """What a command found, in words."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {count:,}" for name, count in value.items() if count)
     return f"{value}" if isinstance(value, Estimate) else f"{value:,.6g}"
 
 
-def _convert(asked: Namespace) -> Iterable[str]:
+def _convert_command(asked: Namespace) -> Iterable[str]:
+    """The command ``convert``."""
     found = command_model(asked)
     model, start = found.written_out
     if asked.target == "-":
@@ -187,7 +193,8 @@ _PLURAL = {
 _COLUMNS = ("objective", "expected_cost", "conditional_cost", "failure_probability", "price")
 
 
-def _compare(asked: Namespace) -> Iterable[str]:
+def _compare_command(asked: Namespace) -> Iterable[str]:
+    """The command ``compare``."""
     found = command_model(asked)
     several = {_PLURAL[one]: given for one in _PLURAL if (given := getattr(asked, one)) is not None}
     compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
@@ -202,7 +209,8 @@ def _compare(asked: Namespace) -> Iterable[str]:
     )  # fmt: skip
 
 
-def _program(asked: Namespace) -> Iterable[str]:
+def _program_command(asked: Namespace) -> Iterable[str]:
+    """The command ``program``."""
     program = program_of(problem_of(asked, command_model(asked)))
     if asked.out is not None:
         program.write(asked.out)
@@ -210,12 +218,12 @@ def _program(asked: Namespace) -> Iterable[str]:
 
 
 COMMANDS: dict[str, Callable[[Namespace], Iterable[str]]] = {
-    "solve": _solve,
-    "frontier": _frontier,
-    "info": _info,
-    "simulate": _simulate,
-    "convert": _convert,
-    "compare": _compare,
-    "program": _program,
+    "solve": _solve_command,
+    "frontier": _frontier_command,
+    "info": _info_command,
+    "simulate": _simulate_command,
+    "convert": _convert_command,
+    "compare": _compare_command,
+    "program": _program_command,
 }
 """What a command prints, by its name."""

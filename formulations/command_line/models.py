@@ -34,7 +34,7 @@ class CommandModel:
 
     @property
     def start(self) -> Start:
-        """Where an episode begins.
+        """Where an episode of the command's model begins.
 
         Raises:
             ModelError: neither the model nor the user says so.
@@ -80,9 +80,9 @@ def command_model(asked: Namespace) -> CommandModel:
         OSError: the file cannot be read.
     """
     if asked.model.startswith(ENVIRONMENT):
-        return _of_environment(asked)
+        return _model_of_environment(asked)
     if asked.model == "-":
-        stated = parse_json(_standard_input(), "standard input", asked.goal, asked.cost)
+        stated = parse_json(_model_from_standard_input(), "standard input", asked.goal, asked.cost)
     else:
         stated = read_any(asked.model, asked.goal, asked.cost, asked.constants)
     model, start = stated
@@ -92,15 +92,16 @@ def command_model(asked: Namespace) -> CommandModel:
 
 
 @cache
-def _standard_input() -> str:
+def _model_from_standard_input() -> str:
     """All that is read there, once for all the costs of a model."""
     return sys.stdin.read()
 
 
-def _of_environment(asked: Namespace) -> CommandModel:
+def _model_of_environment(asked: Namespace) -> CommandModel:
+    """The model of a Gymnasium environment that the command line names."""
     gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
-    arguments = {key: _value(word) for key, _, word in (w.partition("=") for w in words)}
+    arguments = {key: _value_for_model(word) for key, _, word in (w.partition("=") for w in words)}
     try:
         environment = gymnasium.make(name, **arguments)
     except (gymnasium.error.Error, TypeError, KeyError, ModuleNotFoundError) as error:
@@ -111,13 +112,13 @@ def _of_environment(asked: Namespace) -> CommandModel:
         goal=(lambda state: str(state) in goals) if goals else None,
         cost=asked.cost or "step",
         horizon=None,
-        start=None if asked.start is None else _value(asked.start),
+        start=None if asked.start is None else _value_for_model(asked.start),
     )
     horizon = world.step_limit if asked.horizon == "env" else asked.horizon
     return CommandModel(asked, world.model, world.start, horizon, environment)
 
 
-def _value(word: str) -> Any:
+def _value_for_model(word: str) -> Any:
     """A word as what it means in Python or JSON: a number, a tuple, true; else itself."""
     for read in (literal_eval, json.loads):
         try:

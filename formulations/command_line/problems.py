@@ -39,11 +39,15 @@ def problem_of(asked: Namespace, of: CommandModel) -> Problem:
     given = {name: value for name in PARAMETERS if (value := getattr(asked, name)) is not None}
     for name in given:
         if name not in takes:
-            known = ", ".join(map(_flag, takes)) or "none"
-            raise ModelError(f"{asked.criterion} takes no {_flag(name)}; its options: {known}")
+            known = ", ".join(map(_problem_flag, takes)) or "none"
+            raise ModelError(
+                f"{asked.criterion} takes no {_problem_flag(name)}; its options: {known}"
+            )
     for name, field in takes.items():
         if name not in given and field.default is MISSING and name != "failure_budget":
-            raise ModelError(f"{asked.criterion} needs {_flag(name)}: {PARAMETERS[name].help}")
+            raise ModelError(
+                f"{asked.criterion} needs {_problem_flag(name)}: {PARAMETERS[name].help}"
+            )
     if "quantity" in given:
         given["quantity"] = _problem_quantity(given["quantity"], of)
     limits: dict[str, Constraint] = {}
@@ -65,7 +69,7 @@ def _problem_limit(words: str, of: CommandModel) -> tuple[str, Constraint]:
     found = _LIMIT.fullmatch(words.strip())
     if found is None:
         raise ModelError(f'a limit is a quantity, <=, >= or ==, and a number, not "{words}"')
-    measured, bound = _problem_quantity(found["words"], of), _number(found["bound"], words)
+    measured, bound = _problem_quantity(found["words"], of), _problem_number(found["bound"], words)
     if found["sign"] == "<=":
         return found["words"], measured <= bound
     return found["words"], measured >= bound if found["sign"] == ">=" else measured == bound
@@ -77,11 +81,12 @@ def _problem_quantity(words: str, of: CommandModel) -> Quantity:
     Raises:
         ModelError: what is no quantity of this model.
     """
-    terms = [_term(one.strip(), words, of) for one in words.split(" + ")]
+    terms = [_problem_term(one.strip(), words, of) for one in words.split(" + ")]
     return sum(terms[1:], start=terms[0])
 
 
-def _term(words: str, whole: str, of: CommandModel) -> Quantity:
+def _problem_term(words: str, whole: str, of: CommandModel) -> Quantity:
+    """A term of the sum of quantities that the command's problem limits."""
     found = _TERM.fullmatch(words)
     if found is None:
         raise ModelError(f'"{whole}" is no sum of quantities: cost + 2 * visits(ward)')
@@ -93,15 +98,19 @@ def _term(words: str, whole: str, of: CommandModel) -> Quantity:
         measured = _PLAIN[word]()
     else:
         measured = secondary_cost(of.model_with_cost(word).costs)
-    return measured if found["factor"] is None else _number(found["factor"], whole) * measured
+    return (
+        measured if found["factor"] is None else _problem_number(found["factor"], whole) * measured
+    )
 
 
-def _number(word: str, whole: str) -> float:
+def _problem_number(word: str, whole: str) -> float:
+    """A number in the words of a problem's limit."""
     try:
         return float(word)
     except ValueError as error:
         raise ModelError(f'"{word}" in "{whole}" is no number') from error
 
 
-def _flag(name: str) -> str:
+def _problem_flag(name: str) -> str:
+    """The flag of the command line that states a part of the problem."""
     return f"--{name.replace('_', '-')}"

@@ -56,7 +56,7 @@ class Chain:
 
     @cached_property
     def goal(self) -> FloatArray:
-        """1 at goals, [nodes]."""
+        """1 at goals of the chain, [nodes]."""
         return self.model.goal_mask[self.state].astype(np.float64)
 
     @cached_property
@@ -92,7 +92,7 @@ class Chain:
         return result
 
     def push(self, inflow: FloatArray, survival: float = 1.0) -> FloatArray:
-        """Expected visits of each node, given what enters each from outside, [nodes]."""
+        """The chain's expected visits of each node, given what enters from outside, [nodes]."""
         everywhere = np.ones(self.n_nodes, dtype=np.bool_)
         return self._system(everywhere, survival)[1].solve_transposed(inflow)
 
@@ -111,6 +111,7 @@ class Chain:
 
     @cached_property
     def _systems(self) -> dict[tuple[float, bytes], tuple[IntArray, System]]:
+        """The equations of the chain that are kept."""
         return {}
 
 
@@ -133,17 +134,17 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
         keys = _stationary_nodes(model, policy, first, ended)
         visited = np.zeros(model.n_states, dtype=np.bool_)
         visited[keys] = True
-        found = [_expand(model, policy, keys, ended)]
-        return _assemble(model, visited, start_key, start[first], dead, found)
+        found = [_expand_chain(model, policy, keys, ended)]
+        return _assemble_chain(model, visited, start_key, start[first], dead, found)
     visited = np.zeros(0, dtype=np.bool_)
     frontier, found = sorted_unique(start_key), []
     while frontier.size:
-        visited = _marked(visited, frontier)
-        step = _expand(model, policy, frontier, ended)
+        visited = _marked_nodes(visited, frontier)
+        step = _expand_chain(model, policy, frontier, ended)
         found.append(step)
-        visited = _grown(visited, int(step[1].max(initial=0)))
+        visited = _grown_chain(visited, int(step[1].max(initial=0)))
         frontier = sorted_unique(step[1][~visited[step[1]]])
-    return _assemble(model, visited, start_key, start[first], dead, found)
+    return _assemble_chain(model, visited, start_key, start[first], dead, found)
 
 
 def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolArray) -> IntArray:
@@ -161,13 +162,15 @@ def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolAr
     return np.flatnonzero(reached_along(model.successors[outcome[possible]], offsets, start))
 
 
-def _marked(visited: BoolArray, keys: IntArray) -> BoolArray:
-    visited = _grown(visited, int(keys[-1]))
+def _marked_nodes(visited: BoolArray, keys: IntArray) -> BoolArray:
+    """The nodes of a chain that were visited, some more marked."""
+    visited = _grown_chain(visited, int(keys[-1]))
     visited[keys] = True
     return visited
 
 
-def _grown(visited: BoolArray, key: int) -> BoolArray:
+def _grown_chain(visited: BoolArray, key: int) -> BoolArray:
+    """The marks of a chain's nodes, with room for a key."""
     if key < visited.size:
         return visited
     if key >= _MOST_KEYS:
@@ -180,8 +183,8 @@ def _grown(visited: BoolArray, key: int) -> BoolArray:
 Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 
-def _expand(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Step:
-    """Moves and branches out of the given nodes, all as keys."""
+def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Step:
+    """Moves and branches of the chain out of the given nodes, all as keys."""
     memory, state = np.divmod(keys, model.n_states)
     acting = ~ended[state]
     keys, memory, state = keys[acting], memory[acting], state[acting]
@@ -206,7 +209,7 @@ def _expand(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) -> Ste
             keys[branch.situation], branch.pair, branch.probability)  # fmt: skip
 
 
-def _assemble(
+def _assemble_chain(
     model: SSP,
     visited: BoolArray,
     start_key: IntArray,
@@ -214,6 +217,7 @@ def _assemble(
     dead: BoolArray,
     found: list[Step],
 ) -> Chain:
+    """The chain of the nodes and steps that were found."""
     source, target, chance, cost, outcome, node, pair, weight = (
         np.concatenate([step[i] for step in found]) for i in range(8)
     )
@@ -243,7 +247,7 @@ def _assemble(
     )
 
 
-def reaching(chain: Chain, ends: BoolArray) -> BoolArray:
+def reaching_in_chain(chain: Chain, ends: BoolArray) -> BoolArray:
     """Nodes from which the chain may come to one of the given nodes, [nodes]."""
     backward = chain.matrix.tocsc()
     return reached_along(backward.indices, backward.indptr, np.flatnonzero(ends))

@@ -23,7 +23,7 @@ class Estimate(NamedTuple):
 
 
 def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
-    """Clopper and Pearson's exact interval of a probability."""
+    """Estimate a probability by Clopper and Pearson's exact interval."""
     from scipy import special
 
     miss = (1.0 - confidence) / 2.0

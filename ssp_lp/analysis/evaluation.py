@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ssp_lp.analysis.chain import Chain, policy_chain, reaching
+from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.analysis.layers.chain_of_law import chain_of_law
 from ssp_lp.analysis.layers.layered_measures import Measures, layered_measures, mean_of
 from ssp_lp.analysis.quantity_values import (
@@ -15,7 +15,7 @@ from ssp_lp.analysis.quantity_values import (
     counted_nodes,
     free_in_everything,
     quantity_values,
-    until_failure,
+    value_until_failure,
 )
 from ssp_lp.analysis.total_cost.cost_law import law_of_chains
 from ssp_lp.analysis.ways_to_fail import failing_in_words
@@ -114,21 +114,22 @@ def evaluate_each(
         found, chain = layered_measures(member, problem, start), None
         if found is None:
             chain = policy_chain(problem.model, member, start)
-            found = _measure(chain, problem)
+            found = _evaluated_measures(chain, problem)
         members.append(found)
         if measure is not None and weight > 0.0:  # the law needs it as well
             rounded = isinstance(member, CostAwarePolicy) and member.rounds_up
             lawful = None if rounded else chain  # what it remembers is more than it pays
             chains.append(lawful or chain_of_law(problem.model, member, start))
-    evaluation = _report(mean_of(members, lottery.weights), problem)
-    each = [_report(member, problem) for member in members]
+    evaluation = _evaluation_of(mean_of(members, lottery.weights), problem)
+    each = [_evaluation_of(member, problem) for member in members]
     if measure is None:
         return evaluation, each
     law = law_of_chains(chains, lottery.weights[lottery.weights > 0.0])
     return replace(evaluation, objective=measure.of(law)), each
 
 
-def _report(sums: Measures, problem: Problem) -> Evaluation:
+def _evaluation_of(sums: Measures, problem: Problem) -> Evaluation:
+    """The evaluation that measures of a policy make."""
     discounted = problem.discount is not None
     failure, surrogate = sums.failure, sums.discounted_failure
     objective = sums.discounted_cost
@@ -156,21 +157,24 @@ def _report(sums: Measures, problem: Problem) -> Evaluation:
     )
 
 
-def _measure(chain: Chain, problem: Problem) -> Measures:
+def _evaluated_measures(chain: Chain, problem: Problem) -> Measures:
+    """The measures that an evaluation needs, on a policy's chain."""
     gamma = survival_of(problem.discount)
-    hopeful = reaching(chain, chain.goal > 0)
+    hopeful = reaching_in_chain(chain, chain.goal > 0)
     alive = hopeful & (chain.goal == 0)
     counted = counted_nodes(chain, hopeful, problem)
-    goal, success = _success(chain, alive, 1.0)
-    early, early_cost = (goal, success) if gamma == 1.0 else _success(chain, alive, gamma)
-    reached, failed = _two_ways(chain, goal, alive, 1.0)
-    kept, surrogate = _two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
+    goal, success = _evaluated_success(chain, alive, 1.0)
+    early, early_cost = (goal, success) if gamma == 1.0 else _evaluated_success(chain, alive, gamma)
+    reached, failed = _evaluated_two_ways(chain, goal, alive, 1.0)
+    kept, surrogate = (
+        _evaluated_two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
+    )
     free = free_in_everything(problem)
-    stopped = until_failure(chain, counted, problem.semantics, 1.0, free)
+    stopped = value_until_failure(chain, counted, problem.semantics, 1.0, free)
     if problem.ratio:
         target = float(chain.start @ early_cost)
     else:
-        target = stopped if gamma == 1.0 else until_failure(
+        target = stopped if gamma == 1.0 else value_until_failure(
             chain, counted, problem.semantics, gamma, free
         )  # fmt: skip
     return Measures(
@@ -181,12 +185,14 @@ def _measure(chain: Chain, problem: Problem) -> Measures:
         discounted_goal=kept,
         discounted_failure=surrogate,
         discounted_cost=target,
-        ends=_ends(chain),
+        ends=_evaluated_ends(chain),
         secondary=quantity_values(chain, counted, problem),
     )
 
 
-def _success(chain: Chain, alive: BoolArray, survival: float) -> tuple[FloatArray, FloatArray]:
+def _evaluated_success(
+    chain: Chain, alive: BoolArray, survival: float
+) -> tuple[FloatArray, FloatArray]:
     """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] at nodes before the goal."""
     hit = chain.per_node(chain.goal[chain.target])
     early = chain.accumulate(hit, alive, survival)
@@ -195,7 +201,7 @@ def _success(chain: Chain, alive: BoolArray, survival: float) -> tuple[FloatArra
     return early, chain.accumulate(priced, alive, survival)
 
 
-def _two_ways(
+def _evaluated_two_ways(
     chain: Chain, early: FloatArray, alive: BoolArray, survival: float
 ) -> tuple[float, float]:
     """Probabilities of reaching the goal and of failing, each from its own exits, discounted.
@@ -216,10 +222,10 @@ def _two_ways(
     return goal, 1.0 if goal == 0.0 else failure
 
 
-def _ends(chain: Chain) -> dict[str, float]:
+def _evaluated_ends(chain: Chain) -> dict[str, float]:
     """Probability of each way in which episodes end."""
     final = (chain.goal > 0) | (chain.dead > 0)
-    settling = reaching(chain, final | (chain.give_up > 0)) & ~final
+    settling = reaching_in_chain(chain, final | (chain.give_up > 0)) & ~final
     names = ["goal", *chain.model.state_labels, "dead_end", "gave_up"]
     marks = end_marks(chain.model)
     at_end = np.stack([final & (marks[chain.state] == i) for i in range(len(names))], axis=1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse import csgraph
 
-from ssp_lp.analysis.chain import Chain, reaching
+from ssp_lp.analysis.chain import Chain, reaching_in_chain
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
@@ -65,13 +65,13 @@ def lost_costs(
     stage = chain.per_node(chain.cost) + survival * (chain.matrix @ values)
     if survival < 1.0:
         return values + chain.accumulate(np.where(lost, stage, 0.0), lost, survival)
-    endless, free = _recurrent(chain, lost)
-    infinite = reaching(chain, endless) & lost if endless.any() else endless
+    endless, free = _recurrent_failures(chain, lost)
+    infinite = reaching_in_chain(chain, endless) & lost if endless.any() else endless
     values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~free & ~infinite)
     return np.where(infinite, np.inf, values)
 
 
-def _recurrent(chain: Chain, lost: BoolArray) -> tuple[BoolArray, BoolArray]:
+def _recurrent_failures(chain: Chain, lost: BoolArray) -> tuple[BoolArray, BoolArray]:
     """Lost nodes in closed classes that cost something, and in ones that cost nothing."""
     _, label = csgraph.connected_components(chain.matrix, connection="strong")
     leaves = (chain.dead > 0) | (chain.give_up > 0) | ~lost

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray
-from ssp_lp.column_generation.failure_row import Row, least_of
+from ssp_lp.column_generation.failure_row import FailureRow, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
@@ -122,10 +122,10 @@ class Frontier:
             low, high = self.bounds_at(budget)
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
-                f"between {_apart(low, high)} (bounds_at); policy_at attains the latter. "
+                f"between {_apart_on_curve(low, high)} (bounds_at); policy_at attains the latter. "
                 "trace_frontier with a higher point_limit or time_limit settles more"
             )
-        return self._attained(number, weight, Row(budget, self.ratio))
+        return self._attained(number, weight, FailureRow(budget, self.ratio))
 
     def bounds_at(self, budget: float) -> tuple[float, float]:
         """What the least objective within a failure budget surely lies between.
@@ -139,12 +139,12 @@ class Frontier:
             ModelError: the frontier was not traced down to the budget.
         """
         number, weight = self._locate(budget)
-        row = Row(budget, self.ratio)
+        row = FailureRow(budget, self.ratio)
         high = self._attained(number, weight, row)
         low = max(row.lower_bound(proof) for proof in self._proofs_near(number, weight))
         return least_of(low, high), high
 
-    def _attained(self, number: int, weight: float, row: Row) -> float:
+    def _attained(self, number: int, weight: float, row: FailureRow) -> float:
         """Objective of a lottery over a turning point and the next one."""
         if weight == 0.0:
             return row.objective(float(self.cost[number]), float(self.goal[number]))
@@ -282,7 +282,7 @@ class Frontier:
         return number, (budget - float(self.failure[number])) / width
 
 
-def _apart(low: float, high: float) -> str:
+def _apart_on_curve(low: float, high: float) -> str:
     """Two numbers with as many digits as tell them apart, or all of them."""
     digits = next((k for k in range(9, 17) if f"{low:.{k}g}" != f"{high:.{k}g}"), 17)
     return f"{low:.{digits}g} and {high:.{digits}g}"

@@ -17,7 +17,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
@@ -119,13 +119,13 @@ def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
     calls, work, known, begun, steep_only = 0, Work(), None, None, compiled.ratio
     for _ in range(2 * _REFINEMENTS):
         try:
-            traced = _trace(compiled, limits, begun, steep_only=steep_only)
+            traced = _traced(compiled, limits, begun, steep_only=steep_only)
         except STOPS as stop:
             heed(stop)
             if known is None:
                 raise Stop from stop
             return known
-        lost = _share_lost(compiled, traced)
+        lost = _share_lost_in_tracing(compiled, traced)
         calls, work = calls + traced.pricing_calls, work + traced.work
         known = replace(traced, hidden=lost, pricing_calls=calls, work=work)
         is_fine = lost <= limits.gap or is_late()
@@ -167,8 +167,8 @@ class _Limits:
         return not full and not is_late()
 
 
-def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
-    """How far below the frontier policies may lie that the cap on accumulated cost hides."""
+def _share_lost_in_tracing(compiled: CompiledProblem, traced: Frontier) -> float:
+    """How far below the traced frontier policies may lie that the cap on the cost hides."""
     if len(traced.price) == 0:
         return 0.0
     try:
@@ -181,12 +181,12 @@ def _share_lost(compiled: CompiledProblem, traced: Frontier) -> float:
 
 
 def _ends(compiled: CompiledProblem, limits: _Limits) -> tuple[list[Column], bool, int, Work]:
-    """The first and the last turning point; whether the last is known; calls made, and work.
+    """The first and last point to be traced; whether the last is known; calls made, and work.
 
     Raises:
         ModelError: at the steepest price it is best to fail.
     """
-    pricing, row = compiled.pricing(), Row(1.0, compiled.ratio)
+    pricing, row = compiled.pricing(), FailureRow(1.0, compiled.ratio)
     steepest, calls = limits.steepest_price, 0
     if steepest is None:
         first = checked_least_failure(compiled, None).column
@@ -204,7 +204,7 @@ def _ends(compiled: CompiledProblem, limits: _Limits) -> tuple[list[Column], boo
     return columns, free.finished, rule.calls, rule.work
 
 
-def _trace(
+def _traced(
     compiled: CompiledProblem, limits: _Limits, begun: Frontier | None, *, steep_only: bool
 ) -> Frontier:
     """The turning points of one process.
@@ -216,7 +216,7 @@ def _trace(
         steep_only: split only the first segment, until it is settled.
     """
     pricing = compiled.pricing()
-    waiting = _Waiting(pricing, compiled.ratio, limits)
+    waiting = _WaitingSegments(pricing, compiled.ratio, limits)
     if begun is None:
         columns, is_known, waiting.calls, work = _ends(compiled, limits)
         open_below = [1.0] * (len(columns) - 1)
@@ -245,7 +245,7 @@ def _trace(
     )  # fmt: skip
 
 
-class _Waiting:
+class _WaitingSegments:
     """Segments with a policy below them, the worst first where not all can be split. Grows."""
 
     def __init__(self, pricing: PricingProblem, ratio: bool, limits: _Limits) -> None:
@@ -265,7 +265,7 @@ class _Waiting:
             points: turning points so far.
             at_most: the share by which policies may lie below it, as far as is known.
         """
-        price = Secant(self._pricing, Row(1.0, self._ratio), inside, outside).slope
+        price = Secant(self._pricing, FailureRow(1.0, self._ratio), inside, outside).slope
         if price == 0.0 or at_most <= self._limits.gap:
             self.below[inside.failure] = 0.0 if price == 0.0 else at_most
             return
@@ -275,7 +275,7 @@ class _Waiting:
             heed(stop)
             self.below[inside.failure] = at_most
             return
-        below = self.below[inside.failure] = _share_below(inside, outside, found, price)
+        below = self.below[inside.failure] = _share_below_segment(inside, outside, found, price)
         if below > self._limits.gap:
             urgency = -below if self._limits.may_stop else -float(self.calls)
             heappush(self.found, (urgency, self.calls, (inside, found, outside)))
@@ -292,7 +292,7 @@ class _Waiting:
         return replace(found, found_at=price)
 
 
-def _share_below(inside: Column, outside: Column, found: Column, price: float) -> float:
+def _share_below_segment(inside: Column, outside: Column, found: Column, price: float) -> float:
     """How far a column lies below the line between two, relative to the cost; 0 outside of it."""
     if not inside.failure < found.failure < outside.failure:
         return 0.0

@@ -31,13 +31,14 @@ def min_goal_probability(model: SSP) -> FloatArray:
 
 def dead_end_labels(model: SSP) -> frozenset[Hashable]:
     """The states from which no policy reaches the goal, X_{d,all} of the paper, by their labels."""
-    return _labels(model, dead_ends(model))
+    return _labels_by_goal_probability(model, dead_ends(model))
 
 
 def attention_labels(model: SSP) -> frozenset[Hashable]:
     """The states from which some policy surely avoids the goal, X_{d,or}, by their labels."""
-    return _labels(model, attention_states(model))
+    return _labels_by_goal_probability(model, attention_states(model))
 
 
-def _labels(model: SSP, states: BoolArray) -> frozenset[Hashable]:
+def _labels_by_goal_probability(model: SSP, states: BoolArray) -> frozenset[Hashable]:
+    """The labels of states of extreme goal probability."""
     return frozenset(model.states[i] for i in np.flatnonzero(states).tolist())

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.analysis.chain import Chain, reaching
+from ssp_lp.analysis.chain import Chain, reaching_in_chain
 from ssp_lp.analysis.failure_costs import give_up_costs, lost_costs
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.problem import Problem, conditions_of, objective_of
 from ssp_lp.processes.expectations import costless_pairs
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
-from ssp_lp.processes.quantities.conditions import Steps, Term
+from ssp_lp.processes.quantities.conditions import StepTerm, Term
 
 
 def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArray:
@@ -25,7 +25,7 @@ def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArr
     asked = conditions_of(problem) + (() if objective is None else (objective,))
     if problem.semantics.forbids_failing or not any(c.wants_ends for c in asked):
         return hopeful
-    return reaching(chain, (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
+    return reaching_in_chain(chain, (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0))
 
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
@@ -34,30 +34,32 @@ def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[
     asked = conditions_of(problem) + (() if objective is None else (objective,))
     return {
         condition.name: condition.constant
-        + sum(w * _value(chain, counted, problem, term, free) for w, term in condition.terms)
+        + sum(
+            w * _quantity_value(chain, counted, problem, term, free) for w, term in condition.terms
+        )
         for condition in asked
     }
 
 
-def _value(
+def _quantity_value(
     chain: Chain, counted: BoolArray, problem: Problem, term: Term, free: BoolArray | None
 ) -> float:
-    """One term: a cost on the same chain, visits as a cost of arriving, or a way to end."""
+    """One term of a quantity: a cost on the same chain, visits as a cost, or a way to end."""
     survival = survival_of(problem.discount)
-    if isinstance(term, Steps):
+    if isinstance(term, StepTerm):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
-        return until_failure(other, counted, problem.semantics, survival, free)
+        return value_until_failure(other, counted, problem.semantics, survival, free)
     there = term.states[chain.state].astype(np.float64)
     if not term.final:
         entering = replace(chain, cost=survival * there[chain.target])
         plain = FailureSemantics(problem.semantics.give_up)
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
-        return until_failure(entering, counted, plain, survival, free) + float(at_once)
-    ended = ending(chain, there[:, None], survival)[0]
+        return value_until_failure(entering, counted, plain, survival, free) + float(at_once)
+    ended = ending_value(chain, there[:, None], survival)[0]
     return complement(ended) if term.others else ended
 
 
-def ending(chain: Chain, at_end: FloatArray, survival: float) -> FloatArray:
+def ending_value(chain: Chain, at_end: FloatArray, survival: float) -> FloatArray:
     """Probability of ending in some nodes, discounted, [ways].
 
     Args:
@@ -66,7 +68,7 @@ def ending(chain: Chain, at_end: FloatArray, survival: float) -> FloatArray:
         survival: the discount.
     """
     final = (chain.goal > 0) | (chain.dead > 0)
-    settling = reaching(chain, final | (chain.give_up > 0)) & ~final
+    settling = reaching_in_chain(chain, final | (chain.give_up > 0)) & ~final
     hits = survival * (chain.matrix @ at_end)
     totals = chain.accumulate(np.where(settling[:, None], hits, 0.0), settling, survival)
     return np.asarray(chain.start @ (totals + at_end))
@@ -88,7 +90,7 @@ def free_in_everything(problem: Problem) -> BoolArray | None:
     return free
 
 
-def until_failure(
+def value_until_failure(
     chain: Chain,
     hopeful: BoolArray,
     semantics: FailureSemantics,
@@ -109,7 +111,7 @@ def until_failure(
         lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
     charged = chain.give_up * give_up_costs(chain, semantics, free)
     endless = np.isinf(lost)
-    if endless.any() and (chain.start[reaching(chain, endless)] > 0).any():
+    if endless.any() and (chain.start[reaching_in_chain(chain, endless)] > 0).any():
         return float("inf")
     lost = np.where(endless, 0.0, lost)
     alive = hopeful & (chain.goal == 0) & (chain.dead == 0)
@@ -120,5 +122,5 @@ def until_failure(
 
 
 def complement(probability: float) -> float:
-    """1 less a probability, within [0, 1]."""
+    """The value of a quantity's complement: 1 less a probability, within [0, 1]."""
     return min(max(1.0 - probability, 0.0), 1.0)

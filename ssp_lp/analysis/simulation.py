@@ -84,11 +84,12 @@ class ModelSimulator:
 
     @cached_property
     def _cumulative(self) -> FloatArray:
+        """Running sums of probabilities, for the simulator's draws."""
         return np.cumsum(self.model.probabilities)
 
 
 @dataclass(frozen=True, eq=False)
-class _Counting:
+class _CountingSimulator:
     """A world of the original's states as one of (state, steps taken)."""
 
     inner: Simulator
@@ -105,7 +106,7 @@ class _Counting:
         """Take one step in the world, and count it."""
         horizon = self.horizon
         moved, state, cost = self.inner.step(world, horizon.original_pair[pair], rng)
-        _check_states(horizon.original, state)
+        _check_simulated_states(horizon.original, state)
         return moved, horizon.stepped(horizon.pair_state[pair], state), cost
 
 
@@ -170,7 +171,7 @@ def simulate(
     Raises:
         ModelError: wrong arguments, or a state in which the policy has no decision.
     """
-    _check_asked(episodes, max_steps, record, confidence)
+    _check_simulation(episodes, max_steps, record, confidence)
     played_by, asked = on_one_model(policy, problem, "simulate")
     world_of = simulator
     if isinstance(simulator, WorldSimulator):
@@ -178,16 +179,16 @@ def simulate(
     if world_of is None:
         world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
     if isinstance(asked.model, HorizonSSP) and asked is not problem:
-        world_of = _Counting(world_of, asked.model)
+        world_of = _CountingSimulator(world_of, asked.model)
     source = generator_of(rng)
     with progress_shown(verbose):
-        played = _play(played_by, asked, world_of, episodes, source, max_steps, record)
-        report = _report(asked, played, confidence)
+        played = _simulate_episodes(played_by, asked, world_of, episodes, source, max_steps, record)
+        report = _simulation_report(asked, played, confidence)
         _LOG.info("%r", report)
     return report
 
 
-def _check_asked(episodes: int, max_steps: int, record: int, confidence: float) -> None:
+def _check_simulation(episodes: int, max_steps: int, record: int, confidence: float) -> None:
     """Raise :class:`ModelError` for numbers that are none, or out of range."""
     if not (isinstance(confidence, Real) and 0.0 < confidence < 1.0):
         raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}"
@@ -210,7 +211,7 @@ class _Played:
 _GAVE_UP, _UNFINISHED = -2, -1
 
 
-def _play(
+def _simulate_episodes(
     policy: Policy | MixedPolicy,
     problem: Problem,
     simulator: Simulator,
@@ -219,6 +220,7 @@ def _play(
     max_steps: int,
     record: int,
 ) -> _Played:
+    """Play the episodes of a simulation side by side."""
     model, marks = problem.model, end_marks(problem.model)
     players = as_lottery(policy).start_many(episodes, rng)
     world, state = simulator.reset(episodes, rng)
@@ -248,7 +250,7 @@ def _play(
     mark = np.where(gave_up, _GAVE_UP, np.where(marks[state] < 0, _UNFINISHED, marks[state]))
     history = np.stack(trace)
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
-    return _Played(mark, cost, _charges(problem, model, state, gave_up), steps, paths)
+    return _Played(mark, cost, _simulated_charges(problem, model, state, gave_up), steps, paths)
 
 
 def _checked_step(
@@ -256,19 +258,22 @@ def _checked_step(
 ) -> tuple[World, IntArray, FloatArray]:
     """What a simulator handed back, if it can be: states of the model and finite costs >= 0."""
     world, state, cost = step
-    _check_states(model, state)
+    _check_simulated_states(model, state)
     if not (np.isfinite(cost) & (np.asarray(cost) >= 0)).all():
         raise ModelError("the simulator returned a cost that is negative or not finite")
     return world, state, cost
 
 
-def _check_states(model: SSP, state: IntArray) -> None:
+def _check_simulated_states(model: SSP, state: IntArray) -> None:
     """Raise unless these are states of the model."""
     if ((state < 0) | (state >= model.n_states)).any():
         raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
 
-def _charges(problem: Problem, model: SSP, state: IntArray, gave_up: np.ndarray) -> FloatArray:
+def _simulated_charges(
+    problem: Problem, model: SSP, state: IntArray, gave_up: np.ndarray
+) -> FloatArray:
+    """What failing costs the simulated episodes."""
     entering = dead_end_charges(model, dead_ends(model), problem.semantics)[state]
     if not gave_up.any():
         return entering
@@ -276,7 +281,8 @@ def _charges(problem: Problem, model: SSP, state: IntArray, gave_up: np.ndarray)
     return np.where(gave_up, giving_up, entering)
 
 
-def _report(problem: Problem, played: _Played, confidence: float) -> SimulationReport:
+def _simulation_report(problem: Problem, played: _Played, confidence: float) -> SimulationReport:
+    """The report of the episodes that a simulation played."""
     names = ["goal", *problem.model.state_labels, "dead_end"]
     ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
     ends["gave_up"] = int((played.mark == _GAVE_UP).sum())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.analysis.chain import Chain, policy_chain, reaching
+from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model.product import ProductSSP
@@ -23,7 +23,7 @@ def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
     """
     if survival == 1.0:
         ends = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
-        if not reaching(chain, ends).all():
+        if not reaching_in_chain(chain, ends).all():
             raise ModelError("the policy may wander for ever: its expected visits are infinite")
     return chain.push(chain.start, survival)
 

@@ -17,7 +17,7 @@ _SAME = 4.0 * MACHINE_EPSILON
 
 
 @dataclass(frozen=True)
-class Row:
+class FailureRow:
     """The failure row and the objective's form."""
 
     budget: float
@@ -78,7 +78,7 @@ CONTRADICTION = 1e-9
 
 
 def least_of(lower_bound: float, objective: float) -> float:
-    """The lower bound, or the objective where rounding puts the bound above it.
+    """The failure row's lower bound, or the objective where rounding puts the bound above it.
 
     Raises:
         SolverError: the bound lies above by more than rounding; then one of them is wrong.

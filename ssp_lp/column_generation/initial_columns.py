@@ -16,7 +16,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
     LeastFailure,
 )
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
@@ -38,7 +38,7 @@ class DualGuess:
     slack: bool = False  # whether the budget was slack there, so that one side is all there is
 
 
-def columns_at(pricing: PricingProblem, least: LeastFailure, row: Row) -> Secant:
+def columns_at(pricing: PricingProblem, least: LeastFailure, row: FailureRow) -> Secant:
     """Begin at the policy of least failure; the budget is raised to it by rounding."""
     row = replace(row, budget=max(row.budget, least.column.failure))
     return Secant(pricing, row, least.column)
@@ -46,7 +46,7 @@ def columns_at(pricing: PricingProblem, least: LeastFailure, row: Row) -> Secant
 
 def columns_by_pricing(
     compiled: CompiledProblem,
-    row: Row,
+    row: FailureRow,
     guess: DualGuess | None,
     options: SolveOptions,
 ) -> Secant | None:
@@ -64,7 +64,7 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    pricing, last, price = _begun(compiled, row, guess)
+    pricing, last, price = _begun_with_columns(compiled, row, guess)
     if price is None:
         return None
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
@@ -86,17 +86,19 @@ def columns_by_pricing(
             enough = one_sided or outside is not None or is_late()
             if step is None or (inside is not None and enough):
                 break
-            price = _moved(price, step, last.failure, row.budget, is_hinted=guess is not None)
+            price = _initial_price(
+                price, step, last.failure, row.budget, is_hinted=guess is not None
+            )
     except STOPS as stop:
         heed(stop)
-        inside = last = _kept_to(pricing, row, stop, inside, last)
+        inside = last = _initial_column_within(pricing, row, stop, inside, last)
     if inside is None or last is None:
         return None
     return Secant(pricing, row, inside, outside, last, calls, work)
 
 
-def _begun(
-    compiled: CompiledProblem, row: Row, guess: DualGuess | None
+def _begun_with_columns(
+    compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None
 ) -> tuple[PricingProblem, Column | None, float | None]:
     """The pricing problem, and a column and a price to begin with; a Stop says what was under way.
 
@@ -107,14 +109,14 @@ def _begun(
     try:
         pricing = compiled.pricing()
         doing = "the totals of a first policy were being worked out"
-        return pricing, *_beginning(pricing, row, guess)
+        return pricing, *_initial_policy(pricing, row, guess)
     except STOPS as stop:
         heed(stop)
         raise Stop(told=doing) from stop
 
 
-def _kept_to(
-    pricing: PricingProblem, row: Row, stop: BaseException, *known: Column | None
+def _initial_column_within(
+    pricing: PricingProblem, row: FailureRow, stop: BaseException, *known: Column | None
 ) -> Column:
     """The best policy within the budget that is known when the time ends.
 
@@ -141,7 +143,9 @@ def _kept_to(
     return min(kept, key=lambda column: row.objective(column.cost, column.goal))
 
 
-def _moved(price: float, step: float, failure: float, budget: float, *, is_hinted: bool) -> float:
+def _initial_price(
+    price: float, step: float, failure: float, budget: float, *, is_hinted: bool
+) -> float:
     """A price towards the other side of the budget, at most the factor 1 + step away.
 
     Failure falls about as fast as the price rises; the square of their ratio overshoots, so that
@@ -157,8 +161,8 @@ def _moved(price: float, step: float, failure: float, budget: float, *, is_hinte
     return price * float(np.clip(factor, least, most))
 
 
-def _beginning(
-    pricing: PricingProblem, row: Row, guess: DualGuess | None
+def _initial_policy(
+    pricing: PricingProblem, row: FailureRow, guess: DualGuess | None
 ) -> tuple[Column | None, float | None]:
     """A policy to start from and the first price; None where the goal seems out of reach."""
     if guess is not None:

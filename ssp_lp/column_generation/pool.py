@@ -25,7 +25,7 @@ class Rows:
     ratio: float = 0.0  # what failing counts in the objective besides (Dinkelbach)
 
     def among(self, some: tuple[int, ...]) -> Rows:
-        """Some of the rows, by position."""
+        """Some of the pool's rows, by position."""
         kept = list(some)
         limited = self.index[kept], self.bounds[kept], self.scales[kept]
         return Rows(*limited, self.n_rewards, self.ratio)
@@ -35,7 +35,7 @@ class Rows:
         return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
 
     def objective(self, figures: FloatArray) -> FloatArray:
-        """What is minimised of totals, the first of which are cost and failure, [...]."""
+        """What is minimised of totals in a pool, the first of which are cost and failure, [...]."""
         return np.asarray(figures[0] + self.ratio * figures[1] if self.ratio else figures[0])
 
     def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:

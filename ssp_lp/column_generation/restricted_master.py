@@ -77,9 +77,9 @@ def solve_master(
     n_rows, n_columns = activity.shape
     top = 0.0 if elastic else float(np.abs(cost).max(initial=0.0))
     unit = top if top > 0.0 else 1.0
-    units = scales if elastic else _spreads(activity, bounds, scales)
-    program = _scaled(cost / unit, activity, bounds, scales, units, elastic=elastic)
-    x, dual = _from_basis(program, _first_basis(program, activity, bounds, scales))
+    units = scales if elastic else _master_spreads(activity, bounds, scales)
+    program = _scaled_master(cost / unit, activity, bounds, scales, units, elastic=elastic)
+    x, dual = _from_basis(program, _first_master_basis(program, activity, bounds, scales))
     x, weights = np.maximum(x, 0.0), np.maximum(x[:n_columns], 0.0)
     weights = np.where(weights > _NEGATIVE, weights, 0.0)
     weights = weights / weights.sum()
@@ -92,13 +92,13 @@ def solve_master(
     )
 
 
-def _spreads(activity: FloatArray, bounds: FloatArray, scales: FloatArray) -> FloatArray:
+def _master_spreads(activity: FloatArray, bounds: FloatArray, scales: FloatArray) -> FloatArray:
     """How far from its bound the policies take each row at most, [rows]."""
     spread = np.abs(activity - bounds[:, None]).max(axis=1, initial=0.0)
     return np.where(spread > MACHINE_EPSILON * scales, spread, scales)
 
 
-def _scaled(
+def _scaled_master(
     cost: FloatArray,
     activity: FloatArray,
     bounds: FloatArray,
@@ -107,7 +107,7 @@ def _scaled(
     *,
     elastic: bool,
 ) -> _Standard:
-    """The program in standard form, its rows divided by their units; elastic: their scales."""
+    """The master in standard form, its rows divided by their units; elastic: their scales."""
     n_rows, n_columns = activity.shape
     n_excess = n_rows if elastic else 0
     priced = np.zeros(n_columns) if elastic else cost
@@ -126,7 +126,7 @@ def _scaled(
     )
 
 
-def _first_basis(
+def _first_master_basis(
     program: _Standard, activity: FloatArray, bounds: FloatArray, scales: FloatArray
 ) -> IntArray:
     """A basis to begin with: HiGHS's, or, where it finds the rows contradictory, of phase 1.
@@ -134,20 +134,20 @@ def _first_basis(
     Policies whose totals differ by no more than HiGHS's tolerances may keep to rows that it takes
     to be violated; the basis of least violation is feasible up to rounding if any is.
     """
-    basis = _basis(program)
+    basis = _master_basis(program)
     if basis is not None:
         return basis
     n_rows, n_columns = activity.shape
-    elastic = _scaled(np.zeros(n_columns), activity, bounds, scales, scales, elastic=True)
-    found = _basis(elastic)
+    elastic = _scaled_master(np.zeros(n_columns), activity, bounds, scales, scales, elastic=True)
+    found = _master_basis(elastic)
     if found is None:
         raise SolverError("the master program: HiGHS finds no basis, nor one of least violation")
     kept = [int(v) for v in found if v < n_columns]
     kept += [int(v) - n_rows for v in found if v >= n_columns + n_rows]
-    return np.array(_completed(program, kept), dtype=np.int64)
+    return np.array(_completed_basis(program, kept), dtype=np.int64)
 
 
-def _basis(program: _Standard) -> IntArray | None:
+def _master_basis(program: _Standard) -> IntArray | None:
     """Variables of an optimal basis, found by HiGHS, [rows + 1].
 
     None where HiGHS finds none. No master is unbounded: where numbers far apart make HiGHS say so,
@@ -181,10 +181,10 @@ def _basis(program: _Standard) -> IntArray | None:
     found = [i for i, state in enumerate(basis.col_status) if state == basic]
     first_slack = n_variables - (n_rows - 1)
     found += [first_slack + k for k, s in enumerate(basis.row_status[:-1]) if s == basic]
-    return np.array(_completed(program, found), dtype=np.int64)
+    return np.array(_completed_basis(program, found), dtype=np.int64)
 
 
-def _completed(program: _Standard, found: list[int]) -> list[int]:
+def _completed_basis(program: _Standard, found: list[int]) -> list[int]:
     """A basis; a policy stands for the last row's own variable where HiGHS keeps that basic."""
     n_rows, n_variables = program.matrix.shape
     chosen = list(found)
@@ -200,7 +200,7 @@ def _completed(program: _Standard, found: list[int]) -> list[int]:
 
 
 def _from_basis(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatArray]:
-    """Values of the variables and duals of the rows, by dense solves with the basis.
+    """Values of the master's variables and duals of its rows, by dense solves with the basis.
 
     HiGHS's tolerances are relative to the dearest policy: where a value or a reduced cost is
     negative beyond rounding, steps of the dual or of the primal simplex method repair it.
@@ -208,7 +208,10 @@ def _from_basis(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatA
     basis = basis.copy()
     for _ in range(_PIVOTS):
         square = program.matrix[:, basis]
-        values, dual = _solved(square, program.right), _solved(square.T, program.cost[basis])
+        values, dual = (
+            _solved_in_master(square, program.right),
+            _solved_in_master(square.T, program.cost[basis]),
+        )
         reduced = program.cost - dual @ program.matrix
         reduced[basis] = 0.0
         size = np.abs(program.cost) + np.abs(dual) @ np.abs(program.matrix)
@@ -231,7 +234,7 @@ def _dual_step(
     leaving = int(np.argmin(values + program.rounding[basis]))
     unit = np.zeros(len(basis))
     unit[leaving] = 1.0
-    among = _solved(program.matrix[:, basis].T, unit)
+    among = _solved_in_master(program.matrix[:, basis].T, unit)
     row, size = among @ program.matrix, np.abs(among) @ np.abs(program.matrix)
     row[basis] = 0.0
     able = row < -_PIVOT * size
@@ -244,12 +247,15 @@ def _dual_step(
 def _primal_step(
     program: _Standard, basis: IntArray, values: FloatArray, reduced: FloatArray
 ) -> tuple[int, int] | None:
-    """The same where all values are feasible and some reduced cost is negative."""
+    """The master's simplex step where all values are feasible and a reduced cost is negative."""
     entering = int(np.argmin(reduced))
     if reduced[entering] >= 0.0:
         return None
     square, entry = program.matrix[:, basis], program.matrix[:, entering]
-    column, inverse = _solved(square, entry), _solved(square, np.eye(len(basis)))
+    column, inverse = (
+        _solved_in_master(square, entry),
+        _solved_in_master(square, np.eye(len(basis))),
+    )
     able = column > _PIVOT * (np.abs(inverse) @ np.abs(entry))
     if not able.any():
         return None
@@ -257,7 +263,7 @@ def _primal_step(
     return int(np.argmin(ratio)), entering
 
 
-def _solved(square: FloatArray, right: FloatArray) -> FloatArray:
+def _solved_in_master(square: FloatArray, right: FloatArray) -> FloatArray:
     """A dense solve with one step of refinement."""
     try:
         x = np.linalg.solve(square, right)

@@ -15,7 +15,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ssp_lp.column_generation.failure_row import Row, least_of
+from ssp_lp.column_generation.failure_row import FailureRow, least_of
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.column_generation.pricing.pricing_problem import (
     Column,
@@ -38,7 +38,7 @@ class Secant:
     """The two columns between which the lottery lies; ``outside`` is missing while none is."""
 
     pricing: PricingProblem
-    row: Row
+    row: FailureRow
     inside: Column  # keeps to the budget
     outside: Column | None = None  # cheaper, and breaks it
     last: Column | None = None  # found last: a warm start

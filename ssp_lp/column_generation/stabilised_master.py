@@ -127,16 +127,17 @@ class StabilisedMaster:
         return self._objective(found) + float(prices @ beyond)
 
     def _objective(self, found: Column) -> float:
+        """The objective of a policy in the master."""
         return 0.0 if self.elastic else float(self.rows.objective(found.figures))
 
 
-def violation(pool: Pool, rows: Rows) -> StabilisedMaster:
+def violation_in_master(pool: Pool, rows: Rows) -> StabilisedMaster:
     """Phase 1: the lottery that violates the rows least is sought."""
     return StabilisedMaster(pool, rows, np.zeros(len(rows.index)), elastic=True)
 
 
 def undominated(figures: FloatArray) -> IntArray:
-    """Columns such that no other is at most as large in every row; the first of equal ones.
+    """Columns of a master such that no other is at most as large in every row.
 
     Args:
         figures: [rows, columns].
@@ -150,7 +151,7 @@ def undominated(figures: FloatArray) -> IntArray:
 def without_trifles(
     prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
 ) -> FloatArray:
-    """Prices too small to matter as 0: the rounding of a 0 would be a cycle's only cost, [rows].
+    """The master's prices with those too small to matter as 0, [rows].
 
     Args:
         prices: [rows].

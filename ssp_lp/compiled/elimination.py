@@ -47,7 +47,7 @@ def solve_by_elimination(
         begin, size = offsets[c], offsets[c + 1] - offsets[c]
         if size == 1:
             s = order[begin]
-            if not _substitute(indptr, indices, data, exits, rows[s], s, rewards, x):
+            if not _eliminate_one_state(indptr, indices, data, exits, rows[s], s, rewards, x):
                 return c
             continue
         for i in range(size):
@@ -65,7 +65,7 @@ def solve_by_elimination(
 
 
 @njit(cache=True, inline="always")
-def _substitute(
+def _eliminate_one_state(
     indptr: Array, indices: Array, data: Array, exits: Array, row: int, s: int,
     rewards: Array, x: Array,
 ) -> bool:  # fmt: skip
@@ -92,7 +92,7 @@ def gather_component(
     order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
     inner: Array, low: Array, leaving: Array, right: Array,
 ) -> None:  # fmt: skip
-    """One component as a matrix, what leaves it, and its rewards with what lies beyond.
+    """For elimination, one component as a matrix, what leaves it, and its rewards.
 
     ``low[i]`` is the first column of the lower triangle, and the first row of the upper one, that
     is not zero beside the diagonal's entry i, when all later states have been taken out. ``rows``

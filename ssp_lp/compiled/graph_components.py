@@ -37,8 +37,8 @@ def order_components(
     n = len(begin)
     label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
     roots = np.arange(n, dtype=np.uint32)
-    finished, found = _found(begin, end, unsigned(indices), data, roots, label)
-    _sort_by_label(label, finished, found, order)
+    finished, found = _found_components(begin, end, unsigned(indices), data, roots, label)
+    _sort_by_component(label, finished, found, order)
     return label, order.view(np.int32), found
 
 
@@ -66,13 +66,13 @@ def label_components(
     possible = np.repeat(inside, np.diff(outcome_offsets))
     possible &= probabilities > 0.0
     edges = bounds[:-1], bounds[1:], unsigned(successors), possible
-    _, found = _found(*edges, roots, label)
+    _, found = _found_components(*edges, roots, label)
     first, backwards = np.empty(found, dtype=label.dtype), roots[::-1]
     first[label[backwards]] = backwards  # the last one that is written stays
     label[roots] = first[label[roots]]
 
 
-def _found(
+def _found_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: Array, roots: IntArray, label: IntArray
 ) -> tuple[IntArray, int]:
     """Label the roots, in place, by the numbers of their components, ends first.
@@ -86,18 +86,18 @@ def _found(
     finished, counts = np.empty(len(roots), dtype=np.uint32), np.zeros(6, dtype=np.int64)
     arrays = number, low, begin.copy(), opened, calls, finished, counts
     check_time()
-    while _search(begin, end, indices, data, roots, label, *arrays):
+    while _search_components(begin, end, indices, data, roots, label, *arrays):
         check_time()
     return finished, int(counts[5])
 
 
 @njit(cache=True)
-def _search(
+def _search_components(
     begin: Array, end: Array, indices: Array, data: Array, roots: Array, label: Array,
     number: Array, low: Array, place: Array, opened: Array, calls: Array, finished: Array,
     counts: Array,
 ) -> bool:  # fmt: skip
-    """Go on with a search for some turns; whether it did not come to its end.
+    """Go on with a search for components for some turns; whether it did not come to its end.
 
     Args:
         begin: as in ``order_components``, like what follows.
@@ -143,7 +143,7 @@ def _search(
             caller = calls[depth - 1]
             low[caller] = min(low[caller], low[state])
         if low[state] == number[state]:
-            n_open = _close(state, opened, n_open, found, label)
+            n_open = _close_component(state, opened, n_open, found, label)
             found += 1
     counts[0], counts[1], counts[2] = root, depth, n_open
     counts[3], counts[4], counts[5] = n_finished, visited, found
@@ -155,7 +155,7 @@ def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
     label: Array, number: Array, low: Array,
 ) -> np.int64:  # fmt: skip
-    """The next successor that the search has not met, or -1; ``place`` and ``low`` follow."""
+    """The next successor that the search for components has not met, or -1."""
     k, past = place[state], end[state]
     while k < past:
         successor, possible = indices[k], data[k] > 0.0
@@ -172,8 +172,8 @@ def _not_entered(
 
 
 @njit(cache=True)
-def _close(state: int, opened: Array, n_open: int, found: int, label: Array) -> int:
-    """Give all that was opened since a state its label; how many states are left open."""
+def _close_component(state: int, opened: Array, n_open: int, found: int, label: Array) -> int:
+    """Give all that was opened since a state its component's label; how many states stay open."""
     while True:
         n_open -= 1
         label[opened[n_open]] = found
@@ -199,7 +199,7 @@ def mark_left(
 
 
 @njit(cache=True)
-def _sort_by_label(label: Array, finished: Array, found: int, order: Array) -> None:
+def _sort_by_component(label: Array, finished: Array, found: int, order: Array) -> None:
     """Counting sort that keeps the order of finishing within each component."""
     begin = np.zeros(found + 1, dtype=np.int64)
     for state in finished:
@@ -219,7 +219,7 @@ def crossing_pairs(
     candidates: BoolArray,
     label: IntArray,
 ) -> BoolArray:
-    """Candidate pairs that may lead to a state of another label, [pairs].
+    """Candidate pairs that may lead from one component to another, [pairs].
 
     Args:
         outcome_offsets: [pairs + 1].
@@ -231,12 +231,12 @@ def crossing_pairs(
     """
     graph = outcome_offsets, unsigned(successors), probabilities, unsigned(pair_state)
     found = np.zeros(len(candidates), dtype=np.bool_)
-    _crossing(len(successors))(*graph, candidates, label, found)
+    _crossing_components(len(successors))(*graph, candidates, label, found)
     return found
 
 
 @one_or_all_cores
-def _crossing(
+def _crossing_components(
     outcome_offsets: IntArray,
     successors: IntArray,
     probabilities: FloatArray,
@@ -245,6 +245,7 @@ def _crossing(
     label: IntArray,
     found: BoolArray,
 ) -> None:
+    """Mark, in place, candidate pairs that may lead from one component to another."""
     for pair in prange(len(candidates)):
         if candidates[pair]:
             here = label[pair_state[pair]]

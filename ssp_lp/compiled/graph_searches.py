@@ -25,7 +25,7 @@ def reached(
     probabilities: FloatArray,
     start: IntArray,
 ) -> BoolArray:
-    """States that a run from the start states may visit, [states].
+    """By a compiled search, states that a run from the start states may visit, [states].
 
     Args:
         pair_offsets: [states + 1].
@@ -36,18 +36,19 @@ def reached(
     """
     mask = np.zeros(len(pair_offsets) - 1, dtype=np.bool_)
     mask[start] = True
-    queue, filled = _queue(np.flatnonzero(mask), mask.size)
+    queue, filled = _search_queue(np.flatnonzero(mask), mask.size)
     bounds = outcome_offsets[pair_offsets]
     arrays = bounds, unsigned(successors), probabilities, mask, queue
-    _empty(_go_on, arrays, filled)
+    _empty_queue(_search_forwards, arrays, filled)
     return mask
 
 
 @njit(cache=True)
-def _go_on(
+def _search_forwards(
     bounds: IntArray, successors: IntArray, probabilities: FloatArray, mask: BoolArray,
     queue: IntArray, head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
+    """Go on with a search along the graph for some turns."""
     past = head + _TURNS
     while head < min(filled, past):
         state = queue[head]
@@ -64,7 +65,7 @@ def _go_on(
 def reaching(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, goals: IntArray
 ) -> BoolArray:
-    """States from which a run may reach a goal, goals included, [states].
+    """By a compiled search, states from which a run may reach a goal, goals included, [states].
 
     Args:
         offsets: of the predecessors, [states + 1].
@@ -74,17 +75,18 @@ def reaching(
     """
     mask = np.zeros(len(offsets) - 1, dtype=np.bool_)
     mask[goals] = True
-    queue, filled = _queue(goals, mask.size)
+    queue, filled = _search_queue(goals, mask.size)
     arrays = offsets, unsigned(pairs), unsigned(pair_state), mask, queue
-    _empty(_go_back, arrays, filled)
+    _empty_queue(_search_backwards, arrays, filled)
     return mask
 
 
 @njit(cache=True)
-def _go_back(
+def _search_backwards(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, mask: BoolArray, queue: IntArray,
     head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
+    """Go on with a search against the graph for some turns."""
     past = head + _TURNS
     while head < min(filled, past):
         near = queue[head]
@@ -106,7 +108,7 @@ def drain(
     open_counts: IntArray,
     closed_states: IntArray,
 ) -> None:
-    """Close, in place, every pair that may lead to a closed state, and states without pairs.
+    """By a graph search close, in place, every pair that may lead to a closed state.
 
     Args:
         offsets: of the predecessors, [states + 1].
@@ -116,16 +118,17 @@ def drain(
         open_counts: the number of open pairs of each state, [states].
         closed_states: states to begin with.
     """
-    queue, filled = _queue(closed_states, open_counts.size)
+    queue, filled = _search_queue(closed_states, open_counts.size)
     arrays = offsets, unsigned(pairs), unsigned(pair_state), open_pairs, open_counts, queue
-    _empty(_drain, arrays, filled)
+    _empty_queue(_drain_search, arrays, filled)
 
 
 @njit(cache=True)
-def _drain(
+def _drain_search(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, open_pairs: BoolArray,
     open_counts: IntArray, queue: IntArray, head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
+    """Go on for some turns with the search that closes pairs."""
     past = head + _TURNS
     while head < min(filled, past):
         closed = queue[head]
@@ -150,7 +153,7 @@ def approach(
     usable: BoolArray,
     choice: IntArray,
 ) -> None:
-    """Choose, in place, for each state a usable pair that comes nearer to a useful one.
+    """By a graph search choose, in place, for each state a usable pair that comes nearer.
 
     Args:
         offsets: of the predecessors, [states + 1].
@@ -164,11 +167,12 @@ def approach(
     queue = np.empty(choice.size, dtype=np.uint32)
     home = unsigned(pair_state)
     arrays = offsets, unsigned(pairs), home, usable, choice, distance, queue
-    _empty(_approach, arrays, _begin(home, useful, choice, queue))
+    _empty_queue(_approach_search, arrays, _begin_search(home, useful, choice, queue))
 
 
 @njit(cache=True)
-def _begin(pair_state: IntArray, useful: IntArray, choice: IntArray, queue: IntArray) -> int:
+def _begin_search(pair_state: IntArray, useful: IntArray, choice: IntArray, queue: IntArray) -> int:
+    """Begin a search at the useful pairs; how many states the queue holds."""
     filled = 0
     for pair in useful:
         state = pair_state[pair]
@@ -180,10 +184,11 @@ def _begin(pair_state: IntArray, useful: IntArray, choice: IntArray, queue: IntA
 
 
 @njit(cache=True)
-def _approach(
+def _approach_search(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, usable: BoolArray, choice: IntArray,
     distance: IntArray, queue: IntArray, head: int, filled: int,
 ) -> tuple[int, int]:  # fmt: skip
+    """Go on for some turns with the search for pairs that come nearer."""
     past = head + _TURNS
     while head < min(filled, past):
         near = queue[head]
@@ -206,17 +211,18 @@ def _approach(
 def leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray
 ) -> BoolArray:
-    """Pairs that may lead to one of the states, [pairs]."""
+    """By a search of the graph, pairs that may lead into one of the states, [pairs]."""
     leads = np.zeros(len(outcome_offsets) - 1, dtype=np.bool_)
-    _leading_into(outcome_offsets, unsigned(successors), probabilities, states, leads)
+    _search_leading_into(outcome_offsets, unsigned(successors), probabilities, states, leads)
     return leads
 
 
 @njit(cache=True)
-def _leading_into(
+def _search_leading_into(
     outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray, states: BoolArray,
     leads: BoolArray,
 ) -> None:  # fmt: skip
+    """Mark, in place, pairs that lead into the states searched for."""
     for pair in range(len(leads)):
         for outcome in range(outcome_offsets[pair], outcome_offsets[pair + 1]):
             if states[successors[outcome]] and probabilities[outcome] > 0:
@@ -224,16 +230,18 @@ def _leading_into(
                 break
 
 
-def _empty(step: Callable[..., tuple[int, int]], arrays: tuple[Any, ...], filled: int) -> None:
-    """Take all states from a queue, some at a time, with a look at the clock in between."""
+def _empty_queue(
+    step: Callable[..., tuple[int, int]], arrays: tuple[Any, ...], filled: int
+) -> None:
+    """Take all states from a search's queue, with looks at the clock in between."""
     head = 0
     while head < filled:
         check_time()
         head, filled = step(*arrays, head, filled)
 
 
-def _queue(first: IntArray, room: int) -> tuple[IntArray, int]:
-    """A queue of states that begins with these, and how many they are."""
+def _search_queue(first: IntArray, room: int) -> tuple[IntArray, int]:
+    """A search's queue of states that begins with these, and how many they are."""
     queue = np.empty(room, dtype=np.uint32)
     queue[: len(first)] = first
     return queue, len(first)
@@ -242,22 +250,22 @@ def _queue(first: IntArray, room: int) -> tuple[IntArray, int]:
 def transpose_graph(
     n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Offsets, [states + 1], and pairs, [entries], by a counting sort."""
+    """Turn the graph round for a search: offsets, [states + 1], and pairs, by a counting sort."""
     columns = unsigned(successors)
     counts = np.zeros(n_states, dtype=np.int64)
     for some in pieces(len(columns), len(columns)):
-        _count(columns[some], probabilities[some], counts)
+        _count_edges(columns[some], probabilities[some], counts)
     offsets = np.concatenate([[0], np.cumsum(counts)])
     pairs = np.empty(offsets[-1], dtype=np.int32)
     places = offsets[:-1].copy()
     for some in pieces(len(outcome_offsets) - 1, len(columns)):
         bounds = outcome_offsets[some.start : some.stop + 1]
-        _place(some.start, bounds, columns, probabilities, places, pairs)
+        _place_edges(some.start, bounds, columns, probabilities, places, pairs)
     return offsets, pairs
 
 
 @njit(cache=True)
-def _count(successors: IntArray, probabilities: FloatArray, counts: IntArray) -> None:
+def _count_edges(successors: IntArray, probabilities: FloatArray, counts: IntArray) -> None:
     """Count the possible outcomes that go to each state."""
     for outcome in range(len(successors)):
         if probabilities[outcome] > 0:
@@ -265,7 +273,7 @@ def _count(successors: IntArray, probabilities: FloatArray, counts: IntArray) ->
 
 
 @njit(cache=True)
-def _place(
+def _place_edges(
     first: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray,
     places: IntArray, pairs: IntArray,
 ) -> None:  # fmt: skip

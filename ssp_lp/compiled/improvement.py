@@ -192,7 +192,7 @@ def improve_blocks(
                     choice, values, inner, low, leaving, right,
                 )  # fmt: skip
                 changed += moved
-                _mark(entering, entering_offsets, owner, states, before, values, stale)
+                _mark_to_improve(entering, entering_offsets, owner, states, before, values, stale)
             continue
         s = order[begin]
         if not stale[s]:
@@ -214,6 +214,7 @@ def improve_blocks(
 
 @njit(cache=True)
 def _any_stale(stale: Array, states: Array) -> bool:
+    """Whether a block has a state left to improve."""
     for s in states:  # noqa: SIM110 (compiled)
         if stale[s]:
             return True
@@ -221,7 +222,7 @@ def _any_stale(stale: Array, states: Array) -> bool:
 
 
 @njit(cache=True)
-def _mark(
+def _mark_to_improve(
     entering: Array, entering_offsets: Array, owner: Array,
     states: Array, before: Array, values: Array, stale: Array,
 ) -> None:  # fmt: skip
@@ -238,6 +239,7 @@ def _mark(
 def _mark_entering(
     entering: Array, entering_offsets: Array, owner: Array, s: int, stale: Array
 ) -> None:
+    """Mark states to be improved again, as a successor's value has changed."""
     for k in range(entering_offsets[s], entering_offsets[s + np.uint32(1)]):
         stale[owner[entering[k]]] = True
 

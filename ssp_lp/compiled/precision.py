@@ -19,15 +19,15 @@ _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 @njit(cache=True, inline="always")
 def exact_sum(a: float, b: float) -> tuple[float, float]:
-    """A + b, rounded, and what the rounding lost (Knuth)."""
+    """With twice the precision: a + b, rounded, and what the rounding lost (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
 
 
 @njit(cache=True, inline="always")
-def _product(a: float, b: float) -> tuple[float, float]:
-    """A * b, rounded, and what the rounding lost (Dekker)."""
+def _precise_product(a: float, b: float) -> tuple[float, float]:
+    """With twice the precision: a * b, rounded, and what the rounding lost (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)
@@ -43,7 +43,7 @@ def precise_advantage(
     """``cost + sum p (v[successor] - v[s]) - exits * v[s]``, v = high + low, and its rounding."""
     total, rest, small, whole = cost, 0.0, 0.0, 0.0
     if exits[row] != 0.0:
-        term, lost = _product(-exits[row], high[s])
+        term, lost = _precise_product(-exits[row], high[s])
         total, slip = exact_sum(total, term)
         bit = exits[row] * low[s]
         rest += slip + lost - bit
@@ -53,7 +53,7 @@ def precise_advantage(
         j, p = indices[k], data[k]
         step, missed = exact_sum(high[j], -high[s])
         missed += low[j] - low[s]
-        term, lost = _product(p, step)
+        term, lost = _precise_product(p, step)
         total, slip = exact_sum(total, term)
         bit = p * missed
         rest += slip + lost + bit
@@ -172,7 +172,7 @@ def evaluate_precisely(
     before = np.full(k, np.inf)
     right, solved = np.empty((n, k)), np.empty((n, k))
     for _ in range(corrections):
-        _miss(*chain, rewards, x, low, epsilon, right, missed)
+        _precise_miss(*chain, rewards, x, low, epsilon, right, missed)
         enough, better = True, False
         for j in range(k):
             scale = 0.0
@@ -191,11 +191,11 @@ def evaluate_precisely(
 
 
 @njit(cache=True)
-def _miss(
+def _precise_miss(
     indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
     rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,
 ) -> None:  # fmt: skip
-    """By what totals miss their equations, [states, rewards], and the most of it, [rewards]."""
+    """By what totals miss their equations, in twice the working precision, and the most of it."""
     for j in range(x.shape[1]):
         missed[j] = 0.0
         for s in range(x.shape[0]):

@@ -97,7 +97,7 @@ def fill_rows(
 def row_product(
     choice: Array, indptr: Array, indices: Array, data: Array, x: Array, result: Array
 ) -> None:
-    """Chosen rows times one vector."""
+    """Chosen rows of a matrix times one vector."""
     for s in prange(choice.size):
         row = choice[s]
         total = 0.0

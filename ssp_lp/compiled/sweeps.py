@@ -14,7 +14,7 @@ Array = np.ndarray[Any, Any]
 def count_inside(
     indptr: Array, indices: Array, data: Array, states: Array, place: Array, counts: Array
 ) -> None:
-    """Entries of each member of a component that lead to other members, [members]."""
+    """For sweeps, entries of each member of a component that lead to other members, [members]."""
     for i in range(states.size):
         s, found = states[i], 0
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
@@ -28,7 +28,7 @@ def gather_inside(
     indptr: Array, indices: Array, data: Array, exits: Array, states: Array, place: Array,
     own_indptr: Array, own_indices: Array, own_data: Array, departs: Array, leaving: Array,
 ) -> None:  # fmt: skip
-    """Moves among the members of a component, seen on departing only.
+    """For sweeps, moves among the members of a component, seen on departing only.
 
     Args:
         indptr: of the chain, [states + 1].
@@ -66,7 +66,7 @@ def from_beyond(
     indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
     rewards: Array, x: Array, right: Array,
 ) -> None:  # fmt: skip
-    """Rewards of the members with the totals of what they lead to outside, [members, rewards]."""
+    """For sweeps, rewards of the members with what they lead to outside, [members, rewards]."""
     for i in range(states.size):
         s = states[i]
         for j in range(rewards.shape[1]):
@@ -130,12 +130,12 @@ def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: A
 def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
     """What ``bicgstab`` carries from step to step: shadow, p and v, [members], and rho, [1]."""
     rho = np.zeros(1)
-    _square(residual, rho)
+    _square_in_sweep(residual, rho)
     return residual.copy(), residual.copy(), np.zeros_like(residual), rho
 
 
 @njit(cache=True)
-def _square(residual: Array, rho: Array) -> None:
+def _square_in_sweep(residual: Array, rho: Array) -> None:
     """The sum of squares, in order."""
     for s in range(residual.size):
         rho[0] += residual[s] * residual[s]
@@ -191,7 +191,7 @@ def bicgstab(
 
 @njit(cache=True)
 def widest_level(indptr: Array, indices: Array, most: int) -> int:
-    """Most states at one distance from the first one, or more than ``most``: then it stops."""
+    """Before sweeping: most states at one distance from the first one, or more than ``most``."""
     n = indptr.size - 1
     seen, queue = np.zeros(n, dtype=np.bool_), np.empty(n, dtype=np.uint32)
     seen[0], queue[0] = True, 0

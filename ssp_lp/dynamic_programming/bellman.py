@@ -42,14 +42,14 @@ class PairCost:
 
     @property
     def total(self) -> FloatArray:
-        """The cost of each pair, [pairs]."""
+        """The cost of each pair in a Bellman backup, [pairs]."""
         if self.slope is None or self.factor == 0.0:
             return self.fixed
         return self.fixed + self.factor * self.slope
 
     @property
     def parts(self) -> tuple[FloatArray, FloatArray, float]:
-        """(fixed, slope, factor) with an array in place of a missing slope."""
+        """In a Bellman backup (fixed, slope, factor), an array in place of a missing slope."""
         return self.fixed, _NONE if self.slope is None else self.slope, float(self.factor)
 
 
@@ -173,6 +173,7 @@ class ChosenRows:
         return self if self._is_gathered else all_rows(self._copied(), self._is_compiled)
 
     def _copied(self) -> sp.csr_array:
+        """The chosen rows, copied out of the matrix."""
         if not self._is_compiled:
             return sp.csr_array(self._transitions[self._choice])
         from ssp_lp.compiled import rows as compiled
@@ -204,16 +205,18 @@ class ChosenRows:
 
     @property
     def _arrays(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+        """Which rows are chosen, and the matrix, as compiled backups read them."""
         return unsigned_parts(self._choice, self._transitions)
 
     @property
     def _entries(self) -> int:
+        """About how many entries the chosen rows have."""
         share = self.shape[0] / max(int(self._transitions.shape[0]), 1)
         return int(share * self._transitions.nnz)
 
 
 def all_rows(chain: sp.csr_array, is_compiled: bool | None = None) -> ChosenRows:
-    """A chain given as a matrix of its own."""
+    """The chosen rows of a chain given as a matrix of its own."""
     rows = ChosenRows(chain, np.arange(chain.shape[0], dtype=np.int32), is_compiled)
     rows._is_gathered = True
     return rows
@@ -223,10 +226,11 @@ def unsigned_parts(
     offsets: IntArray, matrix: sp.csr_array
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
     """Offsets and the three arrays of a matrix as compiled loops take them."""
-    return unsigned(offsets), *_parts(matrix)
+    return unsigned(offsets), *_bellman_parts(matrix)
 
 
-def _parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:
+def _bellman_parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:
+    """A matrix's arrays as compiled backups read them."""
     return unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
 
 

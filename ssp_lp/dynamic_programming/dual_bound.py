@@ -15,14 +15,14 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.advantages import exact_sum, precise_advantages
 from ssp_lp.dynamic_programming.lowering import (
     lowered_at_once,
     lowered_until_nothing_lacks,
     shortfall,
 )
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
 
 _ROUNDS = 12
@@ -109,7 +109,7 @@ def dual_bound(
 def sub_solution(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float = 0.0
 ) -> FloatArray:
-    """Lower the given values to ones that pass the check in working precision, [states].
+    """A dual bound that passes the check in working precision: the given values, lowered.
 
     Args:
         dynamics: the process.
@@ -128,9 +128,9 @@ def _precise_bound(
     """The bound of a policy that is optimal in twice the working precision; None: there is none."""
     choice = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values).choice
     try:
-        choice = _leaving(dynamics, choice)
-        settled = improve(dynamics, pair_cost[:, None], _ONE, choice, precise=True)
-        ahead = _precisely_ahead(dynamics, pair_cost, settled.values, settled.low)
+        choice = _leaving_for_bound(dynamics, choice)
+        settled = iterate_policy(dynamics, pair_cost[:, None], _ONE, choice, precise=True)
+        ahead = _precisely_for_bound(dynamics, pair_cost, settled.values, settled.low)
         lack = max(-float(ahead.min(initial=0.0)), 0.0)
         tied = ahead <= _SPARE * lack
         for _ in range(_ROUNDS):
@@ -138,10 +138,10 @@ def _precise_bound(
             kept = np.flatnonzero(tied)
             place = np.cumsum(tied) - 1
             steps = -np.ones((kept.size, 1))
-            longest = improve(dynamics.restricted(kept), steps, _ONE, place[settled.choice])
+            longest = iterate_policy(dynamics.restricted(kept), steps, _ONE, place[settled.choice])
             fall = -4.0 * lack * longest.values  # absorbs the lack wherever it is met again
             lowered = exact_sum(settled.values, settled.low - fall)
-            if (_precisely_ahead(dynamics, pair_cost, *lowered) >= 0.0).all():
+            if (_precisely_for_bound(dynamics, pair_cost, *lowered) >= 0.0).all():
                 return DualBound(*lowered)
             tied = ahead <= max(float(fall.max(initial=0.0)), _SPARE * lack)
             if np.count_nonzero(tied) <= kept.size:
@@ -151,7 +151,7 @@ def _precise_bound(
     return None
 
 
-def _precisely_ahead(
+def _precisely_for_bound(
     dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
 ) -> FloatArray:
     """Advantages in twice the working precision, rounding counted against us, [pairs]."""
@@ -161,12 +161,12 @@ def _precisely_ahead(
     return ahead - rounding
 
 
-def _leaving(dynamics: Dynamics, choice: IntArray) -> IntArray:
+def _leaving_for_bound(dynamics: Dynamics, choice: IntArray) -> IntArray:
     """A policy that leaves: where one does not, states go by the nearest way out instead."""
     closed = dynamics.chain(choice).closed
     if not closed.size:
         return choice
-    nearest = approach(dynamics, dynamics.exits > 0.0)
+    nearest = approach_leaving(dynamics, dynamics.exits > 0.0)
     mixed = choice.copy()
     mixed[closed] = nearest[closed]
     return mixed if not dynamics.chain(mixed).closed.size else nearest

@@ -18,7 +18,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.dynamic_programming.bellman import ChosenRows
 from ssp_lp.dynamic_programming.linear_systems.strong_components import (
-    Components,
+    StrongComponents,
     strong_components,
 )
 from ssp_lp.dynamic_programming.linear_systems.system import System
@@ -61,7 +61,7 @@ class Dynamics:
         return segment_ids(self.pair_offsets)
 
     @cached_property
-    def components(self) -> Components:
+    def components(self) -> StrongComponents:
         """Strong components of the graph of all pairs, ends first; found once for all criteria."""
         rows = self.transitions
         return strong_components(rows.indptr[self.pair_offsets], rows.indices, rows.data)
@@ -75,7 +75,7 @@ class Dynamics:
     @cached_property
     def levels(self) -> list[Level]:
         """The states of a process without cycles by how far they are from its ends at most."""
-        return list(_levels(self))
+        return list(_levels_of_dynamics(self))
 
     def chain(self, choice: IntArray) -> System:
         """The equations of one pair per state, [states]; the last few are kept, factors and all."""
@@ -98,15 +98,17 @@ class Dynamics:
         )
 
     def _chain(self, choice: IntArray) -> System:
+        """The equations of one pair per state of the dynamics."""
         rows = ChosenRows(self.transitions, choice).gathered()
         return System(rows.matrix, self.exits[choice])
 
     @cached_property
     def _chains(self) -> dict[bytes, System]:
+        """The last few chains of the dynamics that were solved."""
         return {}
 
 
-def _levels(dynamics: Dynamics) -> Iterator[Level]:
+def _levels_of_dynamics(dynamics: Dynamics) -> Iterator[Level]:
     """Level by level, from the states that lead nowhere."""
     home, entry = dynamics.pair_state, dynamics.transitions.tocoo()
     away = (home[entry.row] != entry.col) & (entry.data > 0.0)
@@ -133,7 +135,7 @@ def _levels(dynamics: Dynamics) -> Iterator[Level]:
 def without_self_loops(
     rows: sp.csr_array, home: IntArray, leak: FloatArray
 ) -> tuple[sp.csr_array, FloatArray]:
-    """Rows of transitions seen only when the process departs from where it is.
+    """Transitions of the dynamics seen only when the process departs from where it is.
 
     Waiting in place changes no total but divides everything else by the probability of departing.
     That is summed from what leaves, never formed as 1 - p, which would cancel for slow loops.

@@ -15,9 +15,9 @@ import numpy as np
 from ssp_lp.arrays import MAXIMISER, BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.advantages import precise_advantages
-from ssp_lp.dynamic_programming.policy_iteration import Settled, evaluate_policy, improve
+from ssp_lp.dynamic_programming.policy_iteration import Settled, evaluate_policy, iterate_policy
 
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2
@@ -54,24 +54,24 @@ def extreme_reach(
     if not greatest:
         wanted, other = other, wanted
     # what is wanted is maximised, which is to minimise the other: each is exact where it is small
-    choice = approach(dynamics, wanted > 0.0)
+    choice = approach_leaving(dynamics, wanted > 0.0)
     stuck = choice < 0
     if stuck.any():
-        choice = np.where(stuck, approach(dynamics, dynamics.exits > 0.0), choice)
+        choice = np.where(stuck, approach_leaving(dynamics, dynamics.exits > 0.0), choice)
     both = np.stack([wanted, other], axis=1)
-    settled = improve(dynamics, both, _OTHER, choice.astype(np.int32))
+    settled = iterate_policy(dynamics, both, _OTHER, choice.astype(np.int32))
     if settled.totals[:, 0].min() < _SMALL:  # so small that the other cannot tell
-        choice = improve(dynamics, wanted[:, None], -_ONE, settled.choice).choice
-        settled = improve(dynamics, both, _OTHER, choice)
+        choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
+        settled = iterate_policy(dynamics, both, _OTHER, choice)
     missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
     least = dual_bound(dynamics, other, missed, choice=settled.choice).values
     if float((missed - least).max()) > _PROVED:  # a policy of longer runs may be better
-        settled = improve(dynamics, both, _OTHER, settled.choice, precise=True)
+        settled = iterate_policy(dynamics, both, _OTHER, settled.choice, precise=True)
         missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
         least = dual_bound(dynamics, other, missed, choice=settled.choice).values
     totals = evaluate_policy(dynamics, settled.choice, both, _PRECISE)
     won, lost = totals.values.T
-    tied = _tied(dynamics, settled, wanted, other, (won, totals.low[:, 0]), lost)
+    tied = _tied_in_reach(dynamics, settled, wanted, other, (won, totals.low[:, 0]), lost)
     reach, missed = np.clip(won, 0.0, 1.0), np.clip(lost, 0.0, 1.0)
     least = np.minimum(least, missed)
     most = 1.0 - least
@@ -87,7 +87,7 @@ def extreme_reach(
     return ExtremeReach(hit, bound, settled.choice, tied)
 
 
-def _tied(
+def _tied_in_reach(
     dynamics: Dynamics,
     settled: Settled,
     wanted: FloatArray,
@@ -110,9 +110,9 @@ def _tied(
         place[kept] = np.arange(kept.size)
         among = dynamics.restricted(kept)
         both = np.stack([wanted[kept], other[kept]], axis=1)
-        worst = improve(among, both, -_OTHER, place[settled.choice])
+        worst = iterate_policy(among, both, -_OTHER, place[settled.choice])
         if high.min() < _SMALL:
-            worst = improve(among, both, _WANTED, worst.choice)
+            worst = iterate_policy(among, both, _WANTED, worst.choice)
         taken = kept[worst.choice]
         less, more = worst.totals.T
         loss = np.where(high < lost, high - less, more - lost)  # each is exact where it is small

@@ -25,7 +25,7 @@ from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs, unsigne
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.leaving import leaving_chain
 from ssp_lp.dynamic_programming.linear_systems.strong_components import (
-    Components,
+    StrongComponents,
     chosen_components,
 )
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES, EXACT, System
@@ -56,7 +56,7 @@ _PASSES = 20  # there and back
 
 
 def greatest_gain(backup: Backup) -> float:
-    """The greatest gain of a change, whether it is made or left to be rounding."""
+    """The greatest gain of a change in Howard's rounds, made or left to be rounding."""
     return float((backup.here - backup.minima).max(initial=0.0))
 
 
@@ -67,16 +67,16 @@ def howard_rounds(
     choice: IntArray,
     totals: FloatArray | None,
 ) -> _Found:
-    """The same as ``_rounds``; a stop carries the policy that the rounds had come to."""
+    """The same as ``_howard_rounds``; a stop carries the policy that the rounds had come to."""
     latest = [choice]
     try:
-        return _rounds(dynamics, rewards, weights, latest, totals)
+        return _howard_rounds(dynamics, rewards, weights, latest, totals)
     except STOPS as stop:
         heed(stop)
         raise Stop(latest[0]) from stop
 
 
-def _rounds(
+def _howard_rounds(
     dynamics: Dynamics,
     rewards: FloatArray,
     weights: FloatArray,
@@ -103,21 +103,23 @@ def _rounds(
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
         check_time()
-        system, choice = _chain_of(dynamics, choice, before)
+        system, choice = _chain_of_round(dynamics, choice, before)
         latest[0] = choice
         totals = system.solve(rewards[choice], totals, accuracy)
         spent, system.products = system.products, 0
         work, rounds = work + Work(1, spent), rounds + 1
         values = weighted(totals, weights)
-        if accuracy <= _FINE and above is not None and _rises(values, above):
+        if accuracy <= _FINE and above is not None and _rises_in_round(values, above):
             raise SolverError("a policy that was to improve the last one is worse")
         backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
-        better, gain, scale = _gains(backup, values, accuracy)
+        better, gain, scale = _gains_of_round(backup, values, accuracy)
         if not better.any() and accuracy > _FINE:
             accuracy = _FINE
             if not system.is_solved_exactly:
                 continue
-            better, gain, scale = _gains(backup, values, accuracy)  # only noise was thought greater
+            better, gain, scale = _gains_of_round(
+                backup, values, accuracy
+            )  # only noise was thought greater
         above = values if accuracy <= _FINE else None
         if not better.any():
             return choice, system, totals, gain, work
@@ -126,12 +128,12 @@ def _rounds(
         before, changed = choice, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
-            work = work + _swept(dynamics, pair_cost, choice, values, system, spent)
+            work = work + _swept_in_round(dynamics, pair_cost, choice, values, system, spent)
         changed_before, wanted = changed, _FORCING * gain / scale
         accuracy = min(wanted if gain > _LAST_GAINS * scale else _FINE, accuracy)
 
 
-def _chain_of(
+def _chain_of_round(
     dynamics: Dynamics, choice: IntArray, before: IntArray | None
 ) -> tuple[System, IntArray]:
     """The equations of a policy that leaves, which may differ from what was chosen."""
@@ -140,7 +142,7 @@ def _chain_of(
     return leaving_chain(dynamics, choice, before)
 
 
-def _swept(
+def _swept_in_round(
     dynamics: Dynamics,
     pair_cost: FloatArray,
     choice: IntArray,
@@ -159,11 +161,13 @@ def _swept(
         swept = improve_along_chain(dynamics, pair_cost, choice, values)
     if swept is None:
         most = _most_sweeps(dynamics, system, spent)
-        swept = _sweep(dynamics, pair_cost, choice, values, most)
+        swept = _sweep_in_round(dynamics, pair_cost, choice, values, most)
     return Work(swept, 0)
 
 
-def _gains(backup: Backup, values: FloatArray, accuracy: float) -> tuple[BoolArray, float, float]:
+def _gains_of_round(
+    backup: Backup, values: FloatArray, accuracy: float
+) -> tuple[BoolArray, float, float]:
     """Which states gain more than noise, the greatest gain, and the size of the values."""
     scale = max(float(np.abs(values).max(initial=0.0)), 1e-300)
     noise = IMPROVEMENT * np.abs(backup.here)
@@ -173,20 +177,20 @@ def _gains(backup: Backup, values: FloatArray, accuracy: float) -> tuple[BoolArr
     return better, greatest_gain(backup), scale
 
 
-def _rises(values: FloatArray, above: FloatArray) -> bool:
+def _rises_in_round(values: FloatArray, above: FloatArray) -> bool:
     """Whether values lie above those of the policy that they were to improve, beyond rounding."""
     scale = float(np.abs(above).max(initial=0.0))
     return not bool((values <= above + _WORSE * scale).all())
 
 
-def _sweep(
+def _sweep_in_round(
     dynamics: Dynamics,
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
     most_sweeps: int,
 ) -> int:
-    """Improve by sweeps, in place, while many states change; return how many there were.
+    """In one of Howard's rounds improve by sweeps, in place, while many states change.
 
     States of small value come first, then last: so news travels both ways, from the ends on and
     towards them.
@@ -209,7 +213,7 @@ def _sweep(
 
 
 def _most_sweeps(dynamics: Dynamics, system: System, products: int) -> int:
-    """Sweeps that cost about as much as the last evaluation did, or many where that was direct."""
+    """Sweeps of a round that cost about as much as the last evaluation did."""
     if products <= _DIRECT:
         return _SWEEPS
     share = system.matrix.nnz / max(dynamics.transitions.nnz, 1)
@@ -222,7 +226,7 @@ def improve_along_chain(
     choice: IntArray,
     values: FloatArray,
 ) -> int | None:
-    """Improve a policy, in place, until a pass there and back changes nothing.
+    """In Howard's rounds improve a policy, in place, until a pass there and back changes nothing.
 
     Each pass takes the components anew: those of the chain of the policy as it has become.
 
@@ -242,7 +246,7 @@ def improve_along_chain(
     for _ in range(_PASSES):
         changed = 0
         for is_forward in (True, False):
-            changed += _pass(dynamics, found, pair_cost, choice, values, stale, is_forward)
+            changed += _pass_of_round(dynamics, found, pair_cost, choice, values, stale, is_forward)
         run += 2
         if not changed:
             break
@@ -252,16 +256,16 @@ def improve_along_chain(
     return run
 
 
-def _pass(
+def _pass_of_round(
     dynamics: Dynamics,
-    found: Components,
+    found: StrongComponents,
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
     stale: BoolArray,
     is_forward: bool,
 ) -> int:
-    """One pass, in place; how often a pair was changed."""
+    """One pass along the chain in Howard's rounds, in place; how often a pair was changed."""
     from ssp_lp.compiled.improvement import improve_blocks
 
     before, count, changed = dynamics.predecessors, found.n_components, 0

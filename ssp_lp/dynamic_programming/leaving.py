@@ -12,7 +12,7 @@ from ssp_lp.errors import SolverError
 from ssp_lp.model.graph.reachability import nearer_pairs
 
 
-def approach(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
+def approach_leaving(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
     """A policy under which every state leaves through one of the leaving pairs.
 
     Each state takes a pair by which it may come nearer, in number of steps, to such a pair.
@@ -37,10 +37,10 @@ def leaving_choice(
         goal: probability of reaching the goal by each pair, [pairs].
         to_goal: pairs that come nearer to the goal where that is known, -1: none, [states].
     """
-    to_goal = approach(dynamics, goal > 0.0) if to_goal is None else to_goal
+    to_goal = approach_leaving(dynamics, goal > 0.0) if to_goal is None else to_goal
     if to_goal.min(initial=0) >= 0:
         return to_goal
-    return np.where(to_goal >= 0, to_goal, approach(dynamics, dynamics.exits > 0.0))
+    return np.where(to_goal >= 0, to_goal, approach_leaving(dynamics, dynamics.exits > 0.0))
 
 
 def leaving_chain(

@@ -36,7 +36,7 @@ _LEAST_SCALE = 1e-300
 
 
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
-    """How far each state's value exceeds its backup, rounding counted against us, [states]."""
+    """How far each state's value has to be lowered to its backup, rounding counted, [states]."""
     check_time()
     rows, exits = dynamics.transitions, dynamics.exits
     if accelerated(rows.nnz):
@@ -129,7 +129,7 @@ def _longest_run(
     lack: FloatArray,
     least: FloatArray,
 ) -> FloatArray | None:
-    """Total lack gathered along the worst near-optimal policy, [states]; None if it is endless.
+    """Total lack by which values are lowered along the worst near-optimal policy; None: endless.
 
     A state that comes to lack something counts with at least ``least``, [states]. Lowering the
     values by this amount absorbs the lack wherever it is met again: the violation times the longest

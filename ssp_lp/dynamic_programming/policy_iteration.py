@@ -66,7 +66,7 @@ class Settled:
     work: Work
 
 
-def improve(
+def iterate_policy(
     dynamics: Dynamics,
     rewards: FloatArray,
     weights: FloatArray,
@@ -75,7 +75,7 @@ def improve(
     *,
     precise: bool = False,
 ) -> Settled:
-    """Minimise the expected total of ``rewards @ weights`` from every state.
+    """Policy iteration: minimise the expected total of ``rewards @ weights`` from every state.
 
     A state changes its pair only for a gain above rounding. Started from a policy whose chain is
     transient, every later policy is transient too, provided that an end component either does not
@@ -104,7 +104,7 @@ def improve(
             if dynamics.is_reused and not precise:  # what is made of all layers is checked
                 nothing = np.zeros_like(values)
                 return Settled(choice, values[:, None], values, nothing, nothing, work)
-            left = _declined(dynamics, pair_cost, values, choice)
+            left = _declined_by_iteration(dynamics, pair_cost, values, choice)
             totals = evaluate_policy(dynamics, choice, rewards)
         else:
             found = howard_rounds(dynamics, rewards, weights, choice, guess)
@@ -120,7 +120,7 @@ def improve(
 
 
 def _may_hide_more(values: FloatArray, runs: FloatArray, left: float) -> bool:
-    """Whether gains that were left to be rounding, gathered along a run, may be worth something.
+    """Whether gains that policy iteration left to be rounding may be worth something along a run.
 
     Args:
         values: [states].
@@ -133,10 +133,10 @@ def _may_hide_more(values: FloatArray, runs: FloatArray, left: float) -> bool:
     return open_ties or hidden > _UNCERTAIN * scale
 
 
-def _declined(
+def _declined_by_iteration(
     dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, choice: IntArray
 ) -> float:
-    """The greatest gain that was left to be rounding."""
+    """The greatest gain that policy iteration left to be rounding."""
     return greatest_gain(
         best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values, choice)
     )
@@ -206,13 +206,13 @@ def evaluate_policy(
         SolverError: as ``evaluate_chain``.
     """
     if is_solved_backwards(dynamics) and is_compiled_backwards(dynamics):
-        totals = _evaluated(dynamics, choice, rewards, accuracy)
+        totals = _evaluated_policy(dynamics, choice, rewards, accuracy)
         if totals is not None:
             return totals
     return evaluate_chain(dynamics.chain(choice), rewards[choice], accuracy=accuracy)
 
 
-def _evaluated(
+def _evaluated_policy(
     dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None
 ) -> Totals | None:
     """The same compiled; None where the totals cannot be verified."""
@@ -236,7 +236,7 @@ def _evaluated(
 def switched(
     dynamics: Dynamics, choices: Sequence[IntArray], values: Sequence[FloatArray]
 ) -> tuple[IntArray, IntArray]:
-    """A policy that is no worse than any of several, all of which leave the process.
+    """For policy iteration, a policy no worse than any of several, all of which leave.
 
     Args:
         dynamics: the process.

@@ -16,7 +16,7 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_t
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.cost_player import CostPlayer, LayeredStrategy, cost_aware
-from ssp_lp.game.tail import Tail, undiscounted
+from ssp_lp.game.tail import Tail, undiscounted_tail
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.timed import TimedPolicy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
@@ -48,7 +48,7 @@ class BayesCostPlayer:
     @cached_property
     def tail(self) -> Tail:
         """pi'_or, which is followed for good beyond cap and horizon, and bounds of all policies."""
-        return undiscounted(self.base, self.stationary.tail)
+        return undiscounted_tail(self.base, self.stationary.tail)
 
     @cached_property
     def stationary(self) -> CostPlayer:
@@ -80,6 +80,7 @@ class BayesCostPlayer:
             cap *= 2 if gap > _SLOW * before else 1
 
     def _check_size(self, layers: int, horizon: int) -> None:
+        """Raise :class:`ModelError` for a Bayes-adaptive game of too many times and costs."""
         if layers * horizon * self.base.n_nodes > _MOST_ENTRIES:
             raise ModelError(
                 f"{horizon:,} steps x {layers:,} layers of accumulated cost on "

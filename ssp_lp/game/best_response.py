@@ -146,9 +146,9 @@ def iterate_values(
     choice = guess
     while True:
         if choice is None:
-            values, choice = _swept(process, pair_cost, values, block)
+            values, choice = _swept_to_response(process, pair_cost, values, block)
             sweeps += block
-        choice, totals, steps = improved(process, weights, choice)
+        choice, totals, steps = improved_response(process, weights, choice)
         attained, sweeps = totals @ weights, sweeps + steps
         lifted = sub_solution(dynamics, pair_cost, attained)
         values = np.maximum(lifted, sub_solution(dynamics, pair_cost, values))
@@ -159,7 +159,7 @@ def iterate_values(
         best, block, choice = below, max(sweeps, _FIRST_SWEEPS), None
 
 
-def _swept(
+def _swept_to_response(
     process: Discounted, pair_cost: FloatArray, values: FloatArray, times: int
 ) -> tuple[FloatArray, IntArray]:
     """So many backups of values that are nowhere above their backup, and the greedy pairs."""
@@ -170,7 +170,7 @@ def _swept(
     return values, backup.choice
 
 
-def improved(
+def improved_response(
     process: Discounted, weights: FloatArray, choice: IntArray
 ) -> tuple[IntArray, FloatArray, int]:
     """A policy after improvement by its own values, its exact costs, and the backups that took."""

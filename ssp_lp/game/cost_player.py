@@ -18,14 +18,14 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.errors import ModelError
-from ssp_lp.game.best_response import BestResponse, Discounted, improved
+from ssp_lp.game.best_response import BestResponse, Discounted, improved_response
 from ssp_lp.game.tail import Tail, outer_tail
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.levels import Levels, Window
-from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""
@@ -124,7 +124,7 @@ class CostPlayer:
             wanted = max(accuracy, _LAYER_ROUNDING * layers) * size
             if lost[cap] <= wanted or (stalled and lost[cap] <= _STALLED * size):
                 return replace(response, sweeps=sweeps)
-            cap = self._whole(_larger_cap(lost, wanted)) + self.dearest
+            cap = self._whole(_larger_cost_cap(lost, wanted)) + self.dearest
 
     def _whole(self, cap: float) -> float:
         """A cap as a whole number of layers, where these are multiples of a unit."""
@@ -225,7 +225,9 @@ class CostPlayer:
             onward = costs @ weights
             chosen = best_pairs(base.pair_offsets, base.later, onward, ahead @ weights).choice
             return chosen, costs[chosen] + chosen_product(base.later, chosen, ahead)
-        chosen, totals, _ = improved(self._layer(costs + base.later @ ahead), weights, later)
+        chosen, totals, _ = improved_response(
+            self._layer(costs + base.later @ ahead), weights, later
+        )
         return chosen, totals
 
     def _layer(self, onward: FloatArray) -> Discounted:
@@ -250,13 +252,13 @@ class CostPlayer:
             return safe_minima(base.pair_offsets, base.later, cost, size, exact, ahead), guess
         size = size + base.later @ np.abs(ahead)
         onward = pair_cost + base.later @ ahead - backup_rounding(base.later) * size
-        chosen, totals, _ = improved(self._layer(onward[:, None]), np.ones(1), guess)
+        chosen, totals, _ = improved_response(self._layer(onward[:, None]), np.ones(1), guess)
         floor = min(float((onward / (1.0 - base.survival)).min(initial=0.0)), 0.0)
         values = sub_solution(base.instant_dynamics, onward, totals[:, 0], floor)
         return values, chosen
 
 
-def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
+def _larger_cost_cap(lost: Mapping[float, float], wanted: float) -> float:
     """A cap at which as little is lost as is wanted, from 1.25 to 4 times the last one."""
     cap = max(lost)
     needed = 2.0 * cap
@@ -268,7 +270,7 @@ def _larger_cap(lost: Mapping[float, float], wanted: float) -> float:
 
 
 def cost_aware(base: AccumulatedCost, tail: Tail, strategy: LayeredStrategy) -> CostAwarePolicy:
-    """Pull a choice for each (layer, node) back to the model, followed by a tail.
+    """Pull the cost player's choice for each (layer, node) back to the model, then a tail.
 
     Args:
         base: the process.

@@ -94,6 +94,7 @@ class Equilibrium:
 
     @property
     def _shift(self) -> float:
+        """What the payoffs of an equilibrium are counted from."""
         return (1.0 - self.alpha) * self.game.scale * self.origin
 
     @property
@@ -122,7 +123,7 @@ def matrix_game(game: Game, minus: BestResponse, plus: BestResponse) -> float:
 
 
 def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
-    """The alpha in [0, 1] at which two policies pay the same, or the end where they come nearest.
+    """The equilibrium of two policies: the alpha in [0, 1] at which they pay the same.
 
     Two that differ by rounding alone may cross outside: one of them then dominates the other.
     """
@@ -134,7 +135,7 @@ def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
 def play(
     player: Player, game: Game, known: Sequence[BestResponse] = (), *, accuracy: float = 1e-11
 ) -> Equilibrium:
-    """Solve the game: the adversary's alpha* and the policies that meet there.
+    """Find the equilibrium of a game: the adversary's alpha* and the policies that meet there.
 
     Args:
         player: finds best responses.
@@ -143,23 +144,23 @@ def play(
         accuracy: relative distance between the two bounds of the value to reach.
     """
     responses = list(known)
-    minus, plus = _closest(game, responses)
+    minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None:
         minus = game.best_response(player, 0.0, accuracy)
         responses.append(minus)
         if not game.rises(minus):
-            return _pure(game, 0.0, minus, responses)
+            return _pure_equilibrium(game, 0.0, minus, responses)
     if plus is None:
         plus = game.best_response(player, 1.0, accuracy)
         responses.append(plus)
         if game.rises(plus):
-            return _pure(game, 1.0, plus, responses)
-    return _narrow(player, game, minus, plus, responses, accuracy)
+            return _pure_equilibrium(game, 1.0, plus, responses)
+    return _narrow_to_equilibrium(player, game, minus, plus, responses, accuracy)
 
 
-def unplayed(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
+def unplayed_game(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
     """What policies met before say of a game that there is no time to play: nothing from below."""
-    minus, plus = _closest(game, known)
+    minus, plus = _closest_to_equilibrium(game, known)
     if minus is None or plus is None:
         only = known[0] if minus is None and plus is None else minus or plus
         minus = plus = known[0] if only is None else only
@@ -168,7 +169,7 @@ def unplayed(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
     return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(known))
 
 
-def _narrow(
+def _narrow_to_equilibrium(
     player: Player,
     game: Game,
     minus: BestResponse,
@@ -196,7 +197,7 @@ def _narrow(
             plus = response
 
 
-def _pure(
+def _pure_equilibrium(
     game: Game, alpha: float, response: BestResponse, responses: list[BestResponse]
 ) -> Equilibrium:
     """One policy is optimal and the adversary plays one MDP for sure."""
@@ -206,7 +207,7 @@ def _pure(
     )
 
 
-def _closest(
+def _closest_to_equilibrium(
     game: Game, responses: Sequence[BestResponse]
 ) -> tuple[BestResponse | None, BestResponse | None]:
     """The policies on the two sides of the diagonal whose mixture pays least; None: no such side.

@@ -51,7 +51,7 @@ class LabelModels:
 
     @property
     def n_nodes(self) -> int:
-        """Number of live states."""
+        """Number of live states that the label player moves in."""
         return self.quotient.n_nodes
 
     @property

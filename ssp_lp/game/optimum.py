@@ -71,10 +71,13 @@ def find_optimum(
     if problem.ratio:
         return _ratio_optimum(problem, cast(RatioPlayer, player), known, tolerance, progress)
     found = find_threshold(player, budget, 1.0, known, tolerance=tolerance, progress=progress)
-    return _at_budget(problem, player, found, found.low)
+    return _optimum_at_budget(problem, player, found, found.low)
 
 
-def _at_budget(problem: Problem, player: Player, found: Threshold, lower: float) -> GameSolution:
+def _optimum_at_budget(
+    problem: Problem, player: Player, found: Threshold, lower: float
+) -> GameSolution:
+    """The optimum of the game at a budget."""
     alpha, price = found.game.alpha, found.failure_price
     return GameSolution(problem, player, found, found.budget, found.high, lower, alpha, price)
 
@@ -102,15 +105,19 @@ def _ratio_optimum(
         player, spent, share, responses, room=room, tolerance=tolerance, progress=progress
     )
     if best.failing > budget - origin:
-        falls = is_least or _ratio(best) < found.low
-        lower = found.low if falls else _slack_bound(player, found.high, budget, tolerance)
-        return _at_budget(problem, player, found, lower)
+        falls = is_least or _ratio_at_optimum(best) < found.low
+        lower = (
+            found.low if falls else _slack_bound_of_optimum(player, found.high, budget, tolerance)
+        )
+        return _optimum_at_budget(problem, player, found, lower)
     c = found.high
-    lower = _slack_bound(player, c, budget, tolerance)
+    lower = _slack_bound_of_optimum(player, c, budget, tolerance)
     return GameSolution(problem, player, found, spent, c, lower, share, c)
 
 
-def _slack_bound(player: RatioPlayer, ratio: float, budget: float, tolerance: float) -> float:
+def _slack_bound_of_optimum(
+    player: RatioPlayer, ratio: float, budget: float, tolerance: float
+) -> float:
     """A ratio a little below the least one, such that every policy is seen to have more.
 
     There it is strictly best to fail, by a margin that no rounding reaches. Where rounding does
@@ -149,15 +156,15 @@ def _least_ratio(
         SolverError: every policy fails but for rounding.
     """
     responses = list(known)
-    hopeful = [r for r in responses if _is_hopeful(r)]
+    hopeful = [r for r in responses if _is_hopeful_response(r)]
     if not hopeful:
         raise SolverError(
             "the game cannot tell costs given success: the goal is reached with a (discounted) "
             f"probability of at most {known[0].success:.1e}"
         )
-    best = min(hopeful, key=_ratio)
+    best = min(hopeful, key=_ratio_at_optimum)
     for _ in range(_MOST_STEPS):
-        c = _ratio(best)
+        c = _ratio_at_optimum(best)
         if is_late():
             break
         try:
@@ -165,17 +172,18 @@ def _least_ratio(
         except STOPS as stop:
             heed(stop)
             break
-        if not _is_hopeful(response) or _ratio(response) >= c * (1.0 - 1e-15):
+        if not _is_hopeful_response(response) or _ratio_at_optimum(response) >= c * (1.0 - 1e-15):
             return best, tuple(responses), True
         responses.append(response)
         best = response
     return best, tuple(responses), False
 
 
-def _is_hopeful(response: BestResponse) -> bool:
+def _is_hopeful_response(response: BestResponse) -> bool:
     """Whether a policy's cost given success can be told."""
     return response.success > (0.0 if response.origin else _ROUNDED_SUCCESS)
 
 
-def _ratio(response: BestResponse) -> float:
+def _ratio_at_optimum(response: BestResponse) -> float:
+    """The cost given success of a response."""
     return response.objective / response.success

@@ -44,7 +44,7 @@ def check_tolerance(tolerance: float) -> None:
 
 
 def infeasible(problem: Problem, budget: float, discounted: float) -> InfeasibleError:
-    """No policy's discounted failure keeps to the budget; says whether the real one could."""
+    """The game's setting is infeasible: no policy's discounted failure keeps to the budget."""
     problem = unrolled(problem)
     start = start_distribution(problem.model, problem.start)
     real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
@@ -76,7 +76,7 @@ def check_reachable(problem: Problem) -> None:
 
 
 def construct(problem: Problem) -> LabelModels | AccumulatedCost:
-    """Build M_o and M_{d,gamma} of section 3.1: labelled in case M, with the cost in case S.
+    """Build the setting's M_o and M_{d,gamma} of section 3.1: in case M labelled.
 
     Raises:
         ModelError: no discount, or a budget that is not above 0.

@@ -57,7 +57,7 @@ def stationary_game(
 
 
 def value_function(solution: GameSolution) -> FloatArray:
-    """A checked lower bound of ``J_obj + price * J_cond`` from each state of the process.
+    """A checked value function of the stationary game: lower bounds of ``J_obj + price * J_cond``.
 
     Case M: [states of the process]. Case S: infinite, [layers, nodes], which asks ``certify`` for
     the best that it can prove with so many layers; [1] where costs have no common unit.
@@ -79,11 +79,11 @@ def value_function(solution: GameSolution) -> FloatArray:
                 return np.broadcast_to(np.inf, best.strategy.choice.shape)
     except STOPS as stop:
         heed(stop)
-        return np.broadcast_to(np.inf, _shape(player, solution.threshold))
+        return np.broadcast_to(np.inf, _stationary_shape(player, solution.threshold))
     raise ModelError("only the stationary game has a value function of the state")
 
 
-def _shape(player: Player, found: Threshold) -> tuple[int, ...]:
+def _stationary_shape(player: Player, found: Threshold) -> tuple[int, ...]:
     """The shape of a value function: [nodes and perhaps the start], or [layers, nodes]."""
     if isinstance(player, LabelPlayer):
         models = player.models

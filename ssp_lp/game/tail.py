@@ -88,7 +88,7 @@ def outer_tail(base: AccumulatedCost, origin: float = 0.0) -> Tail:
 
     safest, riskiest = least(base.failure), least(success)
     both = np.stack([safest.choice, riskiest.choice])
-    early, cost = _followed(base, both, gamma)
+    early, cost = _followed_tails(base, both, gamma)
     return Tail(
         choice=both,
         early=early,
@@ -101,17 +101,17 @@ def outer_tail(base: AccumulatedCost, origin: float = 0.0) -> Tail:
     )
 
 
-def undiscounted(base: AccumulatedCost, tail: Tail) -> Tail:
+def undiscounted_tail(base: AccumulatedCost, tail: Tail) -> Tail:
     """The same policies with their undiscounted J_obj; J_cond stays discounted (section 3.3).
 
     Whoever succeeds with weight E[gamma^T; goal] succeeds with at least that probability and pays
     for it undiscounted, so that the bounds of the weight serve here too.
     """
-    goal, cost = _followed(base, tail.choice, 1.0)
+    goal, cost = _followed_tails(base, tail.choice, 1.0)
     return replace(tail, early=goal, cost=cost, survival=1.0)
 
 
-def _followed(
+def _followed_tails(
     base: AccumulatedCost, choices: IntArray, survival: float
 ) -> tuple[FloatArray, FloatArray]:
     """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] of policies, [policies, nodes]."""

@@ -10,7 +10,7 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.game.best_response import BestResponse, Player
-from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed
+from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed_game
 from ssp_lp.options import Progress
 
 _STEEP = (1e3, 1e6, 1e9)
@@ -97,24 +97,24 @@ def find_threshold(
     """
     accuracy = 0.1 * tolerance
     responses = [*known, *_near_least(player, budget, known, accuracy)]
-    room = _attainable(responses, budget - responses[0].origin if room is None else room)
+    room = _attainable_threshold(responses, budget - responses[0].origin if room is None else room)
     budget = responses[0].origin + room
     low, high = 0.0, cheapest_mixture(responses, room)[2] / share
     games = 0
     width = np.inf  # of the bracket after the last game at its upper end
     while True:
         at = high if games % 2 == 0 else 0.5 * (low + high)
-        found = _played(player, Game(share * at, budget, room), responses, accuracy)
+        found = _played_at_threshold(player, Game(share * at, budget, room), responses, accuracy)
         responses = list(found.responses)
         games += 1
-        low = max(low, _implied(found) / share)
+        low = max(low, _implied_threshold(found) / share)
         members, weights, cost = cheapest_mixture(responses, room)
         high = cost / share
         answer = Threshold(
             budget, min(low, high), high, found, members, weights, games, tuple(responses),
             not is_late(),
         )  # fmt: skip
-        _tell(progress, answer)
+        _tell_threshold(progress, answer)
         late = is_late() or games >= _MOST_GAMES
         if late or (high - low <= tolerance * high and at == high):
             return answer
@@ -124,7 +124,7 @@ def find_threshold(
             width = high - low
 
 
-def _tell(progress: Progress | None, found: Threshold) -> None:
+def _tell_threshold(progress: Progress | None, found: Threshold) -> None:
     """Report what is known; a stop that is asked for there ends the search."""
     try:
         if progress is not None:
@@ -133,19 +133,19 @@ def _tell(progress: Progress | None, found: Threshold) -> None:
         heed(stop)
 
 
-def _played(
+def _played_at_threshold(
     player: Player, game: Game, responses: Sequence[BestResponse], accuracy: float
 ) -> Equilibrium:
-    """The game, or what is known of it where the time runs out."""
+    """The game at a threshold, or what is known of it where the time runs out."""
     try:
         return play(player, game, responses, accuracy=accuracy)
     except STOPS as stop:
         heed(stop)
-        return unplayed(game, responses)
+        return unplayed_game(game, responses)
 
 
 def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
-    """The policy that fails least and the cheapest one."""
+    """The policies between which a threshold is sought: the one that fails least, the cheapest."""
     safest = player.response(0.0, 1.0, min(accuracy, _LEAST_ACCURACY))
     try:
         return safest, player.response(1.0, 0.0, accuracy)
@@ -154,7 +154,7 @@ def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
         return safest, safest
 
 
-def _attainable(responses: Sequence[BestResponse], room: float) -> float:
+def _attainable_threshold(responses: Sequence[BestResponse], room: float) -> float:
     """The budget, counted like the responses' failing, or the least of that but for rounding."""
     least = min(r.failing for r in responses)
     same = _SAME * (abs(least) if responses[0].origin else 1.0)
@@ -164,7 +164,7 @@ def _attainable(responses: Sequence[BestResponse], room: float) -> float:
 def _near_least(
     player: Player, budget: float, known: Sequence[BestResponse], accuracy: float
 ) -> Iterator[BestResponse]:
-    """Cheap policies among those that fail (almost) least, if the budget leaves no room.
+    """At a threshold, cheap policies among those that fail least, if the budget leaves no room.
 
     The least failure alone does not ask what its policy costs.
     """
@@ -183,7 +183,7 @@ def _near_least(
             return
 
 
-def _implied(found: Equilibrium) -> float:
+def _implied_threshold(found: Equilibrium) -> float:
     """What the value of a game at alpha* says about the cost of policies within the budget."""
     if found.alpha == 0.0:
         return 0.0

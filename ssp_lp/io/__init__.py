@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
     from ssp_lp.io.policy_files import load_policy as load_policy
     from ssp_lp.io.policy_files import save_policy as save_policy
+    from ssp_lp.io.policy_tables import policy_table as policy_table
+    from ssp_lp.io.policy_tables import to_frame as to_frame
     from ssp_lp.io.solution_files import (
         load_solution as load_solution,
     )
@@ -47,8 +49,6 @@ if TYPE_CHECKING:
     from ssp_lp.io.storm.schedulers import write_scheduler as write_scheduler
     from ssp_lp.io.storm.to_storm import to_stormpy as to_stormpy
     from ssp_lp.io.storm.to_storm import write_umb as write_umb
-    from ssp_lp.io.tables import policy_table as policy_table
-    from ssp_lp.io.tables import to_frame as to_frame
 
 _MODULES = {
     "any_format": "read_any write_any",
@@ -72,7 +72,7 @@ _MODULES = {
     "storm.programs": "read_with_storm",
     "storm.schedulers": "write_scheduler",
     "storm.to_storm": "to_stormpy write_umb",
-    "tables": "policy_table to_frame",
+    "policy_tables": "policy_table to_frame",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
 

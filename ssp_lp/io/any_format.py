@@ -52,7 +52,7 @@ def read_any(
         OSError: the file cannot be read.
     """
     file = Path(path)
-    reader: Reader = _by_ending(file, READERS)
+    reader: Reader = _format_by_ending(file, READERS)
     if constants and reader is not _read_with_storm:
         raise ModelError(f"{file.name} leaves no constants open")
     if reader is _read_with_storm:
@@ -76,18 +76,18 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
         OSError: the file cannot be written.
     """
     file = Path(path)
-    _by_ending(file, WRITERS)(model, file, start)
+    _format_by_ending(file, WRITERS)(model, file, start)
 
 
-def _by_ending(file: Path, table: Mapping[str, Any]) -> Any:
-    """What the ending of a file's name stands for."""
+def _format_by_ending(file: Path, table: Mapping[str, Any]) -> Any:
+    """What format the ending of a file's name stands for."""
     for suffix, found in table.items():
         if file.name.endswith(suffix):
             return found
     raise ModelError(f"{file.name!r} ends in none of {', '.join(table)}")
 
 
-def _by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedModel]:
+def _format_by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedModel]:
     """A reader of a format whose goals are the states of one label."""
 
     def labelled(path: Path, goal: Sequence[str], cost: str | None, **more: Any) -> StatedModel:
@@ -100,11 +100,12 @@ def _by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedModel]:
     return labelled
 
 
-_read_drn, _read_prism = _by_label(read_drn), _by_label(read_prism)
-_read_with_storm = _by_label(read_with_storm)
+_read_drn, _read_prism = _format_by_label(read_drn), _format_by_label(read_prism)
+_read_with_storm = _format_by_label(read_with_storm)
 
 
-def _read_archive(path: Path, goal: Sequence[str], cost: str | None) -> StatedModel:
+def _read_archive_format(path: Path, goal: Sequence[str], cost: str | None) -> StatedModel:
+    """Read the format of an archive, which says its goals itself."""
     if goal:
         raise ModelError(f"{path.name} says itself which states are goals")
     if cost is not None:
@@ -112,15 +113,17 @@ def _read_archive(path: Path, goal: Sequence[str], cost: str | None) -> StatedMo
     return StatedModel(load_model(path))
 
 
-def _write_json(model: SSP, path: Path, start: Start | None) -> None:
+def _write_json_format(model: SSP, path: Path, start: Start | None) -> None:
+    """Write a model in the format of JSON."""
     write_text(path, model_in_json(model, start))
 
 
-def _write_archive(model: SSP, path: Path, start: Start | None) -> None:
+def _write_archive_format(model: SSP, path: Path, start: Start | None) -> None:
+    """Write a model in the format of an archive."""
     save_model(model, path)
 
 
-def _from_one_state(write: Callable[..., None]) -> Callable[[SSP, Path, Start | None], None]:
+def _format_from_one_state(write: Callable[..., None]) -> Callable[[SSP, Path, Start | None], None]:
     """A writer of a format that knows one initial state."""
 
     def written(model: SSP, path: Path, start: Start | None) -> None:
@@ -139,7 +142,7 @@ READERS: dict[str, Reader] = {
     ".drn": _read_drn,
     ".drn.gz": _read_drn,
     ".tra": _read_prism,
-    ".npz": _read_archive,
+    ".npz": _read_archive_format,
     ".prism": _read_with_storm,
     ".nm": _read_with_storm,
     ".pm": _read_with_storm,
@@ -149,12 +152,12 @@ READERS: dict[str, Reader] = {
 """What reads a file, by the ending of its name."""
 
 WRITERS: dict[str, Callable[[SSP, Path, Start | None], None]] = {
-    ".json": _write_json,
-    ".json.gz": _write_json,
-    ".drn": _from_one_state(write_drn),
-    ".drn.gz": _from_one_state(write_drn),
-    ".tra": _from_one_state(write_prism),
-    ".npz": _write_archive,
-    ".umb": _from_one_state(write_umb),
+    ".json": _write_json_format,
+    ".json.gz": _write_json_format,
+    ".drn": _format_from_one_state(write_drn),
+    ".drn.gz": _format_from_one_state(write_drn),
+    ".tra": _format_from_one_state(write_prism),
+    ".npz": _write_archive_format,
+    ".umb": _format_from_one_state(write_umb),
 }
 """What writes a file, by the ending of its name."""

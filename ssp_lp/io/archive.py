@@ -41,7 +41,7 @@ _BROKEN = (
 def write_archive(
     path: FilePath, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Array]
 ) -> None:
-    """Write a compressed file; the same content gives the same bytes.
+    """Write a compressed archive; the same content gives the same bytes.
 
     Args:
         path: where to; no ending is added to it.
@@ -50,18 +50,21 @@ def write_archive(
         header: values that JSON knows.
         arrays: by name.
     """
-    told = json.dumps({"format": f"ssp-lp {kind}", "version": version, **header}, default=_plain)
+    told = json.dumps(
+        {"format": f"ssp-lp {kind}", "version": version, **header}, default=_plain_in_archive
+    )
     with Path(path).open("wb") as file:
         named: dict[str, Any] = {_HEADER: np.frombuffer(told.encode(), dtype=np.uint8), **arrays}
         np.savez_compressed(file, **named)
 
 
-def _plain(value: np.generic) -> Any:
+def _plain_in_archive(value: np.generic) -> Any:
+    """A numpy number as the archive's header writes it."""
     return value.item()
 
 
 def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str, Array]]:
-    """The header and the arrays of a file of :func:`write_archive`; nothing in it is executed.
+    """The header and the arrays of an archive; nothing in it is executed.
 
     Raises:
         ModelError: naming the file: it is none, broken, or of a later version than this library
@@ -72,7 +75,7 @@ def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str
         try:
             with zipfile.ZipFile(stream) as archive:
                 arrays = {
-                    entry.filename.removesuffix(".npy"): _array(archive, entry)
+                    entry.filename.removesuffix(".npy"): _archived_array(archive, entry)
                     for entry in archive.infolist()
                 }
             header = json.loads(arrays.pop(_HEADER).tobytes())
@@ -91,7 +94,7 @@ def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str
 
 @contextmanager
 def damage_named(path: FilePath) -> Iterator[None]:
-    """Raise :class:`ModelError`, naming the file, for what only a damaged one can say."""
+    """Raise :class:`ModelError`, naming the archive, for what only a damaged one can say."""
     try:
         yield
     except ModelError as error:
@@ -100,7 +103,7 @@ def damage_named(path: FilePath) -> Iterator[None]:
         raise ModelError(f"{path} is damaged: {error!r}") from error
 
 
-def _array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
+def _archived_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
     """One array, in the machine's own byte order; its size is bounded by that of the file."""
     name = entry.filename.removesuffix(".npy")
     if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):

@@ -70,9 +70,9 @@ class Controller:
         if told["version"] > _VERSION:
             raise ValueError(f"{path} has version {told['version']}, not 1 .. {_VERSION}")
         states = told["states"]
-        labels = range(states) if isinstance(states, int) else map(_label, states)
+        labels = range(states) if isinstance(states, int) else map(_controller_label, states)
         self._index: dict[Hashable, int] = {label: k for k, label in enumerate(labels)}
-        self._actions: list[Hashable] = [_label(action) for action in told["actions"]]
+        self._actions: list[Hashable] = [_controller_label(action) for action in told["actions"]]
         self._members: list[dict[str, Any]] = told["members"]
         self._rng = random.Random()
         self._member: dict[str, Any] | None = None
@@ -100,8 +100,8 @@ class Controller:
         """
         member, here = self._current(), self._state(state)
         if self._memory is None:
-            self._memory = _start_memory(member["memory"], here)
-        memory, place = _innermost(member["memory"], self._memory, here)
+            self._memory = _controller_start(member["memory"], here)
+        memory, place = _innermost_of_controller(member["memory"], self._memory, here)
         choice = member["decision"][memory][place]
         if isinstance(choice, list):
             codes, shares = zip(*choice, strict=True)
@@ -125,37 +125,45 @@ class Controller:
         member, there = self._current(), self._state(successor)
         if self._memory is None:
             raise RuntimeError("observe() was called before the first action() of the episode")
-        self._memory = _after(member["memory"], self._memory, (*self._step, there), float(cost))
+        self._memory = _controller_after(
+            member["memory"], self._memory, (*self._step, there), float(cost)
+        )
 
     def _current(self) -> dict[str, Any]:
+        """The member that the controller plays."""
         if self._member is None:
             raise RuntimeError("call reset(seed) before the first action of an episode")
         return self._member
 
     def _state(self, label: Hashable) -> int:
+        """The number of a state that the controller is told of."""
         if label not in self._index:
             raise ValueError(f"{label!r} is not a state of the model")
         return self._index[label]
 
 
-def _label(value: Any) -> Hashable:
+def _controller_label(value: Any) -> Hashable:
     """A label from its JSON value: lists are tuples."""
     if isinstance(value, list):
-        return tuple(_label(part) for part in value)
+        return tuple(_controller_label(part) for part in value)
     found: Hashable = value
     return found
 
 
-def _start_memory(memory: dict[str, Any] | None, state: int) -> Any:
+def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
+    """The controller's memory at the start."""
     if memory is None:
         return 0
     if "place" in memory:
         number = memory.get("start", 0)
-        return [number, _start_memory(memory["inner"], _place(memory, number, state))]
-    return 0 if memory["levels"] is not None else _at_layer(memory, 0, state)
+        return [
+            number,
+            _controller_start(memory["inner"], _controller_place(memory, number, state)),
+        ]
+    return 0 if memory["levels"] is not None else _controller_layer(memory, 0, state)
 
 
-def _place(memory: dict[str, Any], number: int, state: int) -> int:
+def _controller_place(memory: dict[str, Any], number: int, state: int) -> int:
     """The situation of a state and the number of a memory."""
     place: int = memory["place"][number][state]
     if place < 0:
@@ -163,25 +171,30 @@ def _place(memory: dict[str, Any], number: int, state: int) -> int:
     return place
 
 
-def _innermost(memory: dict[str, Any] | None, value: Any, state: int) -> tuple[int, int]:
-    """The innermost memory, and the state that it is for."""
+def _innermost_of_controller(
+    memory: dict[str, Any] | None, value: Any, state: int
+) -> tuple[int, int]:
+    """The controller's innermost memory, and the state that it is for."""
     while memory is not None and "place" in memory:
-        state, memory, value = _place(memory, value[0], state), memory["inner"], value[1]
+        state, memory, value = _controller_place(memory, value[0], state), memory["inner"], value[1]
     return value, state
 
 
-def _after(
+def _controller_after(
     memory: dict[str, Any] | None, value: Any, step: tuple[int, int, int], cost: float
 ) -> Any:
-    """The memory after a step from a state by an action to a successor."""
+    """The controller's memory after a step from a state by an action to a successor."""
     if memory is None:
         return value
     state, action, successor = step
     if "place" in memory:
         number, inner = value
-        then = _counted(memory, number, step, cost)
-        place, there = _place(memory, number, state), _place(memory, then, successor)
-        return [then, _after(memory["inner"], inner, (place, action, there), cost)]
+        then = _counted_by_controller(memory, number, step, cost)
+        place, there = (
+            _controller_place(memory, number, state),
+            _controller_place(memory, then, successor),
+        )
+        return [then, _controller_after(memory["inner"], inner, (place, action, there), cost)]
     number = value
     if not memory["acting"][successor] or number >= memory["cap"]:
         return number
@@ -189,15 +202,17 @@ def _after(
         return _nearest_level(memory, number, successor, cost if isfinite(cost) else 0.0)
     paid = cost / memory["unit"] if isfinite(cost) else -1.0
     if memory["rounds_up"] and paid >= 0.0:
-        return _at_layer(memory, number + ceil(paid * (1.0 - _SAME_TOTAL)), successor)
+        return _controller_layer(memory, number + ceil(paid * (1.0 - _SAME_TOTAL)), successor)
     steps = round(paid)
     if steps < 0 or abs(paid - steps) > _OFF_LATTICE:
         raise ValueError(f"observed cost {cost!r} is no whole number of units {memory['unit']!r}")
-    return _at_layer(memory, number + steps, successor)
+    return _controller_layer(memory, number + steps, successor)
 
 
-def _counted(memory: dict[str, Any], number: int, step: tuple[int, int, int], cost: float) -> int:
-    """The number of a memory after a step."""
+def _counted_by_controller(
+    memory: dict[str, Any], number: int, step: tuple[int, int, int], cost: float
+) -> int:
+    """The number of a controller's memory after a step."""
     if memory["kind"] == "steps":
         steps: int = memory["steps"]
         late = memory["acting"][step[2]] and number + 1 >= steps
@@ -214,8 +229,8 @@ def _counted(memory: dict[str, Any], number: int, step: tuple[int, int, int], co
     raise ValueError(f"observed cost {cost!r} is none that this step may have")
 
 
-def _at_layer(memory: dict[str, Any], layer: int, state: int) -> int:
-    """The layer below the cap, then the tail."""
+def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
+    """The controller's layer below the cap, then the tail."""
     cap: int = memory["cap"]
     if layer < cap:
         return layer
@@ -229,6 +244,7 @@ def _at_layer(memory: dict[str, Any], layer: int, state: int) -> int:
 
 
 def _nearest_level(memory: dict[str, Any], number: int, state: int, cost: float) -> int:
+    """The controller's level of cost nearest to what is paid after a step."""
     levels, cap = memory["levels"], memory["cap"]
     total = levels[number] + cost
     above = min(max(bisect_left(levels, total), 1), cap)

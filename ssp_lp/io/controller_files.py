@@ -60,8 +60,8 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
         "members": [
             {
                 "weight": weight,
-                "memory": _memory(member, codes),
-                "decision": _decisions(member, codes),
+                "memory": _controller_memory(member, codes),
+                "decision": _controller_decisions(member, codes),
             }
             for member, weight in zip(lottery.policies, lottery.weights.tolist(), strict=True)
         ],
@@ -70,7 +70,7 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
     Path(path).write_text(text + "\n", encoding="utf-8")
 
 
-def _memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
+def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
     """What the policy remembers, as the controller reads it.
 
     Raises:
@@ -80,12 +80,12 @@ def _memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | N
         case DeterministicPolicy() | StochasticPolicy(carrier=None):
             return None
         case StochasticPolicy(carrier=Policy() as carrier):
-            return _memory(carrier, codes)
+            return _controller_memory(carrier, codes)
         case JointMemory(keepers=(keeper,)):
-            return _memory(keeper, codes)
+            return _controller_memory(keeper, codes)
         case RememberingPolicy(inner=inner, product=product):
-            place = {"place": product.table.T.tolist(), "inner": _memory(inner, codes)}
-            return _numbers(product, codes) | place
+            place = {"place": product.table.T.tolist(), "inner": _controller_memory(inner, codes)}
+            return _controller_numbers(product, codes) | place
         case CostAwarePolicy():
             table = policy.tail_table
             return {
@@ -94,7 +94,7 @@ def _memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | N
                 "rounds_up": bool(policy.rounds_up),
                 "cap": policy.cap,
                 "tails": len(policy.tails),
-                "threshold": _thresholds(policy.tail_threshold),
+                "threshold": _controller_thresholds(policy.tail_threshold),
                 "table": None if table is None else table.tolist(),
                 "levels": None if policy.levels is None else policy.levels.tolist(),
                 "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
@@ -102,8 +102,8 @@ def _memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | N
     raise ModelError(f"a controller cannot run a {type(policy).__name__}")
 
 
-def _numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
-    """How the number of a product's memory goes on."""
+def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
+    """How the number of a product's memory goes on, for the controller's file."""
     if isinstance(product, HorizonSSP):
         acting = np.diff(product.original.pair_offsets) > 0
         return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
@@ -126,12 +126,12 @@ def _numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, An
     return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
 
 
-def _thresholds(layers: FloatArray) -> list[float | None]:
+def _controller_thresholds(layers: FloatArray) -> list[float | None]:
     """First layer of the last tail in each state; None for never, 0 for always."""
     return [max(layer, 0.0) if layer < np.inf else None for layer in layers.tolist()]
 
 
-def _decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
+def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
     """What the policy does, [memories][states], of the innermost memory and its states."""
     over = np.zeros(policy.model.n_states, dtype=np.bool_)
     while isinstance(policy, RememberingPolicy):
@@ -141,12 +141,14 @@ def _decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]
     states, actions = np.arange(policy.model.n_states), policy.model.action_names
     code = np.array([codes[name] for name in actions] or [0])
     return [
-        _decisions_at(policy, np.full(states.size, memory, dtype=np.int64), code, over)
+        _controller_decisions_at(policy, np.full(states.size, memory, dtype=np.int64), code, over)
         for memory in range(_memory_count(policy))
     ]
 
 
-def _decisions_at(policy: Policy, memory: Any, code: IntArray, over: BoolArray) -> list[Any]:
+def _controller_decisions_at(
+    policy: Policy, memory: Any, code: IntArray, over: BoolArray
+) -> list[Any]:
     """What the policy does in each state; it gives up where it has no decision and all is over."""
     model = policy.model
     found = policy.branches(np.arange(model.n_states), memory)
@@ -166,6 +168,7 @@ def _decisions_at(policy: Policy, memory: Any, code: IntArray, over: BoolArray) 
 
 
 def _memory_count(policy: Policy) -> int:
+    """How many memories of a policy the controller's file has."""
     match policy:
         case StochasticPolicy(carrier=Policy() as carrier):
             return _memory_count(carrier)

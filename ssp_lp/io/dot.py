@@ -11,7 +11,7 @@ import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain
 from ssp_lp.errors import ModelError
-from ssp_lp.io.tables import memories_of
+from ssp_lp.io.policy_tables import memories_of
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.mixed import as_lottery
@@ -56,13 +56,14 @@ def write_dot(
     for k, (member, chain) in enumerate(zip(lottery.policies, chains, strict=True)):
         lines.append(f"  subgraph cluster_{k} {{")
         if len(chains) > 1:
-            lines.append(f"    label={_quoted(f'with probability {lottery.weights[k]:.6g}')};")
-        lines += [f"    {line}" for line in (*_nodes(member, chain, k), *_edges(chain, k))]
+            lines.append(f"    label={_dot_text(f'with probability {lottery.weights[k]:.6g}')};")
+        lines += [f"    {line}" for line in (*_dot_nodes(member, chain, k), *_dot_edges(chain, k))]
         lines.append("  }")
     Path(path).write_text("\n".join([*lines, "}", ""]), encoding="utf-8")
 
 
-def _nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
+def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
+    """The nodes of the graph, as lines of dot."""
     model, told = chain.model, dict(memories_of(policy))
     actions = defaultdict(list)
     branches = zip(chain.branch_node, chain.branch_pair, chain.branch_probability, strict=True)
@@ -81,17 +82,19 @@ def _nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
             shape = ", shape=box"
         if chain.start[node] > 0.0:
             shape += ", penwidth=2"
-        yield f"n{member}_{node} [label={_quoted(chr(10).join([name, *actions[node]]))}{shape}];"
+        yield f"n{member}_{node} [label={_dot_text(chr(10).join([name, *actions[node]]))}{shape}];"
 
 
-def _edges(chain: Chain, member: int) -> Iterator[str]:
+def _dot_edges(chain: Chain, member: int) -> Iterator[str]:
+    """The edges of the graph, as lines of dot."""
     steps = chain.matrix.tocoo()
     for source, target, probability in zip(*np.asarray(steps.coords), steps.data, strict=True):
         if probability > 0.0:
             share = f"{probability:.6g}"
-            yield f"n{member}_{source} -> n{member}_{target} [label={_quoted(share)}];"
+            yield f"n{member}_{source} -> n{member}_{target} [label={_dot_text(share)}];"
 
 
-def _quoted(text: str) -> str:
+def _dot_text(text: str) -> str:
+    """A text in quotation marks, as dot reads it."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'

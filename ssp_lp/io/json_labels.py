@@ -38,7 +38,7 @@ def label_value(label: Hashable) -> Any:
 
 
 def label_of(value: Any) -> Hashable:
-    """The label that a JSON value was: lists as tuples.
+    """The label that a value in JSON was: lists as tuples.
 
     Raises:
         ModelError: an object, which no label becomes.
@@ -75,7 +75,7 @@ def stated_value(label: Hashable) -> Any:
 
 
 def are_numbers_in_turn(labels: Sequence[Hashable]) -> bool:
-    """Whether the labels are the whole numbers 0, 1, ..."""
+    """Whether the labels need no JSON: the whole numbers 0, 1, ..."""
     if isinstance(labels, range):
         return labels == range(len(labels))
     return all(label == k for k, label in enumerate(labels))

@@ -53,10 +53,10 @@ def from_matrices(
         raise ModelError("give either costs or rewards")
     if actions is not None and len(actions) != len(matrices):
         raise ModelError(f"{len(actions)} names for {len(matrices)} actions")
-    state, action, target, chance = _outcomes(matrices)
-    paid = _paid(rewards if costs is None else costs, state, action, target, matrices)
+    state, action, target, chance = _matrix_outcomes(matrices)
+    paid = _paid_by_matrix(rewards if costs is None else costs, state, action, target, matrices)
     if costs is None:
-        paid = _negated(paid, state, action)
+        paid = _negated_matrix(paid, state, action)
     kept = ~np.isposinf(paid)
     state, action, target = state[kept], action[kept], target[kept]
     new = np.ones(state.size, dtype=np.bool_)
@@ -72,7 +72,9 @@ def from_matrices(
         actions=[names[k] for k in action[firsts].tolist()],
         labels={},
     )
-    return absorbed(raw, _goals(goal, n_states), np.zeros(0, dtype=np.int64), "the matrices")
+    return absorbed(
+        raw, _goals_beside_matrices(goal, n_states), np.zeros(0, dtype=np.int64), "the matrices"
+    )
 
 
 def _matrix(matrix: Any) -> Any:
@@ -86,7 +88,7 @@ def _matrix(matrix: Any) -> Any:
     return found
 
 
-def _outcomes(matrices: Sequence[Any]) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+def _matrix_outcomes(matrices: Sequence[Any]) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
     """State, action, successor and probability of each outcome, by state and action."""
     parts = [matrix.tocoo() for matrix in matrices]
     state = np.concatenate([part.row.astype(np.int64) for part in parts])
@@ -97,10 +99,10 @@ def _outcomes(matrices: Sequence[Any]) -> tuple[IntArray, IntArray, IntArray, Fl
     return state[order], action[order], target[order], chance[order]
 
 
-def _paid(
+def _paid_by_matrix(
     given: Any, state: IntArray, action: IntArray, target: IntArray, matrices: Sequence[Any]
 ) -> FloatArray:
-    """The cost or reward of each outcome, [outcomes]."""
+    """The cost or reward that the matrices give each outcome, [outcomes]."""
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
         if len(given) == n_actions and all(part.shape == matrices[0].shape for part in given):
@@ -126,7 +128,7 @@ def _paid(
     )
 
 
-def _negated(rewards: FloatArray, state: IntArray, action: IntArray) -> FloatArray:
+def _negated_matrix(rewards: FloatArray, state: IntArray, action: IntArray) -> FloatArray:
     """Rewards as costs; raises :class:`ModelError` where one is positive."""
     positive = rewards > 0.0
     if positive.any():
@@ -138,7 +140,7 @@ def _negated(rewards: FloatArray, state: IntArray, action: IntArray) -> FloatArr
     return np.asarray(0.0 - rewards)
 
 
-def _goals(goal: npt.ArrayLike, n_states: int) -> IntArray:
+def _goals_beside_matrices(goal: npt.ArrayLike, n_states: int) -> IntArray:
     """Indices of goal states, [goals]."""
     goals = np.atleast_1d(np.asarray(goal))
     if goals.ndim != 1 or not np.issubdtype(goals.dtype, np.integer) or not goals.size:

@@ -53,8 +53,8 @@ def save_model(model: SSP, path: FilePath) -> None:
     uniform = model.costs.strides == (0,) and model.costs.size > 0
     members = list(model.state_labels.values())
     header = {
-        "states": _names(model.states),
-        "actions": _names(model.action_names),
+        "states": _names_in_archive(model.states),
+        "actions": _names_in_archive(model.action_names),
         "state_labels": list(model.state_labels),
         "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
     }
@@ -68,7 +68,7 @@ def save_model(model: SSP, path: FilePath) -> None:
     write_archive(path, "model", _VERSION, header, arrays)
 
 
-def _names(names: Sequence[Hashable]) -> list[Any] | None:
+def _names_in_archive(names: Sequence[Hashable]) -> list[Any] | None:
     """Names as JSON has them; None where they are their positions."""
     if isinstance(names, range):
         return None
@@ -92,18 +92,19 @@ def load_model(path: FilePath) -> SSP:
     """
     header, arrays = read_archive(path, "model", _VERSION)
     with damage_named(path):
-        return _model(header, arrays)
+        return _model_in_archive(header, arrays)
 
 
-def _model(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> SSP:
+def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> SSP:
+    """The model that an archive's texts and arrays state, checked."""
     for name, kind in _ARRAYS.items():
         if name not in arrays:
             raise ModelError(f"the array {name} is missing")
         if arrays[name].ndim != 1 or arrays[name].dtype != kind:
             raise ModelError(f"the array {name} has another type or size than it should")
     n_states = arrays["pair_offsets"].size - 1
-    states = _labels(texts, "states", max(n_states, 0))
-    actions = _labels(texts, "actions", None)
+    states = _labels_in_archive(texts, "states", max(n_states, 0))
+    actions = _labels_in_archive(texts, "actions", None)
     if not isinstance(actions, range):
         chosen = arrays["pair_action"]
         if ((chosen < 0) | (chosen >= len(actions))).any():
@@ -119,15 +120,15 @@ def _model(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> SSP:
         goal_states=arrays["goal_states"],
         states=None if isinstance(states, range) else states,
         actions=None if isinstance(actions, range) else actions,
-        state_labels=_state_labels(texts, arrays, states),
-        exact_costs=_exact_costs(texts),
+        state_labels=_state_labels_in_archive(texts, arrays, states),
+        exact_costs=_exact_costs_in_archive(texts),
         treat_actionless_as_dead_ends=True,
     )
     return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
 
 
-def _labels(texts: Mapping[str, Any], name: str, size: int | None) -> Sequence[Hashable]:
-    """Names of states or actions; a range where they are their positions."""
+def _labels_in_archive(texts: Mapping[str, Any], name: str, size: int | None) -> Sequence[Hashable]:
+    """Names of states or actions in an archive; a range where they are their positions."""
     given = texts.get(name, ())
     if given is None:
         return range(size or 0)
@@ -136,10 +137,10 @@ def _labels(texts: Mapping[str, Any], name: str, size: int | None) -> Sequence[H
     return [label_of(part) for part in given]
 
 
-def _state_labels(
+def _state_labels_in_archive(
     texts: Mapping[str, Any], arrays: Mapping[str, Array], states: Sequence[Hashable]
 ) -> Mapping[str, Sequence[Hashable]]:
-    """Members of each label, by name."""
+    """Members of each state label in a model's archive, by name."""
     offsets, members = arrays["label_offsets"], arrays["label_members"]
     check_offsets("label_offsets", offsets, members.size)
     if ((members < 0) | (members >= len(states))).any():
@@ -149,7 +150,7 @@ def _state_labels(
     return {name: [states[k] for k in some.tolist()] for name, some in pairs}
 
 
-def _exact_costs(texts: Mapping[str, Any]) -> Mapping[float, Fraction]:
+def _exact_costs_in_archive(texts: Mapping[str, Any]) -> Mapping[float, Fraction]:
     """Costs that were given as fractions; digits are counted before they are read."""
     exact: dict[float, Fraction] = {}
     for number, text in texts["exact_costs"]:

@@ -46,10 +46,10 @@ def fingerprint(model: SSP) -> str:
     """
     digest = sha256(_VERSION.encode())
     for name in ("pair_offsets", "outcome_offsets", "successors", "pair_action", "goal_mask"):
-        _add_array(digest.update, name, getattr(model, name), "<i8")
+        _fingerprint_array(digest.update, name, getattr(model, name), "<i8")
     for name in ("probabilities", "costs"):
-        _add_array(digest.update, name, getattr(model, name), "<f8")
-    for name, value in _words(model):
+        _fingerprint_array(digest.update, name, getattr(model, name), "<f8")
+    for name, value in _fingerprint_words(model):
         told = json.dumps(value, sort_keys=True, separators=(",", ":")).encode()
         digest.update(f"\n{name} {len(told)}\n".encode() + told)
     return digest.hexdigest()
@@ -59,30 +59,31 @@ def fingerprint(model: SSP) -> str:
 def pair_print(model: SSP) -> str:
     """The SHA-256 of which state has how many pairs: what a policy needs of a model."""
     digest = sha256(b"ssp-lp pairs 1")
-    _add_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
+    _fingerprint_array(digest.update, "pair_offsets", model.pair_offsets, "<i8")
     return digest.hexdigest()
 
 
-def _add_array(
+def _fingerprint_array(
     update: Callable[[bytes], None], name: str, array: FloatArray | IntArray | BoolArray, kind: str
 ) -> None:
+    """Take an array into the fingerprint."""
     update(f"\n{name} {len(array)}\n".encode())
     for first in range(0, len(array), _PIECE):
         # adding zero turns -0.0 into 0.0
         update((array[first : first + _PIECE] + np.zeros(1, kind)).astype(kind).tobytes())
 
 
-def _words(model: SSP) -> Iterator[tuple[str, object]]:
-    """What a model says besides its numbers, by name."""
-    yield "states", _labels(model.states)
-    yield "actions", _labels(model.action_names)
+def _fingerprint_words(model: SSP) -> Iterator[tuple[str, object]]:
+    """What a model's fingerprint takes in besides its numbers, by name."""
+    yield "states", _fingerprint_labels(model.states)
+    yield "actions", _fingerprint_labels(model.action_names)
     yield "state_labels", {name: found.tolist() for name, found in model.state_labels.items()}
     yield "exact_costs", [[float(k).hex(), str(v)] for k, v in sorted(model.exact_costs.items())]
     if isinstance(model, ProductSSP):
         yield "original", fingerprint(model.original)
 
 
-def _labels(labels: Sequence[Hashable]) -> object:
+def _fingerprint_labels(labels: Sequence[Hashable]) -> object:
     """Labels as JSON values; their number where they are the whole numbers in turn."""
     if are_numbers_in_turn(labels):
         return len(labels)

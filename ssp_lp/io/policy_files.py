@@ -15,7 +15,7 @@ from ssp_lp.io.model_fingerprint import fingerprint, pair_print
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import check_model
-from ssp_lp.model.within_steps import HorizonSSP, unroll
+from ssp_lp.model.within_steps import HorizonSSP, unroll_steps
 from ssp_lp.policies import (
     CostAwarePolicy,
     DeterministicPolicy,
@@ -71,7 +71,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
         if horizon is not None and not isinstance(model, HorizonSSP):
             begin = arrays[horizon["begin"]]
             if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
-                model = unroll(model, horizon["steps"], begin.tolist())
+                model = unroll_steps(model, horizon["steps"], begin.tolist())
         return policy_in(header, arrays, model, check=check)
 
 
@@ -97,7 +97,7 @@ def policy_in(
             f"{fingerprint(model)[:12]}...: build the same model, or give check=False if it "
             f"differs on purpose{remedy}"
         )
-    return made_of(records, arrays, model)[-1]
+    return policies_in_file(records, arrays, model)[-1]
 
 
 AnyPolicy = Policy | MixedPolicy
@@ -204,7 +204,7 @@ class PolicyRecords:
         return self._known[id(policy)]
 
 
-def made_of(
+def policies_in_file(
     records: list[dict[str, Any]], arrays: Mapping[str, Array], model: SSP
 ) -> list[AnyPolicy]:
     """The policies of :class:`PolicyRecords`, on a model.
@@ -217,17 +217,18 @@ def made_of(
         kind = _KINDS[record["kind"]]
         parts: dict[str, Any] = {"model": model} if kind.on_model else {}
         parts |= {part: record[part] for part in kind.numbers}
-        parts |= {part: _found(arrays, record[part]) for part in kind.arrays}
-        parts |= {part: _found(made, record[part]) for part in kind.policies}
+        parts |= {part: _found_in_file(arrays, record[part]) for part in kind.arrays}
+        parts |= {part: _found_in_file(made, record[part]) for part in kind.policies}
         parts |= {part: tuple(made[k] for k in record[part]) for part in kind.lists}
         made.append(kind.made(**parts))
     return made
 
 
-def _found(kept: Any, key: str | int | None) -> Any:
+def _found_in_file(kept: Any, key: str | int | None) -> Any:
+    """What a policy's file keeps under a key."""
     return None if key is None else kept[key]
 
 
 def carries_a_memory(records: list[dict[str, Any]]) -> bool:
-    """Whether some policy lives on a product and acts on its original model."""
+    """Whether a policy of a file lives on a product and acts on its original model."""
     return any(record["kind"] == "remembering" for record in records)

@@ -52,8 +52,8 @@ def save_solution(solution: Solution, path: FilePath) -> None:
     as_solved(solution, "save_solution")
     records, values = PolicyRecords(), solution.value_function
     header = records.header(solution.policy)
-    header["problem"] = _words_of(solution.problem)
-    header["start"] = records.add_array(_start_of(solution.problem))
+    header["problem"] = _solution_words(solution.problem)
+    header["start"] = records.add_array(_start_of_solved(solution.problem))
     header["numbers"] = {name: getattr(solution, name) for name in _NUMBERS}
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
     header["value_function"] = None if values is None else records.add_array(np.asarray(values))
@@ -92,13 +92,13 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
         )
 
 
-def _words_of(problem: Problem) -> dict[str, Any]:
-    """What tells a problem from others on the same model."""
+def _solution_words(problem: Problem) -> dict[str, Any]:
+    """What in a solution's file tells a problem from others on the same model."""
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
-        "failure_budget": _number(problem.failure_budget),
-        "discount": _number(problem.discount),
+        "failure_budget": _number_in_file(problem.failure_budget),
+        "discount": _number_in_file(problem.discount),
         "penalty": float(semantics.penalty),
         "give_up": str(semantics.give_up),
         "measure": None if measure is None else measure.words,
@@ -109,12 +109,14 @@ def _words_of(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _start_of(problem: Problem) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _start_of_solved(problem: Problem) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """The start of a solution's problem, as the file has it."""
     return start_distribution(problem.model, problem.start)
 
 
 def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
-    for name, stated in _words_of(problem).items():
+    """Raise :class:`ModelError` unless the file's solution belongs to the problem."""
+    for name, stated in _solution_words(problem).items():
         saved = kept[name]
         same = saved == stated
         if isinstance(saved, float) and isinstance(stated, float):
@@ -123,9 +125,10 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
             raise ModelError(
                 f"the file answers a problem with {name} = {saved!r}, this one has {stated!r}"
             )
-    if not np.array_equal(_start_of(problem), start):
+    if not np.array_equal(_start_of_solved(problem), start):
         raise ModelError("the file answers a problem with another start")
 
 
-def _number(value: float | None) -> float | None:
+def _number_in_file(value: float | None) -> float | None:
+    """A number of a solution as its file has it."""
     return None if value is None else float(value)

@@ -10,7 +10,12 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import RESIDUAL
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, PolicyBasis, residuals
+from ssp_lp.linear_programming.linear_program import (
+    LinearProgram,
+    LPAnswer,
+    PolicyBasis,
+    program_residuals,
+)
 from ssp_lp.options import BACKENDS
 
 _SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
@@ -19,7 +24,7 @@ Attempt = tuple[str, PolicyBasis | None]
 
 
 def cold_attempts(program: LinearProgram, backend: str | None) -> list[Attempt]:
-    """The backend asked for, or the one for the program's size, and one to fall back on.
+    """The backend asked for, or the one for the program's size, and a backend to fall back on.
 
     Raises:
         ModelError: an unknown backend.
@@ -38,7 +43,7 @@ def cold_attempts(program: LinearProgram, backend: str | None) -> list[Attempt]:
 def first_accepted(
     program: LinearProgram, attempts: list[Attempt], deadline: float
 ) -> tuple[LPAnswer, float]:
-    """The first answer that passes its check, and its worst residual.
+    """The first backend's answer that passes its check, and its worst residual.
 
     Args:
         program: the program.
@@ -50,8 +55,8 @@ def first_accepted(
     """
     tried = []
     for name, basis in attempts:
-        answer = run(program, name, deadline - time.perf_counter(), basis)
-        worst = residuals(program, answer).worst
+        answer = run_backend(program, name, deadline - time.perf_counter(), basis)
+        worst = program_residuals(program, answer).worst
         if worst <= RESIDUAL:
             return answer, worst
         tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")
@@ -59,7 +64,7 @@ def first_accepted(
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
 
-def run(
+def run_backend(
     program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
 ) -> LPAnswer:
     """One backend's answer, unchecked.

@@ -44,11 +44,11 @@ def solve_with_highs(
         SolverError: HiGHS refuses an option, the model or the basis.
     """
     began = time.perf_counter()
-    solver = _solver(backend, time_limit, basis)
+    solver = _highs_solver(backend, time_limit, basis)
     if solver.passModel(highs_lp(program)) == highspy.HighsStatus.kError:
         raise SolverError("HiGHS refuses the linear program")
     if basis is not None:
-        _start_at(solver, highs_basis(program, basis))
+        _start_highs_at(solver, highs_basis(program, basis))
     solver.run()
     if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
         solver.setOptionValue("presolve", "off")
@@ -66,7 +66,7 @@ def solve_with_highs(
 
 
 def _is_doubtful(solver: highspy.Highs) -> bool:
-    """Whether an answer is worth a second attempt without presolve."""
+    """Whether an answer of HiGHS is worth a second attempt without presolve."""
     status = solver.getModelStatus()
     if status == highspy.HighsModelStatus.kOptimal:
         return bool(solver.getInfo().max_primal_infeasibility > _BROKEN)
@@ -89,8 +89,8 @@ def highs_basis(program: LinearProgram, basis: PolicyBasis) -> highspy.HighsBasi
     return given
 
 
-def _solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highspy.Highs:
-    """A solver with its options set."""
+def _highs_solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highspy.Highs:
+    """A HiGHS solver with its options set."""
     solver = highspy.Highs()  # type: ignore[no-untyped-call]
     options: dict[str, bool | int | float | str] = {
         "output_flag": False,
@@ -110,7 +110,8 @@ def _solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highs
     return solver
 
 
-def _start_at(solver: highspy.Highs, basis: highspy.HighsBasis) -> None:
+def _start_highs_at(solver: highspy.Highs, basis: highspy.HighsBasis) -> None:
+    """Tell HiGHS of a basis to start at."""
     if solver.setBasis(basis) == highspy.HighsStatus.kError:
         raise SolverError("HiGHS refuses the basis")
 
@@ -133,7 +134,7 @@ def highs_lp(program: LinearProgram) -> highspy.HighsLp:
 
 
 def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) -> None:
-    """Write a program in free MPS or CPLEX's LP format.
+    """Write a program through HiGHS, in free MPS or CPLEX's LP format.
 
     Args:
         program: the program.
@@ -147,10 +148,10 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
     if path.suffix not in ENDINGS:
         raise ModelError(f"a program is written as {' or '.join(ENDINGS)}, not {path.name!r}")
     lp = highs_lp(program)
-    lp.col_names_ = [_allowed(name) for name in columns]
+    lp.col_names_ = [_allowed_in_highs(name) for name in columns]
     rows, taken = [""] * program.matrix.shape[0], set[str]()
     for number, (name, places) in enumerate(program.rows.items()):
-        plain = _allowed(name)
+        plain = _allowed_in_highs(name)
         if plain in taken or not plain[0].isalpha():
             plain = f"row{number}.{plain}"
         taken.add(plain)
@@ -165,6 +166,6 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
         raise SolverError(f"HiGHS cannot write the program to {str(path)!r}")
 
 
-def _allowed(name: str) -> str:
-    """A name of letters, digits, dots and underscores."""
+def _allowed_in_highs(name: str) -> str:
+    """A name that HiGHS may write: letters, digits, dots and underscores."""
     return re.sub(r"[^A-Za-z0-9_.]+", "_", name).strip("_") or "_"

@@ -37,7 +37,7 @@ class PolicyBasis:
 
     @property
     def stabler(self) -> PolicyBasis:
-        """The same, factorised with larger pivots: slower, and more exact.
+        """The same basis of a linear program, factorised with larger pivots: slower, more exact.
 
         At 0.1 the errors of HiGHS's duals can grow from layer to layer of a policy's chain, to
         0.04 after 46 layers of a process whose basis is well conditioned; with 0.5 to 1e-14.
@@ -67,11 +67,11 @@ class Residuals:
 
     @property
     def worst(self) -> float:
-        """The largest of the three."""
+        """The largest residual of the three of a linear program's answer."""
         return max(self.primal, self.dual, self.gap)
 
 
-def residuals(program: LinearProgram, answer: LPAnswer) -> Residuals:
+def program_residuals(program: LinearProgram, answer: LPAnswer) -> Residuals:
     """Recompute primal and dual residuals and the duality gap; nan counts as infinite."""
     activity = program.matrix @ answer.x
     violation = np.maximum(program.lower - activity, activity - program.upper)

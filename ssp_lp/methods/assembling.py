@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, read_only
-from ssp_lp.column_generation.compiled_problems.compiled_problem import Sense
+from ssp_lp.column_generation.compiled_problems.compiled_problem import ObjectiveSense
 from ssp_lp.column_generation.failure_row import least_of
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
@@ -31,8 +31,10 @@ class Found:
     note: str = ""
 
 
-def assembled(problem: Problem, found: Found, run: Run, sense: Sense | None = None) -> Solution:
-    """The solution in the problem's own terms.
+def assembled(
+    problem: Problem, found: Found, run: Run, sense: ObjectiveSense | None = None
+) -> Solution:
+    """The solution, assembled in the problem's own terms.
 
     Args:
         problem: the problem.
@@ -43,7 +45,7 @@ def assembled(problem: Problem, found: Found, run: Run, sense: Sense | None = No
     Raises:
         SolverError: the bound lies above the value by more than rounding.
     """
-    sense = Sense() if sense is None else sense
+    sense = ObjectiveSense() if sense is None else sense
     policy = found.policy
     if not isinstance(policy, MixedPolicy):
         policy = MixedPolicy((policy,), np.ones(1))

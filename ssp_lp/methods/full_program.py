@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import cold_attempts, first_accepted
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
@@ -29,7 +29,7 @@ class ProgramOptimum:
 
 
 def solve_program(
-    compiled: CompiledProblem, row: Row, backend: str | None, deadline: float
+    compiled: CompiledProblem, row: FailureRow, backend: str | None, deadline: float
 ) -> ProgramOptimum:
     """Solve a problem's linear program, falling back once to another backend if need be.
 
@@ -55,7 +55,7 @@ def solve_program(
         attempts = [(backend, start), (backend, start.stabler), attempts[1]]
     answer, worst = first_accepted(program, attempts, deadline)
     ratio = float(answer.dual[program.rows["normaliser"]][0]) if row.ratio else 0.0
-    return _optimum(program, answer, worst, ratio)
+    return _program_optimum(program, answer, worst, ratio)
 
 
 def solve_rows_program(
@@ -79,13 +79,13 @@ def solve_rows_program(
         SolverError: no backend's answer passes the check of its residuals.
     """
     program = rows_program(process, limits, ratio)
-    return _optimum(
+    return _program_optimum(
         program, *first_accepted(program, cold_attempts(program, backend), deadline), 0.0
     )
 
 
 def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
-    """Raise :class:`SolverError` if the LP's optimum and its recovered policy's value differ."""
+    """Raise :class:`SolverError` if the program's optimum and its policy's value differ."""
     if abs(optimum.objective - objective) > _AGREEMENT * max(abs(objective), 1.0):
         raise SolverError(
             f"the linear program says {optimum.objective!r} ({optimum.report}) but the policies "
@@ -93,9 +93,10 @@ def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
         )
 
 
-def _optimum(
+def _program_optimum(
     program: LinearProgram, answer: LPAnswer, worst: float, ratio: float
 ) -> ProgramOptimum:
+    """The optimum of the full program, with its prices by name."""
     named = set(program.rows) - {"balance", "normaliser"}
     prices = {name: max(-float(answer.dual[program.rows[name]][0]), 0.0) for name in named}
     objective = float(program.cost @ answer.x)

@@ -10,15 +10,15 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
-    Sense,
+    ObjectiveSense,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import check_agreement, solve_program
-from ssp_lp.methods.refinement import Outcome, refined_optimum
+from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.problem import Problem
@@ -40,7 +40,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
-        row = Row(1.0, ratio=False)
+        row = FailureRow(1.0, ratio=False)
         optimum = solve_program(compiled, row, options.program.backend, options.deadline)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
         reason, program = "the full linear program agrees with policy iteration", optimum.report
@@ -48,7 +48,7 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     sign = -1.0 if greatest else 1.0
     found = Found(policy, sign * objective, sign * bound, max(1.0 - objective, 0.0))
     run = Run(options.method, reason, 1, 0.0, program=program)
-    return assembled(problem, found, run, Sense(0.0 if greatest else None))
+    return assembled(problem, found, run, ObjectiveSense(0.0 if greatest else None))
 
 
 def cheapest_at_least_failure(problem: Problem) -> Solution:
@@ -58,7 +58,7 @@ def cheapest_at_least_failure(problem: Problem) -> Solution:
         InfeasibleError: case S, and the goal cannot be reached.
     """
     least = checked_least_failure(problem.compile(), None)
-    row = Row(least.column.failure, problem.ratio)
+    row = FailureRow(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
     reason = "two stages: greatest goal probability, then least cost"
     found = Found(least.policy, objective, least.objective_bound, least.column.failure)
@@ -115,34 +115,43 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
         SolverError: the linear program's answer fails its check.
     """
     if problem.failure_budget is None:
-        return _at_least_failure(problem, compiled)
+        return _row_at_least_failure(problem, compiled)
     failing = problem.semantics.failing_worth
     outcome = refined_optimum(compiled, problem.failure_budget, options)
     gained, worth = -outcome.found.objective, failing - outcome.found.objective
-    if failing != 0.0 and 0.0 < abs(worth) < gained and not _is_met(outcome, failing, options):
+    if (
+        failing != 0.0
+        and 0.0 < abs(worth) < gained
+        and not _is_met_by_row(outcome, failing, options)
+    ):
         finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         outcome = outcome.followed_by(
             refined_optimum(
                 outcome.compiled, problem.failure_budget, replace(options, tolerance=finer)
             )
         )
-    answer = outcome.answer(outcome.found.price, _note(problem, outcome, options))
-    return assembled(problem, answer, outcome.run(options, _reason(outcome)), Sense(failing))
+    answer = outcome.answer(outcome.found.price, _note_on_row(problem, outcome, options))
+    return assembled(
+        problem, answer, outcome.run(options, _reason_of_row(outcome)), ObjectiveSense(failing)
+    )
 
 
-def _is_met(outcome: Outcome, failing: float, options: SolveOptions) -> bool:
+def _is_met_by_row(outcome: RefinedOutcome, failing: float, options: SolveOptions) -> bool:
+    """Whether one row's outcome meets the tolerance."""
     worth, bound = failing - outcome.found.objective, failing - outcome.found.lower_bound
     return relative_gap(bound, worth) <= options.tolerance
 
 
-def _at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
+def _row_at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
+    """The answer of one row at least failure."""
     least = checked_least_failure(compiled, None)
     found = Found(least.policy, least.column.cost, least.objective_bound, least.column.failure)
     run = Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0)
-    return assembled(problem, found, run, Sense(problem.semantics.failing_worth))
+    return assembled(problem, found, run, ObjectiveSense(problem.semantics.failing_worth))
 
 
-def _reason(outcome: Outcome) -> str:
+def _reason_of_row(outcome: RefinedOutcome) -> str:
+    """Why the search on one row ended, in words."""
     layers = ""
     if isinstance(outcome.compiled, CompiledArrivalCost):
         process, horizon = outcome.compiled.process, outcome.compiled.cost_horizon
@@ -151,8 +160,8 @@ def _reason(outcome: Outcome) -> str:
     return f"backward sweeps over {layers}, {outcome.calls} pricing calls"
 
 
-def _note(problem: Problem, outcome: Outcome, options: SolveOptions) -> str:
-    """What a reader should know."""
+def _note_on_row(problem: Problem, outcome: RefinedOutcome, options: SolveOptions) -> str:
+    """What a reader should know of an answer with one row."""
     found, here = outcome.found, outcome.compiled
     told = remarks(problem, outcome.row.budget, found.finished)
     unsettled = isinstance(here, CompiledArrivalCost) and here.charge.settled is None

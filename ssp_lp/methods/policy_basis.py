@@ -19,7 +19,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import columns_at, columns_by_pricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column
@@ -38,7 +38,7 @@ _NEARBY = (1.0 - 1e-6, 1.0 + 1e-6)
 
 
 def policy_basis(
-    compiled: CompiledProblem, process: ExplicitProcess, row: Row, deadline: float
+    compiled: CompiledProblem, process: ExplicitProcess, row: FailureRow, deadline: float
 ) -> PolicyBasis:
     """Search for the optimal policies and make a basis of them.
 
@@ -55,37 +55,39 @@ def policy_basis(
     Raises:
         InfeasibleError: case S, and the goal cannot be reached from the start.
     """
-    found, pricing = _searched(compiled, row, deadline), compiled.pricing()
+    found, pricing = _searched_for_basis(compiled, row, deadline), compiled.pricing()
     best = pricing.minimise(found.price, found.columns[0])
     columns = [column for column in (*found.columns, best) if column.choice is not None]
-    if found.price > (found.objective if row.ratio else 0.0) and _are_together(columns, row.budget):
+    if found.price > (found.objective if row.ratio else 0.0) and _are_without_a_basis(
+        columns, row.budget
+    ):
         columns += [pricing.minimise(found.price * factor, best) for factor in _NEARBY]
     elsewhere = compiled.explicit_choice(best)
-    is_best = _best_pairs(process, found.price, elsewhere)
+    is_best = _basis_pairs(process, found.price, elsewhere)
     inside, outside = (
         [
-            _mixed(elsewhere, choice, np.flatnonzero(is_best[choice]))
+            _mixed_in_basis(elsewhere, choice, np.flatnonzero(is_best[choice]))
             for choice in map(compiled.explicit_choice, side)
         ]
-        for side in _parted(columns, row.budget)
+        for side in _parted_for_basis(columns, row.budget)
     )
     if inside and outside and not np.array_equal(inside[0], outside[0]):
-        return _between(process, row.budget, inside[0], outside[0])
+        return _basis_between(process, row.budget, inside[0], outside[0])
     return PolicyBasis((inside + outside)[0], slack=True)
 
 
-def _parted(columns: list[Column], budget: float) -> tuple[list[Column], list[Column]]:
+def _parted_for_basis(columns: list[Column], budget: float) -> tuple[list[Column], list[Column]]:
     """The columns that keep to the budget, and those that do not."""
     inside = [column for column in columns if column.failure <= budget]
     return inside, [column for column in columns if column.failure > budget]
 
 
-def _are_together(columns: list[Column], budget: float) -> bool:
+def _are_without_a_basis(columns: list[Column], budget: float) -> bool:
     """Whether all lie on one side of the budget: it is the failure of a policy, up to rounding."""
-    return not all(_parted(columns, budget))
+    return not all(_parted_for_basis(columns, budget))
 
 
-def _searched(compiled: CompiledProblem, row: Row, deadline: float) -> Generated:
+def _searched_for_basis(compiled: CompiledProblem, row: FailureRow, deadline: float) -> Generated:
     """Column generation on the compiled problem as it stands."""
     options = SolveOptions(_TOLERANCE, deadline)
     rule = columns_by_pricing(compiled, row, None, options)
@@ -94,7 +96,7 @@ def _searched(compiled: CompiledProblem, row: Row, deadline: float) -> Generated
     return generate(rule, options)
 
 
-def _best_pairs(process: ExplicitProcess, price: float, choice: IntArray) -> BoolArray:
+def _basis_pairs(process: ExplicitProcess, price: float, choice: IntArray) -> BoolArray:
     """Pairs that are as good as those of the best policy at a price of failure, [pairs]."""
     priced = process.cost + price * process.failure
     values = process.dynamics.chain(choice.astype(np.int32)).solve(priced[choice])
@@ -102,7 +104,7 @@ def _best_pairs(process: ExplicitProcess, price: float, choice: IntArray) -> Boo
     return np.asarray(excess <= _TIE * float(np.abs(values).max(initial=0.0)))
 
 
-def _between(
+def _basis_between(
     process: ExplicitProcess, budget: float, inside: IntArray, outside: IntArray
 ) -> PolicyBasis:
     """The basis of two policies on either side of the budget that differ in one state only.
@@ -120,21 +122,25 @@ def _between(
     kept, broken = 0, differing.size  # states changed so far
     while broken - kept > 1:
         middle = (kept + broken) // 2
-        if _failure(process, _mixed(inside, outside, differing[:middle])) <= budget:
+        if (
+            _failure_of_basis(process, _mixed_in_basis(inside, outside, differing[:middle]))
+            <= budget
+        ):
             kept = middle
         else:
             broken = middle
-    first = _mixed(inside, outside, differing[:kept])
+    first = _mixed_in_basis(inside, outside, differing[:kept])
     return PolicyBasis(np.append(first, outside[differing[kept]]), slack=False)
 
 
-def _mixed(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
+def _mixed_in_basis(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
     """The first policy's pairs, in some states the second's, [states]."""
     mixed = first.copy()
     mixed[states] = second[states]
     return mixed
 
 
-def _failure(process: ExplicitProcess, choice: IntArray) -> float:
+def _failure_of_basis(process: ExplicitProcess, choice: IntArray) -> float:
+    """The failure of a policy of the basis."""
     chain = process.dynamics.chain(choice.astype(np.int32))
     return float(process.start @ chain.solve(process.failure[choice]))

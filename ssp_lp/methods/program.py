@@ -19,7 +19,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.methods.rows.lottery import truth_of
-from ssp_lp.methods.rows.optimum import rows_optimum
+from ssp_lp.methods.rows.rows_optimum import rows_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, unrolled
 from ssp_lp.processes.failure_semantics import Aim
@@ -63,21 +63,23 @@ def program_of(problem: Problem) -> OccupationProgram:
         found = program_of(unrolled(problem))
         return replace(found, title=f"{found.title}, within {horizon:,} steps")
     if by_rows(problem) or by_sums(problem):
-        return _constrained(problem)
+        return _constrained_program(problem)
     compiled, budget = problem.compile(), problem.failure_budget
     rows: tuple[ProgramRow, ...] = ()
     if budget is None:
-        augmented = _at_least_failure(compiled)
+        augmented = _program_at_least_failure(compiled)
     else:
-        augmented, granted = _within(compiled, budget)
+        augmented, granted = _program_within(compiled, budget)
         if budget < 1.0:
             rows = (ProgramRow(FAILURE_ROW, augmented.process.failure, granted),)
-    objective, constant = _objective(problem)
-    return OccupationProgram(_title(problem), objective, augmented, rows, problem.ratio, constant)
+    objective, constant = _objective_of_program(problem)
+    return OccupationProgram(
+        _title_of_program(problem), objective, augmented, rows, problem.ratio, constant
+    )
 
 
-def _constrained(problem: Problem) -> OccupationProgram:
-    """A row for each constraint, on as many layers of accumulated cost as the proof needs."""
+def _constrained_program(problem: Problem) -> OccupationProgram:
+    """The program's row for each constraint, on as many layers of cost as the proof needs."""
     compiled = compiled_constrained(problem).settled()
     if compiled.charge is not None:
         compiled = rows_optimum(compiled, CERTIFYING, truth_of(problem, compiled)).compiled
@@ -102,8 +104,10 @@ def _constrained(problem: Problem) -> OccupationProgram:
         process = replace(found.process, cost=cost)
         augmented = LabelledModel(replace(found, process=process), compiled.start)
     return OccupationProgram(
-        title=_title(problem),
-        objective="objective" if compiled.objective is not None else _objective(problem)[0],
+        title=_title_of_program(problem),
+        objective="objective"
+        if compiled.objective is not None
+        else _objective_of_program(problem)[0],
         augmented=augmented,
         rows=rows,
         ratio=problem.ratio,
@@ -113,8 +117,8 @@ def _constrained(problem: Problem) -> OccupationProgram:
     )
 
 
-def _at_least_failure(compiled: CompiledProblem) -> Augmented:
-    """The second stage's process."""
+def _program_at_least_failure(compiled: CompiledProblem) -> Augmented:
+    """The process of the program's second stage."""
     checked_least_failure(compiled, None)
     if isinstance(compiled, CompiledFailureLabel):
         return LabelledModel(compiled.second_stage, compiled.start)
@@ -125,7 +129,7 @@ def _at_least_failure(compiled: CompiledProblem) -> Augmented:
     raise ModelError(f"no program is known for {type(compiled).__name__}")
 
 
-def _within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]:
+def _program_within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]:
     """The process of a problem with a budget, and the budget, raised to what is attainable."""
     if isinstance(compiled, CompiledFailureLabel):
         least = checked_least_failure(compiled, budget).column.failure if budget < 1.0 else 0.0
@@ -133,7 +137,7 @@ def _within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]
     found = refined_optimum(compiled, budget, CERTIFYING)
     if found.least is not None and found.row.budget <= found.least.column.failure:
         if compiled.discount is None:  # only policies of least failure are within the budget
-            return _at_least_failure(compiled), found.row.budget
+            return _program_at_least_failure(compiled), found.row.budget
         here = found.compiled.for_program()
     else:
         here = found.compiled
@@ -142,8 +146,8 @@ def _within(compiled: CompiledProblem, budget: float) -> tuple[Augmented, float]
     return LayeredModel(here.process, here.start), found.row.budget
 
 
-def _objective(problem: Problem) -> tuple[str, float | None]:
-    """What is minimised, and the constant of what is maximised in its place."""
+def _objective_of_program(problem: Problem) -> tuple[str, float | None]:
+    """What the program minimises, and the constant of what is maximised in its place."""
     semantics = problem.semantics
     if semantics.aim is Aim.GREATEST_GOAL:
         return "failure", 1.0
@@ -156,8 +160,8 @@ def _objective(problem: Problem) -> tuple[str, float | None]:
     return "cost", None
 
 
-def _title(problem: Problem) -> str:
-    """The formulation, and what is asked about failing."""
+def _title_of_program(problem: Problem) -> str:
+    """The program's title: the formulation, and what is asked about failing."""
     budget = problem.failure_budget
     asked = "least failure" if budget is None else f"failure budget {budget:g}"
     discount = "" if problem.discount is None else f", discount {problem.discount:g}"

@@ -10,7 +10,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     LeastFailure,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
 from ssp_lp.column_generation.secant import Secant
@@ -33,12 +33,12 @@ _SPREAD = 1e-6  # relative uncertainty of a price that a search or a program end
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class RefinedOutcome:
     """The last search, the compiled problem that it ran on, and the work done in all."""
 
     found: Generated
     compiled: CompiledProblem
-    row: Row
+    row: FailureRow
     least: LeastFailure | None = None  # where it had to be worked out
     calls: int = 0
     work: Work = field(default_factory=Work)
@@ -46,7 +46,7 @@ class Outcome:
 
     @property
     def gap(self) -> float:
-        """Relative gap."""
+        """Relative gap of what refinement has come to."""
         return relative_gap(self.found.objective, self.found.lower_bound)
 
     @property
@@ -69,7 +69,7 @@ class Outcome:
         """What was done, and why."""
         return Run(options.method, reason, self.calls, 0.0, self.work, self.program)
 
-    def followed_by(self, other: Outcome) -> Outcome:
+    def followed_by(self, other: RefinedOutcome) -> RefinedOutcome:
         """The other, with the work of both."""
         return replace(other, calls=self.calls + other.calls, work=self.work + other.work)
 
@@ -79,7 +79,7 @@ def refined_optimum(
     budget: float,
     options: SolveOptions,
     guess: DualGuess | None = None,
-) -> Outcome:
+) -> RefinedOutcome:
     """Search on finer and finer compiled problems until the gap is met, or refining does not help.
 
     Args:
@@ -95,22 +95,22 @@ def refined_optimum(
     """
     gaps: list[float] = []
     compiled = compiled if options.program is None else compiled.for_program()
-    row = Row(budget, compiled.ratio, compiled.lowest)
+    row = FailureRow(budget, compiled.ratio, compiled.lowest)
     try:
-        outcome = _attempt(compiled, row, None, options, guess)
+        outcome = _refined_attempt(compiled, row, None, options, guess)
     except STOPS as stop:
         heed(stop)
-        return _safest(compiled, row, stop)
+        return _safest_refined(compiled, row, stop)
     except SolverError as error:  # a linear program that was cut short
         if options.program is None or not is_late():
             raise
-        return _safest(compiled, row, error)
+        return _safest_refined(compiled, row, error)
     while True:
         gaps.append(outcome.gap)
         if gaps[-1] <= options.tolerance:
             return outcome
         try:
-            refined = outcome if is_late() else _refined(outcome, gaps, options)
+            refined = outcome if is_late() else _refined_outcome(outcome, gaps, options)
         except STOPS as stop:
             heed(stop)
             refined = outcome
@@ -123,11 +123,13 @@ def refined_optimum(
         outcome = refined
 
 
-def _refined(outcome: Outcome, gaps: list[float], options: SolveOptions) -> Outcome:
-    """A finer search; with what was found before where refining does not help."""
+def _refined_outcome(
+    outcome: RefinedOutcome, gaps: list[float], options: SolveOptions
+) -> RefinedOutcome:
+    """A finer search's outcome; with what was found before where refining does not help."""
     found, here = outcome.found, outcome.compiled
     if outcome.least is None and found.columns[0].failure >= outcome.row.budget - _NEAR:
-        outcome = _at_the_edge(outcome, options)
+        outcome = _refined_at_the_edge(outcome, options)
         if outcome.found is not found:
             return outcome
     if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
@@ -138,10 +140,12 @@ def _refined(outcome: Outcome, gaps: list[float], options: SolveOptions) -> Outc
     spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
     guess = DualGuess(found.price, spread, slack=len(found.columns) == 1)
     later = options.after(outcome.calls)
-    return outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
+    return outcome.followed_by(_refined_attempt(finer, outcome.row, outcome.least, later, guess))
 
 
-def _safest(compiled: CompiledProblem, row: Row, stop: BaseException) -> Outcome:
+def _safest_refined(
+    compiled: CompiledProblem, row: FailureRow, stop: BaseException
+) -> RefinedOutcome:
     """The policy of least failure, where the time ended before any other within the budget.
 
     Raises:
@@ -156,26 +160,26 @@ def _safest(compiled: CompiledProblem, row: Row, stop: BaseException) -> Outcome
         heed(again)
         told = stop.told if isinstance(stop, Stop) else ""
         raise Stop(told=told or "no policy was measured by then") from stop
-    return Outcome(replace(found, finished=False), compiled, rule.row, least)
+    return RefinedOutcome(replace(found, finished=False), compiled, rule.row, least)
 
 
-def _at_the_edge(outcome: Outcome, options: SolveOptions) -> Outcome:
+def _refined_at_the_edge(outcome: RefinedOutcome, options: SolveOptions) -> RefinedOutcome:
     """Work out the least failure; where the budget is equal to it, its policy is the answer."""
     least = checked_least_failure(outcome.compiled, outcome.row.budget)
     if outcome.row.spare(least.column) > outcome.row.rounding:
         return replace(outcome, least=least)
     row = replace(outcome.row, budget=least.column.failure)
     later = options.after(outcome.calls)
-    return outcome.followed_by(_attempt(outcome.compiled, row, least, later, None))
+    return outcome.followed_by(_refined_attempt(outcome.compiled, row, least, later, None))
 
 
-def _attempt(
+def _refined_attempt(
     compiled: CompiledProblem,
-    row: Row,
+    row: FailureRow,
     least: LeastFailure | None,
     options: SolveOptions,
     guess: DualGuess | None,
-) -> Outcome:
+) -> RefinedOutcome:
     """One search, started from the dual of the linear program where that is the method.
 
     A budget equal to the least failure needs no program, whose feasibility would hang on rounding:
@@ -190,7 +194,7 @@ def _attempt(
             guess = DualGuess(optimum.price, _SPREAD)
     if guess is None and row.budget >= 1.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
-    rule, least = _begun(compiled, row, least, options, guess)
+    rule, least = _begun_refinement(compiled, row, least, options, guess)
     finer = _TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
     found = generate(rule, replace(options, tolerance=finer))
     if optimum is not None and found.finished:
@@ -198,12 +202,12 @@ def _attempt(
     if least is not None and rule.row.budget <= least.column.failure < 1.0:
         found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
     report = "" if optimum is None else optimum.report
-    return Outcome(found, compiled, rule.row, least, rule.calls, rule.work, report)
+    return RefinedOutcome(found, compiled, rule.row, least, rule.calls, rule.work, report)
 
 
-def _begun(
+def _begun_refinement(
     compiled: CompiledProblem,
-    row: Row,
+    row: FailureRow,
     least: LeastFailure | None,
     options: SolveOptions,
     guess: DualGuess | None,

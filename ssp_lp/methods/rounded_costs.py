@@ -54,31 +54,14 @@ _SHARE = 0.1  # of the gap that rounding leaves: as exactly are rounded problems
 
 @dataclass(frozen=True, eq=False)
 class OnRoundedCosts:
-    """A problem on its model with other costs."""
+    """A problem on its model with other costs, the rest as asked."""
 
-    asked: Problem
     model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    ratio: bool
+    failure_budget: float | None
+    semantics: FailureSemantics
     discount: None = None
-
-    @property
-    def ratio(self) -> bool:
-        """As asked."""
-        return self.asked.ratio
-
-    @property
-    def start(self) -> Hashable | Mapping[Hashable, float]:
-        """As asked."""
-        return self.asked.start
-
-    @property
-    def failure_budget(self) -> float | None:
-        """As asked."""
-        return self.asked.failure_budget
-
-    @property
-    def semantics(self) -> FailureSemantics:
-        """As asked."""
-        return self.asked.semantics
 
     @property
     def measure(self) -> Measure:
@@ -88,7 +71,7 @@ class OnRoundedCosts:
             ModelError: nothing is.
         """
         if self.semantics.measure is None:
-            raise ModelError(f"{type(self.asked).__name__} is no criterion of the law of a cost")
+            raise ModelError("a criterion of the law of a cost is needed")
         return self.semantics.measure
 
     def compile(self) -> CompiledArrivalCost:
@@ -116,17 +99,17 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best: Solution | None = None
-    sign = -1.0 if _is_maximised(problem) else 1.0
-    bound, span, began = _no_worse(problem), _span(problem), perf_counter()
-    for unit in _units(problem, span):
+    sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
+    bound, span, began = _no_worse(problem), _rounded_span(problem), perf_counter()
+    for unit in _rounding_units(problem, span):
         spent, began = perf_counter() - began, perf_counter()
         if best is not None and options.deadline - began < spent:
             heed(Stop())
             break
-        rough = float(unit) / span if best is None else _SHARE * _gap(best.objective, bound)
+        rough = float(unit) / span if best is None else _SHARE * _rounded_gap(best.objective, bound)
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
-            near = None if best is None else _near(problem, best)
+            near = None if best is None else _near_on_rounded_costs(problem, best)
             found = _played(problem, unit, finer, near)
             if best is None or sign * found.objective < sign * best.objective:
                 best = found
@@ -140,11 +123,11 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
             if best is None:
                 raise
             break
-        if is_late() or _gap(best.objective, bound) <= options.tolerance:
+        if is_late() or _rounded_gap(best.objective, bound) <= options.tolerance:
             break
     if best is None:
         raise SolverError("no unit was tried")
-    return _concluded(problem, best, bound, options, unit)
+    return _concluded_on_rounded(problem, best, bound, options, unit)
 
 
 def proved_on_rounded_costs(
@@ -159,10 +142,11 @@ def proved_on_rounded_costs(
         attained: what its policy attains.
         options: tolerance and limits.
     """
-    problem, sign = solution.problem, -1.0 if _is_maximised(solution.problem) else 1.0
+    problem = solution.problem
+    sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
     bound, allowed, enough = _no_worse(problem), np.inf, (1.0 + _SHARE) * solution.gap
-    for unit in _units(problem, _span(problem), finest=True):
+    for unit in _rounding_units(problem, _rounded_span(problem), finest=True):
         try:
             proved, allowed = lattice_bound(problem, unit, rough)
         except ModelError:  # a table of so many layers is too large
@@ -170,7 +154,7 @@ def proved_on_rounded_costs(
                 raise
             break
         bound = sign * max(sign * bound, sign * proved)
-        if _gap(attained, bound) <= enough:
+        if _rounded_gap(attained, bound) <= enough:
             break
     return bound, allowed
 
@@ -186,7 +170,7 @@ def lattice_bound(
         options: tolerance and limits.
         near: where a search may begin; None: unknown.
     """
-    found = _rounded(problem, unit, up=False).solved(options, near)
+    found = _with_rounded_costs(problem, unit, up=False).solved(options, near)
     bound = found.lower_bound if found.upper_bound is None else found.upper_bound
     budget = problem.failure_budget
     return bound, found.budget_used if budget is None else max(budget, found.budget_used)
@@ -194,15 +178,11 @@ def lattice_bound(
 
 def is_on_rounded_costs(solution: Solution) -> bool:
     """Whether rounded costs gave a solution, or would: no constraint, and no levels of a grid."""
-    policies = solution.policy.policies
-    return (
-        not has_rows(solution.problem)
-        and levels_of(policies) is None
-        and (solution.problem.semantics.measure is not None)
-    )
+    problem, levels = solution.problem, levels_of(solution.policy.policies)
+    return not has_rows(problem) and levels is None and problem.semantics.measure is not None
 
 
-def _near(problem: Problem, best: Solution) -> Near | None:
+def _near_on_rounded_costs(problem: Problem, best: Solution) -> Near | None:
     """Where a risk's search may begin, from the policy of coarser costs."""
     match problem.semantics.measure:
         case CostQuantileOf(level) | TailMeanOf(level):
@@ -214,7 +194,7 @@ def _near(problem: Problem, best: Solution) -> Near | None:
 
 def _played(problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None) -> Solution:
     """The best policy of costs rounded up, on the model itself."""
-    found = _rounded(problem, unit, up=True).solved(options, near)
+    found = _with_rounded_costs(problem, unit, up=True).solved(options, near)
     members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
     return replace(found, policy=MixedPolicy(members, found.policy.weights), value_function=None)
 
@@ -237,7 +217,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     return CostAwarePolicy(model, float(unit), position, pair[None, :], never, rounds_up=True)
 
 
-def _rounded(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
+def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
     """The problem with costs that are multiples of a unit."""
     model = problem.model
     kinds, kind = np.unique(model.costs, return_inverse=True)
@@ -247,27 +227,29 @@ def _rounded(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
     if isinstance(measure, WithinBound):  # one step beyond the bound is as late as any
         whole = np.minimum(whole, np.ceil(float(measure.bound) / float(unit)) + 2.0)
     costs = totals_of(whole.astype(np.int64), unit)[kind]
-    return OnRoundedCosts(problem, replace(model, costs=read_only(costs), exact_costs={}))
+    rounded = replace(model, costs=read_only(costs), exact_costs={})
+    asked = problem.start, problem.ratio, problem.failure_budget, problem.semantics
+    return OnRoundedCosts(rounded, *asked)
 
 
-def _units(problem: Problem, span: float, *, finest: bool = False) -> Iterator[Fraction]:
-    """Smaller and smaller units, as far as is asked for; ``finest``: as a time limit ends it."""
+def _rounding_units(problem: Problem, span: float, *, finest: bool = False) -> Iterator[Fraction]:
+    """Smaller and smaller units, as far as is asked for; ``finest``: as far as there is room."""
     asked: int | None = getattr(problem, "cost_levels", None)
     room, ends = max(_MOST, _ROOM // problem.model.n_states), finest or is_limited()
     most = asked or (room if ends else _MOST)
     many = float(min(_FIRST, most))
     while many <= most:
-        yield _short(span / many)
+        yield _short_decimal(span / many)
         many = min(_FINER * many, float(most)) if _WORTH_WHILE * many <= most else _FINER * many
 
 
-def _short(size: float) -> Fraction:
+def _short_decimal(size: float) -> Fraction:
     """The least number of two digits that is no smaller: its multiples are short decimals."""
     power = Fraction(10) ** (int(np.floor(np.log10(size))) - 1)
     return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
 
 
-def _span(problem: Problem) -> float:
+def _rounded_span(problem: Problem) -> float:
     """The totals that matter: up to the bound, or some typical costs."""
     measure, dearest = problem.semantics.measure, float(problem.model.costs.max(initial=0.0))
     if isinstance(measure, WithinBound) and measure.bound > 0.0:
@@ -276,7 +258,7 @@ def _span(problem: Problem) -> float:
     return max(typical, dearest / _RARE) or 1.0
 
 
-def _is_maximised(problem: Problem) -> bool:
+def _is_maximised_on_rounded(problem: Problem) -> bool:
     measure = problem.semantics.measure
     return measure is not None and measure.maximised
 
@@ -289,15 +271,16 @@ def _no_worse(problem: Problem) -> float:
     return problem.semantics.failing_worth - measure.charge.lowest
 
 
-def _gap(attained: float, bound: float) -> float:
+def _rounded_gap(attained: float, bound: float) -> float:
+    """The relative gap between what costs rounded up and down say."""
     return relative_gap(max(attained, bound), min(attained, bound))
 
 
-def _concluded(
+def _concluded_on_rounded(
     problem: Problem, best: Solution, bound: float, options: SolveOptions, unit: Fraction
 ) -> Solution:
     """The best policy with the best bound, and what a reader should know."""
-    maximised, attained = _is_maximised(problem), best.objective
+    maximised, attained = _is_maximised_on_rounded(problem), best.objective
     measure = problem.semantics.measure
     if measure is not None and measure.charge.settled is None and not is_late():
         try:
@@ -305,7 +288,7 @@ def _concluded(
         except STOPS as stop:
             heed(stop)
     told = best.note
-    if _gap(attained, bound) > options.tolerance and not is_late():
+    if _rounded_gap(attained, bound) > options.tolerance and not is_late():
         told = f"costs are rounded to multiples of {float(unit):g}: more cost_levels leave less gap"
     return replace(
         best,

@@ -86,8 +86,8 @@ def _wrong_argument(
         return None
     name = public.__qualname__.removesuffix(".__init__").replace(".<locals>", "")
     for part, annotation in public.__annotations__.items():
-        hint = _hint(annotation, sys.modules[public.__module__])
-        if part in bound and (fault := _misfit(part, bound[part], hint)) is not None:
+        hint = _argument_hint(annotation, sys.modules[public.__module__])
+        if part in bound and (fault := _misfit_of_argument(part, bound[part], hint)) is not None:
             return f"{name}: {fault}"
     return None
 
@@ -96,13 +96,13 @@ def check_fields(made: object) -> None:
     """Raise :class:`ModelError` for a field of a dataclass that does not fit its annotation."""
     for base in type(made).__mro__[-2::-1]:
         for part, annotation in vars(base).get("__annotations__", {}).items():
-            hint = _hint(annotation, sys.modules[base.__module__])
-            fault = _misfit(part, getattr(made, part, None), hint)
+            hint = _argument_hint(annotation, sys.modules[base.__module__])
+            fault = _misfit_of_argument(part, getattr(made, part, None), hint)
             if fault is not None:
                 raise ModelError(f"{type(made).__name__}: {fault}")
 
 
-def _hint(annotation: Any, module: Any) -> Any:
+def _argument_hint(annotation: Any, module: Any) -> Any:
     """What an annotation says; Any where it names what only a type checker imports."""
     stated = SimpleNamespace(__annotations__={"it": annotation})
     try:
@@ -111,34 +111,36 @@ def _hint(annotation: Any, module: Any) -> Any:
         return Any
 
 
-def _misfit(place: str, value: Any, hint: Any) -> str | None:
-    """What to say of a value that is not what its hint says: which part of it, and the remedy."""
+def _misfit_of_argument(place: str, value: Any, hint: Any) -> str | None:
+    """What to say of an argument that is not what its hint says: which part, and the remedy."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
-    wrong = f"{place} must be {_in_words(hint)}, not {in_short(value)}"
+    wrong = f"{place} must be {_hint_in_words(hint)}, not {in_short(value)}"
     if kind in (_Numbers, np.ndarray):
         listed = kind is _Numbers or isinstance(value, (np.ndarray, list, tuple))
-        return None if listed and _are_numbers(value) else wrong
+        return None if listed and _are_number_arguments(value) else wrong
     if kind in (Union, UnionType):
-        faults = [_misfit(place, value, part) for part in parts]
+        faults = [_misfit_of_argument(place, value, part) for part in parts]
         inner = [fault for fault in faults if fault and not fault.startswith(f"{place} ")]
         return None if None in faults else inner[0] if inner else wrong
     if kind is Literal:
         return None if value in parts else wrong
     if kind is Callable:
-        return None if _takes(value, parts) else wrong
+        return None if _argument_takes(value, parts) else wrong
     if not isinstance(kind, type) or kind in (Any, object, bool):
         return None
-    if not _is_a(value, kind):
+    if not _is_argument_of(value, kind):
         parts_of = (name for name in ("policy", "model", "problem") if hasattr(value, name))
         own = [
-            name for name in parts_of if kind not in _WORDS and _is_a(getattr(value, name), kind)
+            name
+            for name in parts_of
+            if kind not in _WORDS and _is_argument_of(getattr(value, name), kind)
         ]
         return wrong + "".join(f"; it has one: .{name}" for name in own[:1])
     return _misfit_inside(place, value, kind, parts) or None
 
 
 def _misfit_inside(place: str, value: Any, kind: type, parts: tuple[Any, ...]) -> str | None:
-    """The same of the entries of a table, a tuple or a list."""
+    """The same of the entries of an argument that is a table, a tuple or a list."""
     entries: Iterable[tuple[Any, Any, Any]] = ()
     if kind is Mapping and parts:
         entries = ((key, one, parts[1]) for key, one in value.items())
@@ -148,11 +150,14 @@ def _misfit_inside(place: str, value: Any, kind: type, parts: tuple[Any, ...]) -
         entries = zip(range(len(parts)), value, parts, strict=True)
     elif parts and isinstance(value, Collection) and not isinstance(value, Mapping):
         entries = ((k, one, parts[0]) for k, one in enumerate(value))
-    found = (_misfit(f"{place}[{k!r}]", one, hint) for k, one, hint in islice(entries, _LOOKED_AT))
+    found = (
+        _misfit_of_argument(f"{place}[{k!r}]", one, hint)
+        for k, one, hint in islice(entries, _LOOKED_AT)
+    )
     return next((fault for fault in found if fault is not None), None)
 
 
-def _is_a(value: Any, kind: type) -> bool:
+def _is_argument_of(value: Any, kind: type) -> bool:
     """Whether a value is of a kind, as far as calls are concerned: lists for tuples, numpy's."""
     if kind in (int, float):
         return isinstance(value, Integral if kind is int else Real) and value is not True
@@ -177,14 +182,15 @@ def _is_a(value: Any, kind: type) -> bool:
     return isinstance(value, kind)
 
 
-def _are_numbers(value: Any) -> bool:
+def _are_number_arguments(value: Any) -> bool:
+    """Whether an argument is made of numbers."""
     try:
         return value is not None and np.asarray(value, dtype=np.float64) is not None
     except (TypeError, ValueError):
         return False
 
 
-def _takes(value: Any, parts: tuple[Any, ...]) -> bool:
+def _argument_takes(value: Any, parts: tuple[Any, ...]) -> bool:
     """Whether a value is a function of so many arguments, as far as can be told."""
     if not callable(value) or not parts or parts[0] is Ellipsis:
         return callable(value)
@@ -197,11 +203,11 @@ def _takes(value: Any, parts: tuple[Any, ...]) -> bool:
     return True
 
 
-def _in_words(hint: Any, *, several: bool = False) -> str:
-    """What a hint asks for."""
+def _hint_in_words(hint: Any, *, several: bool = False) -> str:
+    """What an argument's hint asks for."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, UnionType):
-        return " or ".join(dict.fromkeys(_in_words(part, several=several) for part in parts))
+        return " or ".join(dict.fromkeys(_hint_in_words(part, several=several) for part in parts))
     if kind is Literal:
         return " or ".join(map(repr, parts))
     if kind is Callable:
@@ -210,7 +216,7 @@ def _in_words(hint: Any, *, several: bool = False) -> str:
     if hint in _WORDS or kind in _WORDS:
         return _WORDS[hint if hint in _WORDS else kind][several]
     if kind in (Sequence, Iterable, list, set, frozenset):
-        of = _in_words(parts[0], several=True) if parts else ""
+        of = _hint_in_words(parts[0], several=True) if parts else ""
         return f"{'lists' if several else 'a list'}{f' of {of}' if of else ''}"
     name = getattr(kind, "__name__", "")
     if several or name in ("", "Any"):

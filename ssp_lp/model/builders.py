@@ -34,7 +34,7 @@ def flatten_transitions(
         )
     goals = list(dict.fromkeys(no_lone_string(goal, "goal")))
     states = list(transitions) + [g for g in goals if g not in transitions]
-    found, goal_set = _Found(list(states)), set(goals)
+    found, goal_set = _BuilderFound(list(states)), set(goals)
     for state in states:
         found.add(state, {} if state in goal_set else transitions[state], goal=state in goal_set)
     if len(found.states) > len(states):
@@ -57,7 +57,7 @@ def flatten_successors(
     is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
     several = isinstance(start, (list, set, frozenset))
     starts: list[Any] = list(cast(Iterable[Any], start)) if several else [start]
-    found = _Found(list(dict.fromkeys(starts)))
+    found = _BuilderFound(list(dict.fromkeys(starts)))
     for done, state in enumerate(found.states, start=1):  # it grows while it is walked
         reached = is_goal(state)
         found.add(state, {} if reached else successors(state), goal=reached)
@@ -76,7 +76,7 @@ def flatten_successors(
     return found.flat()
 
 
-class _Found:
+class _BuilderFound:
     """States in the order in which they were found, and the flat lists of those expanded. Grows."""
 
     def __init__(self, states: list[Any]) -> None:
@@ -99,10 +99,10 @@ class _Found:
         """
         index, states = self._index, self.states
         successors, probabilities, costs = self._successors, self._probabilities, self._costs
-        for action, outcomes in _actions(actions, state).items():
+        for action, outcomes in _built_actions(actions, state).items():
             for outcome in outcomes:
                 if type(outcome) is not tuple or len(outcome) != 3:
-                    outcome = _triple(outcome, state, action)
+                    outcome = _built_outcome(outcome, state, action)
                 probability, successor, cost = outcome
                 try:
                     place = index.get(successor)
@@ -116,7 +116,7 @@ class _Found:
                     states.append(successor)
                 successors.append(place)
                 if type(probability) is not float:
-                    probability = _number(probability, "probability", state, action)
+                    probability = _built_number(probability, "probability", state, action)
                 probabilities.append(probability)
                 if type(cost) is not float:
                     cost = self._exactly(cost, state, action)
@@ -129,7 +129,7 @@ class _Found:
 
     def _exactly(self, cost: Any, state: Hashable, action: Hashable) -> float:
         """A cost as a float; a fraction is remembered as it is."""
-        value = _number(cost, "cost", state, action)
+        value = _built_number(cost, "cost", state, action)
         if isinstance(cost, Fraction):
             self._exact[value] = cost
         return value
@@ -169,7 +169,8 @@ def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
     return states
 
 
-def _actions(actions: Any, state: Hashable) -> Mapping[Hashable, Outcomes]:
+def _built_actions(actions: Any, state: Hashable) -> Mapping[Hashable, Outcomes]:
+    """The actions of a state from which a model is built, a dict."""
     if not isinstance(actions, Mapping):
         raise ModelError(
             f"state {state!r} needs a dict {{action: [(probability, successor, cost), ...]}}, "
@@ -178,7 +179,10 @@ def _actions(actions: Any, state: Hashable) -> Mapping[Hashable, Outcomes]:
     return actions
 
 
-def _triple(outcome: Any, state: Hashable, action: Hashable) -> tuple[float, Hashable, float]:
+def _built_outcome(
+    outcome: Any, state: Hashable, action: Hashable
+) -> tuple[float, Hashable, float]:
+    """An outcome from which a model is built, a triple."""
     if not isinstance(outcome, (tuple, list)) or len(outcome) != 3:
         raise ModelError(
             f"action {action!r} of state {state!r}: an outcome must be a triple (probability, "
@@ -187,7 +191,8 @@ def _triple(outcome: Any, state: Hashable, action: Hashable) -> tuple[float, Has
     return outcome[0], outcome[1], outcome[2]
 
 
-def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
+def _built_number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
+    """A number of an outcome from which a model is built."""
     try:
         return float(value)
     except (TypeError, ValueError) as error:

@@ -19,7 +19,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.errors import ModelError
 from ssp_lp.model.builders import no_lone_string
-from ssp_lp.model.chunks import chunks, pieces
+from ssp_lp.model.chunks import chunks, pieces_of_chunks
 
 AnyArray = npt.NDArray[Any]
 Describe = Callable[[int], str]
@@ -93,7 +93,7 @@ def unit_sums(
     if empty.any():
         raise ModelError(f"{describe(int(np.argmax(empty)))} has no outcomes")
     sums = np.empty(empty.size)
-    for piece in pieces(offsets):
+    for piece in pieces_of_chunks(offsets):
         sums[piece.segments] = np.add.reduceat(probabilities[piece.entries], piece.firsts)
     off = np.abs(sums - 1.0)
     wrong = off > (SINGLE_PRECISION_SUM if normalise else PROBABILITY_SUM)
@@ -106,7 +106,7 @@ def unit_sums(
     if np.all(sums == 1.0):
         return probabilities
     shared = np.empty_like(probabilities)
-    for piece in pieces(offsets):
+    for piece in pieces_of_chunks(offsets):
         by = np.repeat(sums[piece.segments], piece.lengths)
         np.divide(probabilities[piece.entries], by, out=shared[piece.entries])
     return shared
@@ -187,7 +187,7 @@ def action_table(
     if actions is None:
         most = int(np.diff(pair_offsets).max(initial=0))
         position = np.empty(n_pairs, dtype=np.min_scalar_type(most))
-        for piece in pieces(pair_offsets):
+        for piece in pieces_of_chunks(pair_offsets):
             first = np.repeat(piece.firsts, piece.lengths)
             position[piece.entries] = np.arange(first.size) - first
         return range(most), position

@@ -43,7 +43,7 @@ def segment_chunks(offsets: IntArray) -> Iterator[slice]:
         begin = end
 
 
-def pieces(offsets: IntArray) -> Iterator[_Piece]:
+def pieces_of_chunks(offsets: IntArray) -> Iterator[_Piece]:
     """The chunks of segments with what is needed to work on their entries, [segments + 1]."""
     for segments in segment_chunks(offsets):
         ends = offsets[segments.start : segments.stop + 1]

@@ -15,8 +15,8 @@ def html_table(
     """Rows of text as an HTML table under a title, with notes below it, escaped."""
     lines = [f'<caption style="white-space: nowrap">{escape(title)}</caption>']
     if head:
-        lines.append(_row(head, "th"))
-    lines += [_row(row, "td") for row in rows]
+        lines.append(_html_row(head, "th"))
+    lines += [_html_row(row, "td") for row in rows]
     below = [f"<p>{escape(note)}</p>" for note in notes]
     return "\n".join(["<table>", *lines, "</table>", *below])
 
@@ -26,6 +26,7 @@ def html_text(text: str) -> str:
     return f'<pre style="line-height: 1.2">{escape(text)}</pre>'
 
 
-def _row(cells: Sequence[str], tag: str) -> str:
+def _html_row(cells: Sequence[str], tag: str) -> str:
+    """A row of the HTML table."""
     inside = "".join(f'<{tag} style="text-align: left">{escape(cell)}</{tag}>' for cell in cells)
     return f"<tr>{inside}</tr>"

@@ -40,6 +40,7 @@ class Naming:
 
     @cached_property
     def _index(self) -> Mapping[Hashable, int]:
+        """Positions of the states by their names."""
         return {label: i for i, label in enumerate(self.states)}
 
     def index_of(self, state: Hashable) -> int:
@@ -99,6 +100,7 @@ class Naming:
         return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
 
     def _describe_outcome(self, outcome: int) -> str:
+        """Name an outcome for a person, by its pair."""
         pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
         return self.describe_pair(pair)
 

@@ -31,11 +31,13 @@ Label = tuple[Hashable, Hashable]
 """A state of the product: the original's, and the memory."""
 
 
-def _always(memory: Any) -> bool:
+def _always_in_product(memory: Any) -> bool:
+    """A product's memory that accepts everything."""
     return True
 
 
-def _never(memory: Any) -> bool:
+def _never_in_product(memory: Any) -> bool:
+    """A product's memory that never fails."""
     return False
 
 
@@ -61,8 +63,8 @@ class Memory:
 
     start: Hashable
     update: Callable[[Any, Any, Any, Any, float], Hashable]
-    accepts: Callable[[Any], bool] = _always
-    fails: Callable[[Any], bool] = _never
+    accepts: Callable[[Any], bool] = _always_in_product
+    fails: Callable[[Any], bool] = _never_in_product
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for what is no function, or one of other arguments."""
@@ -140,6 +142,7 @@ class ProductSSP(SSP):
 
     @property
     def _labels(self) -> Sequence[Label]:
+        """The product's states, (state, memory) each."""
         return cast("Sequence[Label]", self.states)
 
     @cached_property
@@ -183,7 +186,7 @@ def product(
     check_model(model, "product")
     if not isinstance(memory, Memory):
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
-    task = _Task(model, memory)
+    task = _ProductTask(model, memory)
     begin = model.states if start is None else no_lone_string(start, "start")
     plain = SSP.from_successors(
         [(state, memory.start) for state in begin],
@@ -199,7 +202,7 @@ def product(
 
 
 @dataclass(frozen=True)
-class _Task:
+class _ProductTask:
     """The product as functions of (state, memory)."""
 
     model: SSP
@@ -233,7 +236,7 @@ class _Task:
             action = model.action_of(pair)
             found[action] = [
                 (p, (to, update(kept, state, action, to, cost)), cost)
-                for p, to, cost in _outcomes(model, pair)
+                for p, to, cost in _outcomes_for_product(model, pair)
             ]
         return found
 
@@ -245,15 +248,18 @@ class _Task:
         }
         for name, members in self.model.state_labels.items():
             among = frozenset(self.model.states[k] for k in members.tolist())
-            found[name] = partial(_holds, among, found.get(name, _never))
+            found[name] = partial(_holds_in_product, among, found.get(name, _never_in_product))
         return found
 
 
-def _holds(among: frozenset[Hashable], otherwise: Callable[[Label], bool], label: Label) -> bool:
+def _holds_in_product(
+    among: frozenset[Hashable], otherwise: Callable[[Label], bool], label: Label
+) -> bool:
+    """Whether a label holds in a state of the product."""
     return label[0] in among or otherwise(label)
 
 
-def _outcomes(model: SSP, pair: int) -> list[tuple[float, Hashable, float]]:
+def _outcomes_for_product(model: SSP, pair: int) -> list[tuple[float, Hashable, float]]:
     """The possible outcomes of a pair."""
     some = slice(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))
     rows = zip(

@@ -49,6 +49,7 @@ class _StepCount:
 
 
 def _is_late(memory: Hashable) -> bool:
+    """Whether a count of steps says that they are used up."""
     return memory == LATE
 
 
@@ -121,6 +122,7 @@ class HorizonSSP(ProductSSP):
 
     @property
     def _step_labels(self) -> _StepLabels:
+        """The states within the horizon, (state, steps taken) each."""
         return cast("_StepLabels", self.states)
 
 
@@ -155,7 +157,7 @@ def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = N
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]
-    horizon = unroll(model, steps, begin)
+    horizon = unroll_steps(model, steps, begin)
     if not horizon.goal_mask.any():
         raise ModelError(f"no goal can be reached within {steps} steps from the start")
     return horizon
@@ -167,7 +169,7 @@ def check_steps(steps: object, name: str) -> None:
         raise ModelError(f"{name} must be a whole number >= 1, not {steps!r}")
 
 
-def unroll(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
+def unroll_steps(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
     """The model of :func:`within_steps`, whether a goal can be reached in it or not.
 
     Args:
@@ -177,12 +179,12 @@ def unroll(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
     """
     first = np.full(model.n_states, begin is None)
     first[list(begin or ())] = True
-    horizon = _unrolled(model, _reached(model, first, int(steps)))
+    horizon = _unrolled_by_steps(model, _reached_within_steps(model, first, int(steps)))
     _BUILDING.info("%r", horizon)
     return horizon
 
 
-def _reached(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
+def _reached_within_steps(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
     """The states that an episode may be in after each number of steps, [steps + 1, states].
 
     Raises:
@@ -204,7 +206,7 @@ def _reached(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
     return reached
 
 
-def _needed(model: SSP, steps: int) -> IntArray:
+def _steps_needed(model: SSP, steps: int) -> IntArray:
     """Fewest steps to a goal, ``steps + 1`` for more than ``steps``, -1 for none, [states]."""
     possible = model.probabilities > 0.0
     source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
@@ -219,7 +221,7 @@ def _needed(model: SSP, steps: int) -> IntArray:
     return needed
 
 
-def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
+def _unrolled_by_steps(model: SSP, reached: BoolArray) -> HorizonSSP:
     """The model once for each number of steps, one layer after the other."""
     steps = len(reached) - 1
     step, state = np.nonzero(reached)
@@ -244,13 +246,15 @@ def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
         states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
         action_names=model.action_names,
         pair_action=read_only(model.pair_action[pairs]),
-        pair_offsets=_offsets(actions),
-        outcome_offsets=_offsets(ends),
+        pair_offsets=_offsets_within_steps(actions),
+        outcome_offsets=_offsets_within_steps(ends),
         successors=read_only(successors, np.int32),
         probabilities=read_only(model.probabilities[outcomes]),
         costs=read_only(model.costs[outcomes]),
         goal_mask=read_only(model.goal_mask[state]),
-        state_labels=_labels(model, state, _needed(model, steps)[state] > steps - step),
+        state_labels=_labels_within_steps(
+            model, state, _steps_needed(model, steps)[state] > steps - step
+        ),
         exact_costs=model.exact_costs,
         original=model,
         memory=Memory(start=0, update=counter.after, fails=_is_late),
@@ -259,11 +263,12 @@ def _unrolled(model: SSP, reached: BoolArray) -> HorizonSSP:
     )
 
 
-def _offsets(counts: IntArray) -> IntArray:
+def _offsets_within_steps(counts: IntArray) -> IntArray:
+    """Offsets from how many entries each step has."""
     return read_only(offsets_of(counts), np.int64)
 
 
-def _labels(model: SSP, state: IntArray, late: BoolArray) -> dict[str, IntArray]:
+def _labels_within_steps(model: SSP, state: IntArray, late: BoolArray) -> dict[str, IntArray]:
     """The labels of the original, and "out of time", [members] each."""
     marked = {LATE: late}
     for name, members in model.state_labels.items():

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import explained
-from ssp_lp.plotting.style import LOOKS, Look, axes_or_new, dress
+from ssp_lp.plotting.style import LOOKS, Look, axes_or_new, dress_axes
 from ssp_lp.problem import Problem, by_rows
 from ssp_lp.processes.failure_semantics import Aim
 
@@ -70,31 +70,32 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
         raise ModelError(f"{name} is solved as a search over problems: nothing to draw but its end")
     ax = axes_or_new(ax)
     upper = np.minimum.accumulate([*record.objectives, solution.objective])
-    lower = np.maximum.accumulate([*_proved(record, solution.problem), solution.lower_bound])
+    lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])
     seconds = np.maximum.accumulate([*record.seconds, solution.seconds])
-    _draw_steps(ax, seconds, upper, LOOKS[0], "best policy")
-    _draw_steps(ax, seconds, lower, LOOKS[1], "proved bound")
+    _draw_bound(ax, seconds, upper, LOOKS[0], "best policy")
+    _draw_bound(ax, seconds, lower, LOOKS[1], "proved bound")
     both = np.isfinite(lower) & np.isfinite(upper)
     ax.fill_between(seconds, lower, upper, where=both.tolist(), step="post", facecolor="none",
                     edgecolor="#bbbbbb", hatch="....", linewidth=0.0)  # fmt: skip
     ax.set_xlim(left=0.0)
-    dress(ax, "seconds", "bounds on the objective")
+    dress_axes(ax, "seconds", "bounds on the objective")
     ax.legend(frameon=False)
     return ax
 
 
-def _draw_steps(ax: Axes, seconds: FloatArray, values: FloatArray, look: Look, words: str) -> None:
+def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: Look, words: str) -> None:
+    """Draw one of the bounds as steps over the seconds."""
     known = np.isfinite(values)
     ax.step(seconds[known], values[known], where="post", color=look.colour, linestyle=look.line,
             marker=look.marker, markersize=5, label=f"{words}: {values[-1]:.8g}")  # fmt: skip
 
 
-def _proved(record: BoundsRecord, problem: Problem) -> FloatArray:
+def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
     """The lower bound that each report's price proves; -inf where none is known, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
     if budget is None or by_rows(problem) or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
-    pricing, row = problem.compile().for_program().pricing(), Row(budget, problem.ratio)
+    pricing, row = problem.compile().for_program().pricing(), FailureRow(budget, problem.ratio)
     best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken
     for price, objective in zip(record.prices, record.objectives, strict=True):
         slack = problem.ratio and price <= objective

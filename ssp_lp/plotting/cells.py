@@ -54,7 +54,7 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
 
 
 def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
-    """The points of states or actions; nan where there is none, [names, 2].
+    """The points in the picture's cells of states or actions; nan where there is none, [names, 2].
 
     Raises:
         ModelError: what is given for one is no point.
@@ -112,13 +112,13 @@ def draw_ground(
     """
     patches, model = optional_module("matplotlib.patches", "plot"), problem.model
     dead, goal = dead_ends(model) & ~model.goal_mask, model.goal_mask
-    goals, free = _distinct(points[goal]), _distinct(points[~dead & ~goal])
+    goals, free = _distinct_cells(points[goal]), _distinct_cells(points[~dead & ~goal])
     kinds = (
         (free - goals, "", _FREE),
-        (_distinct(points[dead]) - free - goals, "dead-end", _DEAD_END),
+        (_distinct_cells(points[dead]) - free - goals, "dead-end", _DEAD_END),
         (set(walls), "wall", _WALL),
         (goals, "goal", _GOAL),
-        (_distinct(points[start_distribution(model, problem.start) > 0.0]), "start", _START),
+        (_distinct_cells(points[start_distribution(model, problem.start) > 0.0]), "start", _START),
     )
     legend = []
     for squares, words, style in kinds:
@@ -137,8 +137,8 @@ def draw_ground(
     return legend
 
 
-def _distinct(points: FloatArray) -> set[Point]:
-    """The points that are somewhere, each once."""
+def _distinct_cells(points: FloatArray) -> set[Point]:
+    """The points of cells that are somewhere, each once."""
     return {(x, y) for x, y in points[~np.isnan(points).any(axis=1)].tolist()}
 
 
@@ -156,7 +156,7 @@ _BELOW_TICKS = 0.12  # of the height: room for ticks and their label
 
 
 def add_legend(ax: Axes, legend: list[Any]) -> None:
-    """Put a legend below the picture and its ticks, where it hides nothing."""
+    """Put a legend below the picture of cells and its ticks, where it hides nothing."""
     if legend:
         figure = ax.get_figure(root=True)
         width = 0.0 if figure is None else ax.get_position().width * figure.get_figwidth()

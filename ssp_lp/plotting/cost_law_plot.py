@@ -10,7 +10,7 @@ from ssp_lp.analysis.total_cost.cost_law import CostLaw
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model.arguments import explained
-from ssp_lp.plotting.style import INK, LOOKS, axes_or_new, dress
+from ssp_lp.plotting.style import INK, LOOKS, axes_or_new, dress_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +42,7 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
         raise ModelError("the policy never reaches the goal: there is no law of costs to draw")
     ax = axes_or_new(ax)
     quantile, tail = law.quantile(level), law.tail_mean(level)
-    costs, shares, width = _bars(law)
+    costs, shares, width = _bars_of_law(law)
     body, rest = LOOKS[0], LOOKS[1]
     dearer = 1.0 - np.cumsum(shares)  # what is not drawn counts
     hatched = np.clip(1.0 - level - dearer, 0.0, shares)
@@ -57,13 +57,13 @@ def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -
     )
     for value, line, words in marks:
         ax.axvline(value, color=INK, linestyle=line, linewidth=1.3, label=f"{words}: {value:.5g}")
-    dress(ax, "total cost", "probability given success")
+    dress_axes(ax, "total cost", "probability given success")
     ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, frameon=False,
               title=f"goal reached with probability {law.goal:.4g}")  # fmt: skip
     return ax
 
 
-def _bars(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
+def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
     """Middles, probabilities given success, and the width of the bars."""
     costs, masses = law.all_but(_UNSEEN * law.goal)
     shares = masses / law.goal

@@ -10,7 +10,7 @@ from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import SolverError
 from ssp_lp.model.arguments import explained
-from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress
+from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress_axes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,17 +63,17 @@ def plot_frontier(
     """
     ax = axes_or_new(ax)
     chosen = LOOKS[look % len(LOOKS)]
-    _draw_line(ax, frontier, chosen, label or f"least cost, gap {frontier.gap:.1e}")
+    _draw_frontier(ax, frontier, chosen, label or f"least cost, gap {frontier.gap:.1e}")
     if budget is not None:
-        _mark(ax, frontier, budget, chosen)
-    dress(ax, "failure budget", f"least cost{' given success' if frontier.ratio else ''}")
+        _mark_on_frontier(ax, frontier, budget, chosen)
+    dress_axes(ax, "failure budget", f"least cost{' given success' if frontier.ratio else ''}")
     ax.legend(frameon=False)
     return ax
 
 
-def _draw_line(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
-    """What is attained, the turning points, and the band where the optimum may lie below."""
-    budgets = _sampled(frontier)
+def _draw_frontier(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
+    """The frontier, its turning points, and the band where the optimum may lie below."""
+    budgets = _sampled_frontier(frontier)
     low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
     many = len(frontier.failure) > _MANY
     ax.plot(budgets, high, color=look.colour, linestyle=look.line, linewidth=2, label=label)
@@ -85,16 +85,16 @@ def _draw_line(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
                         hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
 
 
-def _sampled(frontier: Frontier) -> FloatArray:
+def _sampled_frontier(frontier: Frontier) -> FloatArray:
     """Budgets along every segment."""
     failure = frontier.failure
     each = max(_SAMPLES // len(failure), 4)
     segments = zip(failure[:-1].tolist(), failure[1:].tolist(), strict=True)
-    found = [failure, *(_between(begin, end, each) for begin, end in segments)]
+    found = [failure, *(_budgets_between(begin, end, each) for begin, end in segments)]
     return np.unique(np.concatenate(found))
 
 
-def _between(begin: float, end: float, count: int) -> FloatArray:
+def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
     """Budgets from one to another, dense on a linear and on a logarithmic axis."""
     even = np.linspace(begin, end, count)
     if begin == 0.0:
@@ -102,7 +102,7 @@ def _between(begin: float, end: float, count: int) -> FloatArray:
     return np.clip(np.union1d(even, np.geomspace(begin, end, count)), begin, end)
 
 
-def _mark(ax: Axes, frontier: Frontier, budget: float, look: Look) -> None:
+def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: Look) -> None:
     """The budget with its value and its tangents, or with its bounds."""
     ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
     try:
@@ -141,7 +141,7 @@ def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], pric
     height, failure = frontier.objective, frontier.failure
     room = _TANGENT * float(np.ptp(height)) / abs(slope) if slope else np.inf
     ends = max(budget - room, float(failure[0])), min(budget + room, float(failure[-1]))
-    along = _between(*ends, _SAMPLES)
+    along = _budgets_between(*ends, _SAMPLES)
     ax.plot(
         along, value + slope * (along - budget), color=INK, linestyle="-.", linewidth=1.1, zorder=5
     )

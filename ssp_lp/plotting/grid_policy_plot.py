@@ -87,7 +87,7 @@ def plot_grid_policy(
         >>> problem = MCMP(model, 0, failure_budget=0.1)
         >>> axes = plot_grid_policy(policy, problem, lambda state: (state, 0), {"east": (1, 0)})
     """
-    seen, walls = _seen(policy, problem, cells), list(walls)
+    seen, walls = _seen_on_grid(policy, problem, cells), list(walls)
     width, height = size_of(seen.points, walls)
     ax = axes_or_new(ax, width + _SCALE, height)
     most = float(seen.visits.max(initial=0.0)) if most_visits is None else most_visits
@@ -121,7 +121,10 @@ def plot_lottery(
         ModelError: as for :func:`plot_grid_policy`.
     """
     pyplot, count = optional_module("matplotlib.pyplot", "plot"), len(policy.policies)
-    members, walls = [_seen(member, problem, cells) for member in policy.policies], list(walls)
+    members, walls = (
+        [_seen_on_grid(member, problem, cells) for member in policy.policies],
+        list(walls),
+    )
     width, height = size_of(members[0].points, walls)
     size = (count * width + _SCALE, height)
     axes = pyplot.subplots(1, count, figsize=size, squeeze=False, layout="constrained")[1][0]
@@ -136,7 +139,7 @@ def plot_lottery(
     return list(axes)
 
 
-def _seen(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
+def _seen_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
     """Add up visits and decisions by cell."""
     model, points = problem.model, cells_of(problem.model, cells)
     pairs, gave_up = pair_visits(as_lottery(policy), problem)
@@ -174,6 +177,7 @@ def _draw_visits(ax: Axes, seen: _Seen, most: float) -> Any:
 
 
 def _draw_scale(axes: list[Axes], shades: Any) -> None:
+    """Draw the scale of the grid's shades."""
     axes[0].figure.colorbar(shades, ax=axes, label="expected visits", shrink=0.7, pad=0.02)
 
 

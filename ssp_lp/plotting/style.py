@@ -47,8 +47,8 @@ def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axe
     return found
 
 
-def dress(ax: Axes, x: str, y: str) -> None:
-    """Name both axes, and leave out what says nothing."""
+def dress_axes(ax: Axes, x: str, y: str) -> None:
+    """Give axes their style: name both, and leave out what says nothing."""
     ax.set(xlabel=x, ylabel=y)
     ax.set_axisbelow(True)
     ax.grid(color="#e5e5e5", linewidth=0.6)

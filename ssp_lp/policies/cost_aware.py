@@ -22,7 +22,8 @@ _CHECKED = 1_000_000  # decisions looked at together
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
 
-def _is_uniform(model: SSP) -> bool:
+def _is_uniform_cost(model: SSP) -> bool:
+    """Whether every outcome costs the same."""
     return model.costs.strides == (0,)
 
 
@@ -93,7 +94,9 @@ class CostAwarePolicy(Policy):
         """Decisions by layer; None where a cost is no whole number of layers, or of very many."""
         if self.levels is not None:
             return self._level_layers(self.levels)
-        costs = np.unique(self.model.costs[:1] if _is_uniform(self.model) else self.model.costs)
+        costs = np.unique(
+            self.model.costs[:1] if _is_uniform_cost(self.model) else self.model.costs
+        )
         steps, off = self._passed(costs / self.unit)
         if off.any() or self.cap == 0:
             return None
@@ -159,7 +162,7 @@ class CostAwarePolicy(Policy):
         moving = np.isin(costs, self._moving_costs())
         near = levels[:-1][levels[:-1] >= levels[-2] - costs[-1]]
         totals = np.unique(near[:, None] + costs[moving])
-        totals = totals[_nearest_level(levels, totals) == cap]
+        totals = totals[_nearest_cost_level(levels, totals) == cap]
         rank = np.searchsorted(totals, self.tail_threshold)  # the first that asks for the last tail
         told_apart = np.unique(rank[(rank > 0) & (rank < len(totals))])
         if len(told_apart) * self.model.n_states > _MOST_BEYOND:
@@ -167,7 +170,7 @@ class CostAwarePolicy(Policy):
         rank = np.where(rank == 0, -1, np.searchsorted(told_apart, rank))
 
         def reached(total: FloatArray) -> IntArray:
-            nearest = _nearest_level(levels, total)
+            nearest = _nearest_cost_level(levels, total)
             beyond = np.searchsorted(told_apart, np.searchsorted(totals, total), side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
 
@@ -199,7 +202,7 @@ class CostAwarePolicy(Policy):
         cap = self.cap
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < cap)
         total = levels[np.minimum(memory, cap)] + np.where(np.isfinite(costs), costs, 0.0)
-        nearest = _nearest_level(levels, total)
+        nearest = _nearest_cost_level(levels, total)
         late = total >= self.tail_threshold[successors]
         tail = cap + np.where(late, len(self.tails) - 1, 0)
         return np.where(acting, np.where(nearest < cap, nearest, tail), memory)
@@ -209,6 +212,7 @@ class CostAwarePolicy(Policy):
         return np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
 
     def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
+        """The memory of a cost-aware policy at a layer, or of its tail."""
         last = len(self.tails) - 1
         if self.tail_table is None:
             tail = np.where(layer >= self.tail_threshold[states], last, 0)
@@ -224,8 +228,8 @@ class CostAwarePolicy(Policy):
         return f"CostAwarePolicy({self.cap} layers of cost {self.unit:g})"
 
 
-def _nearest_level(levels: FloatArray, totals: FloatArray) -> IntArray:
-    """The level nearest to each total, the lower one of two, like ``totals``."""
+def _nearest_cost_level(levels: FloatArray, totals: FloatArray) -> IntArray:
+    """The level of cost nearest to each total, the lower one of two, like ``totals``."""
     above = np.clip(np.searchsorted(levels, totals), 1, len(levels) - 1)
     is_below = totals - levels[above - 1] <= levels[above] - totals
     return np.where(is_below, above - 1, above)

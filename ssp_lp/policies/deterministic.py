@@ -88,7 +88,7 @@ def find_pair(model: SSP, state: int, action: Hashable) -> int:
 
 
 def check_decisions(model: SSP, decision: IntArray) -> None:
-    """Raise :class:`ModelError` where a decision is neither a pair of its state nor a code.
+    """Raise :class:`ModelError` where a deterministic policy's decision is no pair of its state.
 
     Args:
         decision: [..., states].

@@ -165,6 +165,7 @@ class EpisodeBatch:
         return np.asarray(self._model.goal_mask | dead_ends(self._model))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
+        """The positions of the episodes' states."""
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
         return np.array([self._model.index_of(state) for state in states], dtype=np.int64)

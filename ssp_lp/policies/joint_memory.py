@@ -56,12 +56,14 @@ class JointMemory(Policy):
         return self._joined([k.remember(part, pairs, successors, costs) for k, part in parts])
 
     def _joined(self, parts: list[IntArray]) -> IntArray:
+        """The joint memory that the keepers' parts make."""
         joined = np.zeros_like(parts[0])
         for keeper, part in zip(self.keepers, parts, strict=True):
             joined = joined * memory_size(keeper) + part
         return joined
 
     def _parts(self, memory: IntArray) -> list[IntArray]:
+        """Each keeper's part of a joint memory."""
         parts = []
         for keeper in reversed(self.keepers):
             memory, part = np.divmod(memory, memory_size(keeper))
@@ -103,7 +105,7 @@ def memory_size(policy: Policy) -> int:
 
 
 def meaning_of(policy: Policy) -> tuple[object, ...]:
-    """What a memory means: equal for policies of which each understands the other's memory."""
+    """What a joint memory means: equal for policies that understand each other's memory."""
     match policy:
         case TimedPolicy():
             return len(policy.stages), *meaning_of(policy.stages[0])

@@ -57,7 +57,7 @@ class CostLayers:
 
     @property
     def count(self) -> int:
-        """Number of layers."""
+        """Number of layers of the policy."""
         return len(self.decision)
 
 
@@ -81,7 +81,7 @@ class Playable(ABC):
         """The policy that plays the next episode, drawn where there is a lottery."""
 
     def start(self, rng: Randomness | None = None) -> Episode:
-        """A new episode of its own, beside any others; ``rng`` draws the lottery and actions.
+        """A new episode of the policy, beside any others; ``rng`` draws the lottery and actions.
 
         Args:
             rng: a generator, which goes on from episode to episode, or a seed, with which every
@@ -96,7 +96,7 @@ class Playable(ABC):
         return Episode(self.member(drawn), drawn)
 
     def start_many(self, episodes: int, rng: Randomness | None = None) -> EpisodeBatch:
-        """Many new episodes side by side, whose ``actions`` are asked for all at once.
+        """Many new episodes of the policy side by side, whose ``actions`` are asked for together.
 
         Args:
             episodes: how many.
@@ -147,6 +147,7 @@ class Playable(ABC):
         self._current().continue_after_give_up()
 
     def _current(self) -> Episode:
+        """The policy's own episode."""
         if self._episode is None:
             raise ModelError("call reset(rng) before the first action of an episode")
         return self._episode

@@ -118,7 +118,7 @@ class RememberingPolicy(Policy):
 
 
 def on_original(policy: Policy | MixedPolicy) -> MixedPolicy:
-    """A policy of a product as one that acts on the original model and carries the memory.
+    """A policy of a product as one remembering its memory on the original model.
 
     Args:
         policy: such as a solution's, of a problem on ``product(model, memory)``.

@@ -73,7 +73,7 @@ class Contraction:
 
 
 def _nearest_first(process: ExplicitProcess, choice: IntArray) -> IntArray:
-    """States in the order of their distance from leaving under a policy, [states]."""
+    """States of a contraction by their distance from leaving under a policy, [states]."""
     n = process.n_states
     leaks = np.flatnonzero((process.goal + process.failure)[choice] > 0)
     entry = sp.csr_array(process.transitions[choice]).tocoo()
@@ -93,7 +93,7 @@ def bound_of(
     floor: float = 0.0,
     choice: IntArray | None = None,
 ) -> DualBound:
-    """A checked sub-solution of a process, proved where its free components are contracted.
+    """A checked sub-solution of a process, proved on its contraction.
 
     Args:
         process: the process.
@@ -123,7 +123,7 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     free = free & (process.goal == 0.0) & (process.failure == 0.0)
     if not free.any():
         return None
-    inside, component = _end_components(process, free)
+    inside, component = _contracted_components(process, free)
     if not inside.any():
         return None
     _, node_of = np.unique(component, return_inverse=True)
@@ -146,7 +146,7 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     )
 
 
-def _end_components(process: ExplicitProcess, free: BoolArray) -> tuple[BoolArray, IntArray]:
+def _contracted_components(process: ExplicitProcess, free: BoolArray) -> tuple[BoolArray, IntArray]:
     """Free pairs that stay in an end component of such pairs, and a label of each state's.
 
     Strongly connected components of the free pairs' graph, without the pairs that may leave

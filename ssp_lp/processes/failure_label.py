@@ -90,7 +90,7 @@ def label_failure(
             the second stage of a least-failure problem (mathematics, section 4).
         also_free: pairs that are free in every secondary cost, too, [pairs]; None: there is none.
     """
-    free = None if discount is not None else _free_pairs(model, semantics.aim)
+    free = None if discount is not None else _free_labelled_pairs(model, semantics.aim)
     if free is not None and also_free is not None:
         free = free & also_free
     attention, unsure = attention_states(model), None
@@ -105,10 +105,10 @@ def label_failure(
     )
     survival = survival_of(discount)
     stage, entering = stage_costs(model, quotient, semantics, survival)
-    process, departs = _fill(quotient, stage, survival)
+    process, departs = _fill_labelled(quotient, stage, survival)
     check_time()
-    process = _with_start(process, quotient, start, entering)
-    cost = _counted(process, semantics)
+    process = _labelled_with_start(process, quotient, start, entering)
+    cost = _counted_under_label(process, semantics)
     counted = process if cost is process.cost else replace(process, cost=cost)
     return FailureLabelled(counted, quotient, departs)
 
@@ -119,7 +119,7 @@ def counting_of(
     semantics: FailureSemantics,
     discount: float | None = None,
 ) -> Counting:
-    """How anything else is counted at the pairs of the process.
+    """How anything else is counted at the pairs of the process with a failure label.
 
     Args:
         labelled: the process, in which only what is free in everything counted is collapsed.
@@ -133,7 +133,7 @@ def counting_of(
     return Counting(labelled.quotient, labelled.departs, *ends, start, semantics, survival)
 
 
-def _free_pairs(model: SSP, aim: Aim) -> BoolArray:
+def _free_labelled_pairs(model: SSP, aim: Aim) -> BoolArray:
     """Pairs that add nothing to what is counted, [pairs]: moving among them for ever is free."""
     if aim is Aim.GREATEST_GOAL:
         return np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
@@ -142,7 +142,7 @@ def _free_pairs(model: SSP, aim: Aim) -> BoolArray:
     return costless_pairs(model)
 
 
-def _counted(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArray:
+def _counted_under_label(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArray:
     """What the aim counts at each pair, [pairs]: cost and penalty, failing, or the goal."""
     if semantics.aim is Aim.GREATEST_GOAL:
         return process.failure
@@ -153,7 +153,7 @@ def _counted(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArra
     return np.asarray(process.cost + semantics.penalty * process.failure)
 
 
-def _fill(
+def _fill_labelled(
     quotient: Quotient, stage: FloatArray, survival: float
 ) -> tuple[ExplicitProcess, FloatArray]:
     """The process without its start, of stage costs [pairs], and its rows' divisors, [pairs]."""
@@ -174,7 +174,7 @@ def _fill(
     return process, departs
 
 
-def _with_start(
+def _labelled_with_start(
     process: ExplicitProcess, quotient: Quotient, start: FloatArray, entering: FloatArray
 ) -> ExplicitProcess:
     """Set the start; mass on goals or dead-ends enters through a source state, the last one."""

@@ -167,7 +167,7 @@ def check_penalty(penalty: float) -> None:
         )
 
 
-def check_setting(
+def check_failure_setting(
     failure_budget: float | None, discount: float | None, reach_fraction: float | None = None
 ) -> None:
     """Check budget, discount and share.

@@ -55,7 +55,7 @@ def model_flow(quotient: Quotient, visits: FloatArray) -> ModelFlow:
 
 
 def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> ModelFlow:
-    """The flow with the moves within components, and with giving up shared among members.
+    """The model's flow with the moves within components, and giving up shared among members.
 
     Args:
         quotient: the live part of the model.
@@ -71,10 +71,10 @@ def moving_within(quotient: Quotient, flow: ModelFlow, entering: FloatArray) -> 
     give_up, pairs = flow.give_up.copy(), flow.pairs.copy()
     give_up[members] *= share
     leaving = segment_sums(pairs, quotient.model.pair_offsets)[members] + give_up[members]
-    return ModelFlow(pairs + _moves(quotient, members, entering[members], leaving), give_up)
+    return ModelFlow(pairs + _flow_of_moves(quotient, members, entering[members], leaving), give_up)
 
 
-def _moves(
+def _flow_of_moves(
     quotient: Quotient, members: IntArray, entering: FloatArray, leaving: FloatArray
 ) -> FloatArray:
     """How often each pair inside a component is taken, [model pairs].
@@ -106,11 +106,15 @@ def _moves(
         choice = approach_pairs(model, last, usable)
         moving = np.flatnonzero((choice[members] >= 0) & (share[node] > 0.0))
         taken = choice[members[moving]]
-        pairs[taken] += _visits(model, members[moving], taken, (entering * share[node])[moving])
+        pairs[taken] += _visits_of_flow(
+            model, members[moving], taken, (entering * share[node])[moving]
+        )
     return pairs
 
 
-def _visits(model: SSP, states: IntArray, pairs: IntArray, entering: FloatArray) -> FloatArray:
+def _visits_of_flow(
+    model: SSP, states: IntArray, pairs: IntArray, entering: FloatArray
+) -> FloatArray:
     """Expected visits of some states that each take one pair until they are left, [some states]."""
     lengths = np.diff(model.outcome_offsets)[pairs]
     outcomes = concatenated_ranges(model.outcome_offsets[pairs], lengths)

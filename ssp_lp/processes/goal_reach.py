@@ -13,9 +13,9 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.extreme_reach import extreme_reach
-from ssp_lp.dynamic_programming.leaving import approach
+from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import (
     approach_pairs,
@@ -82,7 +82,7 @@ def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     everything = np.ones(model.n_pairs, dtype=np.bool_) if exact else None
     # moving about in a component risks nothing
     quotient = build_quotient(model, free=everything, ended=sure)
-    found = _extreme(quotient, sure, survival, greatest=True)
+    found = _extreme_reach(quotient, sure, survival, greatest=True)
     inside = sure & ~model.goal_mask
     return replace(
         found,
@@ -107,7 +107,7 @@ def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     if survival == 1.0:
         bound_to = ~reaching_states(model, attention)
     quotient = build_quotient(model, ended=attention | bound_to)
-    found = _extreme(quotient, bound_to, survival, greatest=False)
+    found = _extreme_reach(quotient, bound_to, survival, greatest=False)
     inside = bound_to & ~model.goal_mask
     decision = np.where(attention & ~quotient.dead, GIVE_UP_CODE, found.decision)
     return replace(
@@ -117,7 +117,7 @@ def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     )
 
 
-def _extreme(
+def _extreme_reach(
     quotient: Quotient, hit_states: BoolArray, survival: float, *, greatest: bool
 ) -> GoalReach:
     """The greatest or the least E[survival^T; hit] over the live states.
@@ -146,7 +146,7 @@ def _extreme(
     )
 
 
-def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
+def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy:
     """Among the policies that attain the extreme, the least E[survival^(T-1) * cost; goal].
 
     A transition to x' is priced g * reach(x'), reach taken one step early under discounting, so
@@ -162,25 +162,27 @@ def cheapest(model: SSP, reach: GoalReach, survival: float = 1.0) -> ReachPolicy
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
     gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
     pair_cost = quotient.at_pairs(cost_means(model, weight)) / departs
-    first = approach(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
+    first = approach_leaving(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
     missing = successor_means(model, (quotient.node_of < 0) & ~model.goal_mask)
     miss = (1.0 - survival) + survival * quotient.at_pairs(missing, 1.0) / departs
     rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
-    settled = improve(dynamics, rewards, only_cost, first)
+    settled = iterate_policy(dynamics, rewards, only_cost, first)
     bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
     early_goal = np.clip(quotient.lift(settled.totals[:, 1]), 0.0, 1.0)
     surely = reach.goal == 1.0  # decided on the graph
     return ReachPolicy(
         decision=quotient.pull_back(settled.choice),
         goal=np.where(surely, 1.0, survival * early_goal),
-        failure=_failing(model, surely, quotient.node_of, settled.totals[:, 2]),
+        failure=_failing_to_reach(model, surely, quotient.node_of, settled.totals[:, 2]),
         early=np.where(surely & ~model.goal_mask, 1.0, early_goal),
         cost=quotient.lift(settled.totals[:, 0]),
         cost_bound=quotient.lift(bound),
     )
 
 
-def _failing(model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray) -> FloatArray:
+def _failing_to_reach(
+    model: SSP, surely: BoolArray, node_of: IntArray, missed: FloatArray
+) -> FloatArray:
     """The probability of failing from each state; 1 where no node stands for it.
 
     Args:
@@ -220,7 +222,7 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     return ReachPolicy(
         decision=np.where(decision >= 0, decision, UNDECIDED),
         goal=goal,
-        failure=_failing(model, model.goal_mask, node_of, missed),
+        failure=_failing_to_reach(model, model.goal_mask, node_of, missed),
         early=early,
         cost=cost,
         cost_bound=np.zeros(model.n_states),

@@ -50,7 +50,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
         survival: factor of every probability.
     """
     n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
-    counts, departs, leaks = _count(rows)
+    counts, departs, leaks = _count_live(rows)
     indptr = np.zeros(n_rows + 1, dtype=np.int64)
     np.cumsum(counts, out=indptr[1:])
     small = max(int(indptr[-1]), n_columns) < 2**31
@@ -60,17 +60,17 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     if accelerated(rows.model.n_outcomes):
         from ssp_lp.compiled import rows as compiled
 
-        model, home = rows.model, _array(rows.home)
+        model, home = rows.model, _row_array(rows.home)
         for some in pieces(n_rows, model.n_outcomes):
             compiled.fill_rows(
                 model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
-                _array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
+                _row_array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
                 home[some] if home.size else home, departs[some], survival,
                 indptr[some.start : some.stop + 1], indices, data,
             )  # fmt: skip
     else:
         for some in _row_chunks(rows):
-            column, probability, row = _entries(rows, some, counts)
+            column, probability, row = _entries_of_live_rows(rows, some, counts)
             place = slice(indptr[some.start], indptr[some.stop])
             indices[place] = column
             data[place] = probability / departs[some][row] * survival
@@ -79,15 +79,15 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
     return LiveRows(matrix, departs, exits / departs)
 
 
-def _count(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Entries of each row, its probability of departing, and what ends there, [rows] each."""
+def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Entries of each live row, its probability of departing, and what ends there, [rows] each."""
     counts, departs = np.zeros(len(rows.pair_at), dtype=np.int32), np.ones(len(rows.pair_at))
     leaks = np.ones(len(rows.pair_at))
     model = rows.model
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled import rows as compiled
 
-        home = _array(rows.home)
+        home = _row_array(rows.home)
         for some in pieces(len(counts), model.n_outcomes):
             compiled.count_rows(
                 model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
@@ -96,7 +96,7 @@ def _count(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
             )  # fmt: skip
         return counts, departs, leaks
     for some in _row_chunks(rows):
-        outcome, row, size = *_outcomes(rows, some), some.stop - some.start
+        outcome, row, size = *_outcomes_of_live_rows(rows, some), some.stop - some.start
         probability = model.probabilities[outcome]
         node = rows.node_of[model.successors[outcome]]
         live = (node >= 0) & (probability > 0)
@@ -114,11 +114,11 @@ def _count(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
     return counts, departs, leaks
 
 
-def _entries(
+def _entries_of_live_rows(
     rows: RowChoice, some: slice, counts: IntArray
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Column, probability and row (within the chunk) of the entries that were counted."""
-    outcome, row = _outcomes(rows, some)
+    outcome, row = _outcomes_of_live_rows(rows, some)
     probability = rows.model.probabilities[outcome]
     node = rows.node_of[rows.model.successors[outcome]].astype(np.int64)
     kept = (node >= 0) & (probability > 0)
@@ -132,7 +132,7 @@ def _entries(
     return column, probability[kept], row[kept]
 
 
-def _outcomes(rows: RowChoice, some: slice) -> tuple[IntArray, IntArray]:
+def _outcomes_of_live_rows(rows: RowChoice, some: slice) -> tuple[IntArray, IntArray]:
     """Outcomes of a chunk of rows, and the row within the chunk that each belongs to."""
     offsets, pair = rows.model.outcome_offsets, rows.pair_at[some]
     begin = np.where(pair < 0, 0, offsets[pair])
@@ -140,11 +140,13 @@ def _outcomes(rows: RowChoice, some: slice) -> tuple[IntArray, IntArray]:
     return concatenated_ranges(begin, lengths), segment_ids(np.append(0, np.cumsum(lengths)))
 
 
-def _array(given: IntArray | None) -> IntArray:
+def _row_array(given: IntArray | None) -> IntArray:
+    """An array that says where each live row goes on; none says nowhere."""
     return _NOWHERE if given is None else given
 
 
 def _row_chunks(rows: RowChoice) -> list[slice]:
+    """Chunks of live rows with about as many outcomes each."""
     pair, offsets = rows.pair_at, rows.model.outcome_offsets
     lengths = np.where(pair < 0, 0, offsets[pair + 1] - offsets[pair])
     return list(segment_chunks(np.append(0, np.cumsum(lengths))))

@@ -179,6 +179,7 @@ class Quotient:
         return self._routed(decision)
 
     def _routed(self, decision: IntArray) -> IntArray:
+        """Decisions on states, with a way through the node for its members that have none."""
         lost = self.merged & (decision == UNDECIDED)
         if not lost.any():
             return decision
@@ -219,11 +220,11 @@ def build_quotient(
     if free_exits:
         leaving = leaving | merged
     check_time()
-    node_of = _numbered(live, component)
-    return _with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
+    node_of = _numbered_nodes(live, component)
+    return _quotient_with_pairs(model, dead, node_of, inside, merged, usable & ~inside, leaving)
 
 
-def _numbered(live: BoolArray, component: IntArray) -> IntArray:
+def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
     """Node of each state in the order of their first states, -1 where it is not live, [states]."""
     group = np.where(component >= 0, component + live.size, np.arange(live.size))
     first = np.arange(live.size)
@@ -236,7 +237,7 @@ def _numbered(live: BoolArray, component: IntArray) -> IntArray:
     return np.where(live, number[first], -1).astype(np.int32)
 
 
-def _with_pairs(
+def _quotient_with_pairs(
     model: SSP,
     dead: BoolArray,
     node_of: IntArray,
@@ -245,6 +246,7 @@ def _with_pairs(
     kept: BoolArray,
     leaving: BoolArray,
 ) -> Quotient:
+    """The quotient with the pairs that its nodes keep."""
     n_nodes = int(node_of.max(initial=-1)) + 1
     pairs = np.flatnonzero(kept).astype(np.int32)
     pair_node = node_of[model.pair_state[pairs]]

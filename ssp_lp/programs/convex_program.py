@@ -9,7 +9,7 @@ import cvxpy as cp
 import numpy as np
 
 from ssp_lp.errors import SolverError
-from ssp_lp.programs.decomposition import balanced
+from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 if TYPE_CHECKING:
@@ -92,7 +92,7 @@ class ConvexProgram:
         gives_up = program.giving_up if stated else None  # rows of the user's see visits
         measure = OccupationMeasure(
             program=program,
-            visits=balanced(program.process, visits, proved.choice, gives_up),
+            visits=balanced_visits(program.process, visits, proved.choice, gives_up),
             duals={name: price * scale for name, price in prices.items()},
             optimal_value_from_dual=value if stated else None,
             solver=f"cvxpy, {self.problem.solver_stats.solver_name}",
@@ -127,6 +127,7 @@ class ConvexProgram:
         return {name: max(self._price(name), 0.0) for name in names}
 
     def _is_kept(self, name: str) -> bool:
+        """Whether a row of the convex program is still as it was stated."""
         return self.constraints.get(name) is self._stated[0][name]
 
     def _price(self, name: str, sign: float = 1.0) -> float:

@@ -36,7 +36,7 @@ _WRONG = 1e-8  # of a state's visits: what members may have too many
 _USED_UP = 1e-9  # share of a pair's visits that rounding may leave of it
 
 
-def balanced(
+def balanced_visits(
     process: ExplicitProcess,
     visits: FloatArray,
     otherwise: IntArray,
@@ -60,14 +60,14 @@ def balanced(
     kept = np.maximum(visits, 0.0)
     outflow = segment_sums(kept, process.pair_offsets)
     unseen = outflow <= _SEEN * min(float(outflow.max(initial=0.0)), 1.0)
-    share = _shares(process, kept, unseen, otherwise)
+    share = _decomposed_shares(process, kept, unseen, otherwise)
     if gives_up is not None:
         share = _giving_up_in_time(process, share, gives_up)
     visited = _drawn_chain(process, share).solve_transposed(process.start)
     return np.asarray(visited[process.pair_state] * share)
 
 
-def _shares(
+def _decomposed_shares(
     process: ExplicitProcess, visits: FloatArray, unseen: BoolArray, otherwise: IntArray
 ) -> FloatArray:
     """Probability of each pair in its state, [pairs]."""
@@ -77,7 +77,7 @@ def _shares(
 
 
 def _drawn_chain(process: ExplicitProcess, share: FloatArray) -> System:
-    """The chain of a policy that draws."""
+    """The chain of a policy that draws, whose visits are decomposed."""
     drawn = np.flatnonzero(share)
     draws = sp.csr_array(
         (share[drawn], (process.pair_state[drawn], drawn)),
@@ -90,7 +90,7 @@ def _drawn_chain(process: ExplicitProcess, share: FloatArray) -> System:
 def _giving_up_in_time(
     process: ExplicitProcess, share: FloatArray, gives_up: BoolArray
 ) -> FloatArray:
-    """The same, but giving up where the goal is out of the policy's reach, [pairs]."""
+    """Visits to be decomposed, but giving up where the goal is out of reach, [pairs]."""
     dynamics = process.dynamics
     hopeful = nearer_pairs(
         dynamics.predecessors,
@@ -102,7 +102,7 @@ def _giving_up_in_time(
     lost = (hopeful < 0) & (segment_sums(gives_up.astype(np.float64), process.pair_offsets) > 0.0)
     if lost.any():
         price = np.where(gives_up, process.cost, np.inf)
-        share = _shares(process, share, lost, _least(process, price))
+        share = _decomposed_shares(process, share, lost, _least_in_decomposing(process, price))
     return share
 
 
@@ -123,7 +123,10 @@ def decomposed(
     """
     left, members, weights = visits.copy(), [], []
     followed = np.zeros_like(visits)
-    most, outflow = _least(process, -visits), segment_sums(visits, process.pair_offsets)
+    most, outflow = (
+        _least_in_decomposing(process, -visits),
+        segment_sums(visits, process.pair_offsets),
+    )
     leaving, remaining = leaving_choice(process.dynamics, process.goal), 1.0
     safe = np.where(outflow > 0.0, most, leaving)
     while remaining > 0.0:
@@ -151,19 +154,19 @@ def decomposed(
     return tuple(members), np.array(weights) / np.sum(weights)
 
 
-def _least(process: ExplicitProcess, values: FloatArray) -> IntArray:
+def _least_in_decomposing(process: ExplicitProcess, values: FloatArray) -> IntArray:
     """The pair of least value in each state, [states]."""
     offsets = process.pair_offsets
     return first_minimisers(values, segment_minima(values, offsets), offsets)
 
 
 def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
-    """A policy that leaves, by pairs that are visited where there are such, [states].
+    """A policy for the decomposition that leaves, by pairs that are visited where there are such.
 
     The most visited pair of each state is taken where that leaves, else one by which a visited pair
     that leaves comes nearer.
     """
-    supported, most = visits > 0.0, _least(process, -visits)
+    supported, most = visits > 0.0, _least_in_decomposing(process, -visits)
     choice = np.where(supported[most], most, safe)
     if not process.dynamics.chain(choice.astype(np.int32)).closed.size:
         return choice

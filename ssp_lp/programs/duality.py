@@ -15,7 +15,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.dynamic_programming.leaving import leaving_choice
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
 from ssp_lp.processes.contraction import bound_of, contract
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -59,11 +59,11 @@ def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMin
     smaller = contract(process, pair_cost == 0.0)
     try:
         if smaller is None:
-            settled = improve(process.dynamics, rewards, weights, leaving)
+            settled = iterate_policy(process.dynamics, rewards, weights, leaving)
             choice, totals = settled.choice, settled.totals
         else:
             begun = smaller.begun(process, leaving)
-            settled = improve(smaller.dynamics, rewards[smaller.pairs], weights, begun)
+            settled = iterate_policy(smaller.dynamics, rewards[smaller.pairs], weights, begun)
             choice = smaller.expanded(process, settled.choice)
             totals = settled.totals[smaller.node_of]
     except SolverError:

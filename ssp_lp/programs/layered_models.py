@@ -147,6 +147,7 @@ class LayeredModel:
 
     @property
     def _tails(self) -> IntArray:
+        """What the tails of the layered model do."""
         return self.layered.tails.decisions
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
-from ssp_lp.linear_programming.backends import cold_attempts, run
+from ssp_lp.linear_programming.backends import cold_attempts, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.html_table import html_text
@@ -28,7 +28,7 @@ from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.augmented import Augmented, ColumnLabel
-from ssp_lp.programs.decomposition import balanced
+from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
@@ -151,7 +151,7 @@ class OccupationProgram:
         """
         tried, deadline, infeasible = [], time.perf_counter() + time_limit, False
         for name, _ in cold_attempts(self.linear, backend):
-            answer = run(self.linear, name, deadline - time.perf_counter())
+            answer = run_backend(self.linear, name, deadline - time.perf_counter())
             told = f"{name}: {answer.status}"
             refused = "infeasible" in answer.status.lower()
             infeasible = infeasible or refused
@@ -198,7 +198,7 @@ class OccupationProgram:
         visits = answer.x[: self.process.n_pairs] / scale
         return OccupationMeasure(
             program=self,
-            visits=balanced(
+            visits=balanced_visits(
                 self.process, proved.without_noise(visits), proved.choice, self.giving_up
             ),
             duals={name: price * scale for name, price in prices.items()},

@@ -88,6 +88,6 @@ def certificate_of(
 
 
 def failure_of(found: Evaluation) -> float:
-    """What the budget limits: discounted under a discount, else the real failure."""
+    """The failure that a certificate's budget limits: discounted under a discount, else real."""
     discounted = found.discounted_failure
     return found.failure_probability if discounted is None else discounted

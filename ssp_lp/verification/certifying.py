@@ -12,7 +12,7 @@ from ssp_lp.arrays import RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.least_risk import risk_bound
@@ -82,7 +82,7 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
     if by_rows(problem):
         risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate
-        certificate, reason = proved(solution, found), _broken_limit(problem, found)
+        certificate, reason = proved(solution, found), _certified_breach(problem, found)
         return replace(certificate, accepted=False, reason=reason) if reason else certificate
     if problem.semantics.aim is not Aim.LEAST_COST:
         return _goal_certificate(problem, found)
@@ -117,10 +117,10 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     levels = levels_of(solution.policy.policies, len(values))
     compiled = problem.compile().matching(np.asarray(values), levels)
-    bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
+    bound, tail = _certified_lower_bound(compiled, problem, kappa, price == 0.0, solution)
     if tail > _LITTLE:  # it may be less beyond the cap with better policies there
         compiled = compiled.for_program()
-        bound, tail = _lower_bound(compiled, problem, kappa, price == 0.0, solution)
+        bound, tail = _certified_lower_bound(compiled, problem, kappa, price == 0.0, solution)
     if attained < budget * _SURELY:
         return certificate_of(found, bound, budget, tail=tail)
     least = compiled.least_failure()
@@ -132,7 +132,7 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     return certificate_of(found, bound, allowed, tail=tail)
 
 
-def _broken_limit(problem: Problem, found: Evaluation) -> str:
+def _certified_breach(problem: Problem, found: Evaluation) -> str:
     """Which constraint the policy breaks, in words; empty: none."""
     for condition in conditions_of(problem):
         spent = found.secondary_costs[condition.name]
@@ -175,7 +175,7 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
     claims = found.objective, solution.lower_bound
     known = None if solution.method == Game.name else values  # a game's are of its own layers
-    lower = _rows_bound(compiled, prices * limited, raised, known, claims)
+    lower = _certified_rows_bound(compiled, prices * limited, raised, known, claims)
     budget = float(raised[0]) if limited[0] else budget
     attained = found.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
@@ -185,7 +185,7 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     return certificate_of(found, compiled.sense.worth(lower), budget, above=above)
 
 
-def _rows_bound(
+def _certified_rows_bound(
     compiled: CompiledConstrained,
     prices: FloatArray,
     bounds: FloatArray,
@@ -208,11 +208,11 @@ def _rows_bound(
     return max(found)
 
 
-def _lower_bound(
+def _certified_lower_bound(
     compiled: CompiledProblem, problem: Problem, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
     """Lower bound of the objective, and the relative gap that truncation leaves in it."""
-    row = Row(max(problem.failure_budget or 0.0, 0.0), problem.ratio, compiled.lowest)
+    row = FailureRow(max(problem.failure_budget or 0.0, 0.0), problem.ratio, compiled.lowest)
     slack = slack and problem.ratio
     price = price * (1.0 - _BELOW) if slack else price
     proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
@@ -246,7 +246,7 @@ def _worth_certificate(solution: Solution, found: Evaluation) -> Certificate:
             raise ModelError("a certificate needs the failure price and its value function")
         if not (np.isfinite(price) and price >= 0.0):
             reason, price = "the price is not a number >= 0", 0.0
-        row = Row(max(budget, 0.0), problem.ratio, compiled.lowest)
+        row = FailureRow(max(budget, 0.0), problem.ratio, compiled.lowest)
         values, levels = np.asarray(values), levels_of(solution.policy.policies, len(values))
         priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
         bound = max(priced, bound) if budget <= allowed else priced

@@ -11,7 +11,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.model.html_table import html_text
 from ssp_lp.options import progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem
-from ssp_lp.verification.comparison import Comparison
+from ssp_lp.verification.method_comparison import MethodComparison
 from ssp_lp.verification.method_result import METHODS, Member, MethodResult, result_by
 
 _LOG = logging.getLogger("ssp_lp.comparison")
@@ -64,13 +64,14 @@ class CrossCheck:
 
     def summary(self) -> str:
         """The methods as a table, their policies, the remarks, and one line with the verdict."""
-        lines = _table(self.methods)
-        lines += [f"  {r.name}: {_lottery(r.members)}" for r in self.methods if r.members]
+        lines = _cross_check_table(self.methods)
+        lines += [f"  {r.name}: {_lottery_in_table(r.members)}" for r in self.methods if r.members]
         lines += [f"  {r.name}: {r.note}" for r in self.methods if r.note]
         lines += [f"  {remark}" for remark in self.remarks]
         return "\n".join([*lines, self._verdict()])
 
     def _verdict(self) -> str:
+        """The verdict on methods that were checked against each other."""
         count = sum(method.answered for method in self.methods)
         distances = (
             f"c* within {self.objective_distance:.1e}, alpha* within {self.weight_distance:.1e}, "
@@ -136,21 +137,23 @@ def cross_check(
         for method in methods:
             if method.infeasible is not None and not any(r.answered for r in methods):
                 raise method.infeasible
-        found = compare(methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance)
+        found = compare_methods(
+            methods, problem, tolerance=tolerance, weight_tolerance=weight_tolerance
+        )
         _LOG.info("%r", found)
     return found
 
 
-def compare(
+def compare_methods(
     methods: Sequence[MethodResult],
     problem: Problem,
     *,
     tolerance: float = 1e-6,
     weight_tolerance: float = 1e-4,
 ) -> CrossCheck:
-    """Comparison rows of one problem, wherever they come from."""
+    """Cross-check the methods' rows of one problem, wherever they come from."""
     costliest = float(problem.model.costs.max(initial=0.0))
-    comparison = Comparison(problem.failure_budget, costliest, tolerance, weight_tolerance)
+    comparison = MethodComparison(problem.failure_budget, costliest, tolerance, weight_tolerance)
     answered = [method for method in methods if method.answered]
     unsound = comparison.unsound(answered)
     sound = [method for method in answered if method.name not in unsound]
@@ -162,25 +165,28 @@ def compare(
     weights = [r.adversary_weight for r in answered if r.adversary_weight is not None]
     return CrossCheck(
         methods=tuple(methods),
-        objective_distance=_widest(costs, comparison.distance),
-        weight_distance=_widest(weights, lambda one, other: abs(one - other)),
-        evaluated_distance=_widest(exact, comparison.distance),
+        objective_distance=_widest_between_methods(costs, comparison.distance),
+        weight_distance=_widest_between_methods(weights, lambda one, other: abs(one - other)),
+        evaluated_distance=_widest_between_methods(exact, comparison.distance),
         budget_overrun=max((comparison.overrun(r) for r in answered), default=0.0),
         disagreeing=named,
         remarks=(*(f"{n}: {findings[n]}" for n in named), *comparison.several_prices(sound)),
     )
 
 
-def _widest(values: Sequence[float], distance: Callable[[float, float], float]) -> float:
+def _widest_between_methods(
+    values: Sequence[float], distance: Callable[[float, float], float]
+) -> float:
+    """The widest distance between answers of two methods."""
     return max((distance(one, other) for one, other in combinations(values, 2)), default=0.0)
 
 
-def _lottery(members: Sequence[Member]) -> str:
+def _lottery_in_table(members: Sequence[Member]) -> str:
     """A policy by its members: weight x (cost, failure)."""
     return " + ".join(f"{m.weight:.6f} x ({m.cost:.9g}, {m.failure:.6g})" for m in members)
 
 
-def _table(methods: Sequence[MethodResult]) -> list[str]:
+def _cross_check_table(methods: Sequence[MethodResult]) -> list[str]:
     """One line per method, aligned; policies follow below as weight x (cost, failure)."""
     columns: dict[str, Callable[[MethodResult], float | None]] = {
         "c*": lambda r: r.objective,
@@ -196,14 +202,19 @@ def _table(methods: Sequence[MethodResult]) -> list[str]:
     }
     rows = [["method", *columns]]
     for method in methods:
-        rows.append([method.name, *(_text(name, value(method)) for name, value in columns.items())])
+        rows.append(
+            [
+                method.name,
+                *(_cross_check_text(name, value(method)) for name, value in columns.items()),
+            ]
+        )
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
     ]
 
 
-def _text(name: str, value: float | None) -> str:
+def _cross_check_text(name: str, value: float | None) -> str:
     """A number as its column shows it; a dash where there is none."""
     if value is None:
         return "-"

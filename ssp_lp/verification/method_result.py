@@ -92,7 +92,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
         discounted_failure=found.discounted_failure,
         expected_cost=found.expected_cost,
         conditional_cost=found.conditional_cost,
-        members=_members(solution, each),
+        members=_members_of_result(solution, each),
         seconds=solution.seconds,
     )
 
@@ -132,7 +132,7 @@ def result_by(
     return replace(result, seconds=time.perf_counter() - began)
 
 
-def _members(solution: Solution, each: list[Evaluation]) -> tuple[Member, ...]:
+def _members_of_result(solution: Solution, each: list[Evaluation]) -> tuple[Member, ...]:
     """Each member of a lottery by itself."""
     members = []
     for found, weight in zip(each, solution.policy.weights, strict=True):
@@ -163,7 +163,7 @@ def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, s
         return None, "at least failure there is one method, the two stages of column generation"
     if asked is not None:
         return asked, ""
-    columns = _columns(problem)
+    columns = _columns_of_method(problem)
     if columns <= MOST_COLUMNS:
         return None, ""
     if _WARM in BACKENDS:
@@ -171,7 +171,7 @@ def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, s
     return None, f"{columns:,} columns are too many to solve from nothing"
 
 
-def _columns(problem: Problem) -> int:
+def _columns_of_method(problem: Problem) -> int:
     """Columns of the first program that the LP method would solve."""
     compiled = problem.compile().for_program()
     if isinstance(compiled, CompiledAccumulatedCost):

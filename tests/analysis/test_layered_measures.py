@@ -41,7 +41,7 @@ def test_layers_attain_what_the_written_out_chain_does(
             start = start_distribution(model, problem.start)
             found = layered_measures(policy, problem, start, 0)
             try:
-                truth = evaluation._measure(policy_chain(model, policy, start), problem)
+                truth = evaluation._evaluated_measures(policy_chain(model, policy, start), problem)
             except ModelError:  # gives up where it may not: the chain names the state
                 assert found is None
                 continue
@@ -68,7 +68,7 @@ def test_failing_where_that_is_forbidden_costs_without_end() -> None:
         decision[:, model.index_of("x")] = [0, dares]
         policy = CostAwarePolicy(model, 1.0, decision, tails, np.full(3, 9.0))
         found = layered_measures(policy, problem, start, 0)
-        truth = evaluation._measure(policy_chain(model, policy, start), problem)
+        truth = evaluation._evaluated_measures(policy_chain(model, policy, start), problem)
         assert found is not None
         assert found.expected_cost == pytest.approx(truth.expected_cost)
         assert np.isinf(found.expected_cost) == (dares == 1)

@@ -18,7 +18,7 @@ from ssp_lp.dynamic_programming.linear_systems.advantages import advantage_bound
 from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_components
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
 Switch = Callable[[bool], None]
 
@@ -128,7 +128,7 @@ def test_one_pass_over_components_is_the_optimum(compiled: bool, seed: int, back
     """Against value iteration; entries of one column that come twice count twice."""
     dynamics, cost = random_dynamics(np.random.default_rng(seed), backwards)
     first = np.asarray(dynamics.pair_offsets[:-1])
-    found = improve(dynamics, cost[:, None], np.ones(1), first)
+    found = iterate_policy(dynamics, cost[:, None], np.ones(1), first)
     values = np.zeros(30)
     departs = dynamics.exits + np.asarray(dynamics.transitions.sum(axis=1)).ravel()
     for _ in range(20_000):
@@ -152,7 +152,7 @@ def test_a_passed_deadline_ends_policy_iteration() -> None:
     dynamics, cost = random_dynamics(rng, 8)
     plain = Dynamics(dynamics.pair_offsets, dynamics.transitions, dynamics.exits)
     with until(-10.0), pytest.raises(Stop):
-        improve(plain, cost[:, None], np.ones(1), np.asarray(plain.pair_offsets[:-1]))
+        iterate_policy(plain, cost[:, None], np.ones(1), np.asarray(plain.pair_offsets[:-1]))
 
 
 @pytest.mark.usefixtures("compiled")

@@ -13,9 +13,9 @@ from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
 from random_models import drawn_model
 from ssp_lp import SSP, LinearProgramming, Solution, solve
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.linear_programming.highs import solve_with_highs
-from ssp_lp.linear_programming.linear_program import residuals
+from ssp_lp.linear_programming.linear_program import program_residuals
 from ssp_lp.methods.policy_basis import policy_basis
 from ssp_lp.programs.program_rows import occupation_program
 
@@ -85,7 +85,7 @@ def test_a_basis_is_regular_and_its_policies_lie_on_both_sides(robot: Any, crite
     model, start = robot
     problem = criterion(model, start=start, failure_budget=TIGHT)
     instance = problem.compile().for_program()
-    process, row = instance.explicit(), Row(TIGHT, problem.ratio)
+    process, row = instance.explicit(), FailureRow(TIGHT, problem.ratio)
     basis = policy_basis(instance, process, row, np.inf)
     assert not basis.slack
     first, extra = basis.pairs[:-1], basis.pairs[-1]
@@ -106,9 +106,9 @@ def test_a_wrong_basis_is_refuted(robot: Any) -> None:
     instance = problem.compile()
     process = instance.explicit()
     program = occupation_program(process, TIGHT, ratio=False)
-    basis = policy_basis(instance, process, Row(SLACK, ratio=False), np.inf)
+    basis = policy_basis(instance, process, FailureRow(SLACK, ratio=False), np.inf)
     answer = solve_with_highs(program, "highs-warm", np.inf, basis)
     assert answer.iterations is not None
     assert answer.iterations > 0
-    assert residuals(program, answer).worst < 1e-8
+    assert program_residuals(program, answer).worst < 1e-8
     assert program.cost @ answer.x == pytest.approx(solve(problem).objective, rel=1e-6)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from ssp_lp import SSP, ModelError
-from ssp_lp.model.chunks import chunks, pieces
+from ssp_lp.model.chunks import chunks, pieces_of_chunks
 
 
 @pytest.fixture(params=[1 << 22, 4, 1])
@@ -94,7 +94,7 @@ def test_offsets_that_fall_and_pairs_without_outcomes(chunk):
 
 def test_pieces_cover_every_segment_once(chunk):
     offsets = np.array([0, 0, 3, 3, 4, 11, 11], dtype=np.int32)
-    found = list(pieces(offsets))
+    found = list(pieces_of_chunks(offsets))
     segments = [k for piece in found for k in range(piece.segments.start, piece.segments.stop)]
     assert segments == list(range(6))
     for piece in found:

@@ -23,7 +23,7 @@ from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.sums import sums_of
+from ssp_lp.processes.totals.step_sums import sums_of
 
 COSTS = (0.37, 1.01, 0.5, 2.03, 1.73, 0.11)
 ROOT = 2.0**0.5

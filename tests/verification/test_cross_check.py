@@ -19,7 +19,7 @@ from ssp_lp import (
 )
 from ssp_lp.errors import SolverError
 from ssp_lp.verification import method_result
-from ssp_lp.verification.cross_check import compare
+from ssp_lp.verification.cross_check import compare_methods
 from ssp_lp.verification.method_result import METHODS, result_of
 
 MODEL = SSP.from_transitions(
@@ -45,7 +45,7 @@ def judged(**changed):
     """Compare the rows with some fields of some methods changed."""
     rows = results()
     rows |= {name: replace(rows[name], **fields) for name, fields in changed.items()}
-    return compare(list(rows.values()), PROBLEM)
+    return compare_methods(list(rows.values()), PROBLEM)
 
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
@@ -174,7 +174,7 @@ def test_another_optimum_is_outvoted(name):
     """One method solved a problem with a smaller budget: it keeps to ours, but costs more."""
     other = replace(PROBLEM, failure_budget=0.04)
     rows = results() | {name: result_of(name, solve(other, name))}
-    found = compare(list(rows.values()), PROBLEM)
+    found = compare_methods(list(rows.values()), PROBLEM)
     assert name in found.disagreeing
     assert set(found.disagreeing) == {name}
     assert found.objective_distance > 1e-2
@@ -185,7 +185,7 @@ def test_another_optimum_is_outvoted(name):
 def test_a_policy_over_budget_is_named(name):
     """One method solved a problem with a larger budget."""
     other = solve(replace(PROBLEM, failure_budget=0.06), name)
-    found = compare(list((results() | {name: result_of(name, other)}).values()), PROBLEM)
+    found = compare_methods(list((results() | {name: result_of(name, other)}).values()), PROBLEM)
     assert found.disagreeing == (name,)
     assert found.budget_overrun == pytest.approx(0.01)
 
@@ -196,7 +196,7 @@ def test_a_policy_that_does_not_attain_what_is_stated_is_named():
     wrong = MixedPolicy((solution.policy.policies[safe],), np.ones(1))
     planted = replace(solution, policy=wrong)
     rows = results() | {"columns": result_of("columns", planted)}
-    found = compare(list(rows.values()), PROBLEM)
+    found = compare_methods(list(rows.values()), PROBLEM)
     assert found.disagreeing == ("columns",)
     assert found.evaluated_distance > 1e-2
 
@@ -205,9 +205,9 @@ def test_two_roads_that_differ_are_both_named():
     problem = MCMP(MODEL, start="depot", failure_budget=0.05)
     rows = [result_of(name, solve(problem, name)) for name in ("lp", "columns")]
     dearer = result_of("columns", solve(replace(problem, failure_budget=0.04)))
-    found = compare([rows[0], dearer], problem)
+    found = compare_methods([rows[0], dearer], problem)
     assert set(found.disagreeing) == {"lp", "columns"}
-    assert compare(rows, problem).agrees
+    assert compare_methods(rows, problem).agrees
 
 
 def test_a_bound_above_what_is_attained_is_named():

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from checks import library_model
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, certify, evaluate, solve
-from ssp_lp.verification.cross_check import compare
+from ssp_lp.verification.cross_check import compare_methods
 from ssp_lp.verification.method_result import METHODS, result_of
 from strategies import acyclic_problems, problems
 
@@ -37,7 +37,7 @@ def least_failure(problem):
 def check_roads(problem):
     """No disagreement, and the game's own proof holds."""
     solutions = {name: solve(problem, name) for name in METHODS}
-    found = compare([result_of(name, s) for name, s in solutions.items()], problem)
+    found = compare_methods([result_of(name, s) for name, s in solutions.items()], problem)
     assert found.agrees, found.summary()
     assert found.objective_distance <= 1e-7
     game = solutions["game"]
@@ -128,7 +128,9 @@ def test_three_roads_agree_at_the_least_failure(drawn, discount, ratio):
     least = least_failure(loose)
     if 0.0 < least < 1.0 - 1e-12:
         problem = criterion(model, start=drawn.start, failure_budget=least, discount=discount)
-        found = compare([result_of(name, solve(problem, name)) for name in METHODS], problem)
+        found = compare_methods(
+            [result_of(name, solve(problem, name)) for name in METHODS], problem
+        )
         assert found.agrees, found.summary()
         assert certify(solve(problem, "game")).accepted
 
@@ -220,7 +222,7 @@ def test_a_bracket_that_rounding_holds_open_is_left():
     budget = least_failure(loose) + 4e-10
     problem = MCMP(model, start="a", failure_budget=budget, discount=0.9)
     assert solve(problem, "game", tolerance=1e-13).run.pricing_calls <= 40
-    found = compare([result_of(name, solve(problem, name)) for name in METHODS], problem)
+    found = compare_methods([result_of(name, solve(problem, name)) for name in METHODS], problem)
     assert found.agrees, found.summary()
 
 

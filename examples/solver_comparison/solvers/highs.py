@@ -14,7 +14,7 @@ from examples.solver_comparison.solvers.answer import Answer, Prepared
 from examples.solver_comparison.solvers.catalogue import Order
 from examples.solver_comparison.solvers.explicit import describe, size_of, written_out
 from ssp_lp.linear_programming.highs import highs_lp
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, residuals
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, program_residuals
 from ssp_lp.programs.program_rows import occupation_program
 
 
@@ -52,7 +52,7 @@ def _answer(solver: highspy.Highs, program: LinearProgram) -> Answer:
     if status != highspy.HighsModelStatus.kOptimal:
         in_time = status != highspy.HighsModelStatus.kTimeLimit
         return Answer(math.nan, unsolved=f"HiGHS: {words}" if in_time else "", in_time=in_time)
-    check = residuals(program, LPAnswer("", x, dual, words, 0.0))
+    check = program_residuals(program, LPAnswer("", x, dual, words, 0.0))
     return Answer(
         objective=float(program.cost @ x),
         gap=check.gap,

@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.analysis.chain import Chain, policy_chain
-from ssp_lp.analysis.layers.layer_moves import Moves, Staying, closed_states
+from ssp_lp.analysis.layers.layer_moves import LayerMoves, Staying, closed_states
 from ssp_lp.analysis.layers.layered_measures import LARGE
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.linear_systems.system import System
@@ -44,23 +44,26 @@ def chain_of_law(
     if (
         layers is None
         or (layers.count * model.n_states < least_nodes and not layers.rounds_up)
-        or not _is_exact(model, layers)
+        or not _is_exact_law(model, layers)
     ):
         return policy_chain(model, policy, start)
-    found = _forwards(Moves(model, layers), start)
-    return policy_chain(model, policy, start) if found is None else _spine(model, layers, found)
+    found = _law_forwards(LayerMoves(model, layers), start)
+    return (
+        policy_chain(model, policy, start) if found is None else _spine_of_law(model, layers, found)
+    )
 
 
-def _is_exact(model: SSP, layers: CostLayers) -> bool:
+def _is_exact_law(model: SSP, layers: CostLayers) -> bool:
     """Whether every cost is a whole number of layers, and not only as a float, or made one."""
     if layers.unit is None or layers.rounds_up:
         return layers.rounds_up
-    unit, steps = _fraction(model, layers.unit), layers.leads(0).tolist()
+    unit, steps = _exact_cost_of_law(model, layers.unit), layers.leads(0).tolist()
     costs = layers.costs.tolist()
-    return all(_fraction(model, c) == k * unit for c, k in zip(costs, steps, strict=True))
+    return all(_exact_cost_of_law(model, c) == k * unit for c, k in zip(costs, steps, strict=True))
 
 
-def _fraction(model: SSP, cost: float) -> Fraction:
+def _exact_cost_of_law(model: SSP, cost: float) -> Fraction:
+    """A cost of the law's chain as the fraction that it is."""
     return model.exact_costs.get(cost, exact_cost(cost))
 
 
@@ -72,8 +75,8 @@ class _Arrived:
     landed: FloatArray  # [layers beyond the cap, states] mass that goes on there
 
 
-def _forwards(moves: Moves, start: FloatArray) -> _Arrived | None:
-    """Follow the mass layer by layer; None where a decision is missing."""
+def _law_forwards(moves: LayerMoves, start: FloatArray) -> _Arrived | None:
+    """Follow the law's mass layer by layer; None where a decision is missing."""
     layers, room = moves.layers, moves.layers.width
     goals = np.flatnonzero(moves.model.goal_mask)
     waiting, goal = np.zeros((room, len(start))), np.zeros(layers.count + room)
@@ -86,7 +89,7 @@ def _forwards(moves: Moves, start: FloatArray) -> _Arrived | None:
                 return None
             staying = moves.staying(everywhere, pairs, np.where(leads > 0, 0, -1))
             if staying is not None:
-                mass = _visits(staying, pairs, mass)
+                mass = _visits_within_law(staying, pairs, mass)
             moves.send(mass, pairs, np.where(leads > 0, (layer + leads) % room, -1), waiting)
             goal[layer] = mass[goals].sum()
             waiting[layer % room] = 0.0
@@ -97,8 +100,8 @@ def _forwards(moves: Moves, start: FloatArray) -> _Arrived | None:
     return _Arrived(goal, waiting[order])
 
 
-def _spine(model: SSP, layers: CostLayers, found: _Arrived) -> Chain:
-    """One node per block of layers below the cap, then the tails.
+def _spine_of_law(model: SSP, layers: CostLayers, found: _Arrived) -> Chain:
+    """One node of the law's chain per block of layers below the cap, then the tails.
 
     A node goes on to the next block, or to the goal at the cost of each layer of its own; the last
     one to where the mass lands beyond the cap. Mass that fails below the cap never starts.
@@ -138,16 +141,16 @@ def _spine(model: SSP, layers: CostLayers, found: _Arrived) -> Chain:
     unit, ahead = float(layers.unit or 0.0), there - source * block
     paid = totals_of(ahead, exact_cost(unit)) if layers.rounds_up else ahead * unit
     own = source, target, np.asarray(mass[kept] / left[source]), np.asarray(paid)
-    return _joined(model, own, parts, count, float(left[0]), float(found.goal[0]))
+    return _joined_chain_of_law(model, own, parts, count, float(left[0]), float(found.goal[0]))
 
 
 def _rounded_up(costs: FloatArray, unit: float) -> FloatArray:
-    """Costs as whole multiples of a unit, rounded once each, like ``costs``."""
+    """Costs of the law as whole multiples of a unit, rounded once each, like ``costs``."""
     layers = np.ceil(costs / unit * (1.0 - SAME_TOTAL)).astype(np.int64)
     return totals_of(layers, exact_cost(unit))
 
 
-def _joined(
+def _joined_chain_of_law(
     model: SSP,
     own: tuple[IntArray, IntArray, FloatArray, FloatArray],
     parts: list[tuple[int, Chain]],
@@ -181,7 +184,7 @@ def _joined(
     )
 
 
-def _visits(staying: Staying, pairs: IntArray, mass: FloatArray) -> FloatArray:
+def _visits_within_law(staying: Staying, pairs: IntArray, mass: FloatArray) -> FloatArray:
     """Expected visits within a layer, given what enters it, [states]."""
     inside = (pairs >= 0) & ~closed_states(staying.share, staying.onward, pairs >= 0)
     nodes, others = np.flatnonzero(inside), np.flatnonzero(~inside)

@@ -37,7 +37,7 @@ class Staying:
 
 
 @dataclass(frozen=True, eq=False)
-class Moves:
+class LayerMoves:
     """A model's outcomes by the class of their cost, and which of its states act.
 
     ``slots`` are where in a ring of layers each class of steps leads, -1 where it stays, [classes].
@@ -74,11 +74,11 @@ class Moves:
         return np.where(self.acting[states], pair, ENDED)
 
     def tail(self, number: int, states: IntArray) -> IntArray:
-        """The same under a tail."""
+        """The same moves under a tail."""
         return np.where(self.acting[states], self.layers.tails[number][states], ENDED)
 
     def slots(self, layer: int) -> IntArray:
-        """Slots of a layer's steps."""
+        """Slots of a layer's moves."""
         leads = self.layers.leads(layer)
         return np.where(leads > 0, (layer + leads) % self.room, -1)
 
@@ -182,7 +182,7 @@ class Moves:
 
     @property
     def _outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-        """What a compiled pass reads."""
+        """What a compiled pass reads of a layer's moves."""
         model = self.model
         successors = model.successors.view(np.uint32)
         return model.outcome_offsets, successors, model.probabilities, self.classes
@@ -212,7 +212,7 @@ def marks_of(
     forbids_failing: bool,
     paying: BoolArray | None,
 ) -> IntArray:
-    """The marks of k states of a layer.
+    """The marks of k states of a layer, of what its moves may meet.
 
     Args:
         pairs: [k].
@@ -230,18 +230,18 @@ def marks_of(
     marks[missing | (quits & forbidden)] |= WRONG
     acting = ended == 0
     for bit in (HOPEFUL, OPEN):
-        _spread(marks, bit, staying)
+        _spread_in_layer(marks, bit, staying)
     if forbids_failing:
         marks[acting & ((marks & HOPEFUL) == 0)] |= FAILS
     if paying is not None and staying is not None:
         never = acting & ((marks & OPEN) == 0)
         marks[closed_states(staying.share, staying.onward, never) & paying] |= ENDLESS
     for bit in (WRONG, ENDLESS, FAILS):
-        _spread(marks, bit, staying)
+        _spread_in_layer(marks, bit, staying)
     return marks
 
 
-def _spread(marks: IntArray, bit: int, staying: Staying | None) -> None:
+def _spread_in_layer(marks: IntArray, bit: int, staying: Staying | None) -> None:
     """Mark, in place, all states from which a marked one can be reached within the layer."""
     begins = np.flatnonzero(marks & bit)
     if staying is None or not begins.size or begins.size == marks.size:
@@ -251,7 +251,7 @@ def _spread(marks: IntArray, bit: int, staying: Staying | None) -> None:
 
 
 def closed_states(share: sp.csr_array, onward: FloatArray, among: BoolArray) -> BoolArray:
-    """States of classes that are never left, [k].
+    """States of classes that no move of the layer ever leaves, [k].
 
     Args:
         share: moves, [k, k].

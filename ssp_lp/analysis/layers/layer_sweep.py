@@ -21,7 +21,7 @@ from ssp_lp.analysis.layers.layer_moves import (
     FAILS,
     HOPEFUL,
     OPEN,
-    Moves,
+    LayerMoves,
     Staying,
     closed_states,
     marks_of,
@@ -50,13 +50,13 @@ class Column:
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class LayerSweep:
     """The layers of one policy, and what is totalled over them.
 
     First it is found where the policy may be in each layer: only these states are totalled.
     """
 
-    moves: Moves
+    moves: LayerMoves
     columns: tuple[Column, ...]
     forbidden: BoolArray  # [states] where the policy may not give up
     forbids_failing: bool
@@ -72,7 +72,7 @@ class Sweep:
         for layer in reversed(range(moves.layers.count)):
             over = 1.0 - layer / moves.layers.count
             _LOG.debug("layer %d of %d", layer, moves.layers.count, extra={"share": over})
-            here = _listed(np.unpackbits(met[layer]))
+            here = _listed_in_layer(np.unpackbits(met[layer]))
             pairs, slots = moves.pairs(layer, here), moves.slots(layer)
             sums, found = moves.expect(pairs, slots, worth, marks, *self._priced)
             staying = moves.staying(here, pairs, slots)
@@ -92,7 +92,7 @@ class Sweep:
         arriving, met, everywhere = np.zeros((room, n), dtype=np.bool_), [], np.arange(n)
         arriving[0, begins] = True
         for layer in range(moves.layers.count):
-            here, slots = _listed(arriving[layer % room]), moves.slots(layer)
+            here, slots = _listed_in_layer(arriving[layer % room]), moves.slots(layer)
             arriving[layer % room] = False
             if (slots < 0).any():
                 here = moves.within(moves.pairs(layer, everywhere), slots, here)
@@ -105,7 +105,7 @@ class Sweep:
         chosen = {slot % room: moves.layers.tail_at(slot) for slot in range(count, count + room)}
         for number in range(len(moves.layers.tails)):
             lands = [arriving[slot] & (tail == number) for slot, tail in chosen.items()]
-            begins = _listed(np.logical_or.reduce(lands))
+            begins = _listed_in_layer(np.logical_or.reduce(lands))
             if begins.size:
                 here, totals, found = self._tail(number, begins)
                 for slot, tail in chosen.items():
@@ -183,7 +183,7 @@ class Sweep:
                 survival, within = self.columns[columns[0]].survival, inside[columns[0]]
                 key = survival, within.tobytes()
                 if key not in chains:
-                    chains[key] = _chain(pairs, staying, within, survival)
+                    chains[key] = _chain_in_sweep(pairs, staying, within, survival)
                 self._solve(columns, *chains[key], staying, sums)
         return marks
 
@@ -257,7 +257,7 @@ class Sweep:
         worth[nodes[:, None], columns] = evaluate_chain(system, rewards).values
 
 
-def _chain(
+def _chain_in_sweep(
     pairs: IntArray, staying: Staying, inside: BoolArray, survival: float
 ) -> tuple[IntArray, sp.csr_array, System]:
     """The nodes at which totals are open, their moves in the layer, and their equations."""
@@ -269,6 +269,6 @@ def _chain(
     return nodes, rows, System(own, (1.0 - survival) + survival * left)
 
 
-def _listed(chosen: npt.NDArray[Any]) -> IntArray:
+def _listed_in_layer(chosen: npt.NDArray[Any]) -> IntArray:
     """The states that are marked, increasing."""
     return np.flatnonzero(chosen)

@@ -8,8 +8,8 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from ssp_lp.analysis.failure_costs import state_give_up_charges
-from ssp_lp.analysis.layers.layer_moves import ENDLESS, FAILS, WRONG, Moves
-from ssp_lp.analysis.layers.layer_sweep import Column, Sweep
+from ssp_lp.analysis.layers.layer_moves import ENDLESS, FAILS, WRONG, LayerMoves
+from ssp_lp.analysis.layers.layer_sweep import Column, LayerSweep
 from ssp_lp.analysis.quantity_values import complement
 from ssp_lp.arrays import FloatArray
 from ssp_lp.model.graph.reachability import dead_ends, end_marks
@@ -78,17 +78,17 @@ def layered_measures(
         return None
     quits = any((part == GIVE_UP_CODE).any() for part in (layers.decision, layers.tails))
     charge, semantics = state_give_up_charges(problem.model, problem.semantics), problem.semantics
-    columns, names = _columns_of(problem, np.where(np.isinf(charge), 0.0, charge), quits)
-    moves, begins = Moves(problem.model, layers), np.flatnonzero(start)
-    sweep = Sweep(moves, tuple(columns), np.isinf(charge), semantics.forbids_failing)
+    columns, names = _measured_columns(problem, np.where(np.isinf(charge), 0.0, charge), quits)
+    moves, begins = LayerMoves(problem.model, layers), np.flatnonzero(start)
+    sweep = LayerSweep(moves, tuple(columns), np.isinf(charge), semantics.forbids_failing)
     totals, marks = sweep.at_start(begins)
     found = int(np.bitwise_or.reduce(marks))
     if found & WRONG:
         return None
-    return _measures(problem, names, (start[begins] @ totals).tolist(), found)
+    return _layered_measures_of(problem, names, (start[begins] @ totals).tolist(), found)
 
 
-def _columns_of(
+def _measured_columns(
     problem: Problem, charge: FloatArray, gives_up: bool
 ) -> tuple[list[Column], list[str]]:
     """What is totalled: the first four undiscounted, then by end, then discounted.
@@ -131,11 +131,13 @@ def _columns_of(
     return found, names
 
 
-def _measures(problem: Problem, names: list[str], total: list[float], marks: int) -> Measures:
-    """The measures from the totals of ``_columns_of`` at the start, and what may be met."""
+def _layered_measures_of(
+    problem: Problem, names: list[str], total: list[float], marks: int
+) -> Measures:
+    """The measures from the totals of ``_measured_columns`` at the start, and what may be met."""
     later = len(total) - 4 if problem.discount is not None else 0  # where the discounted begin
-    goal, failure = _both(total[GOAL], total[FAILED])
-    kept, surrogate = _both(total[later + GOAL], total[later + FAILED])
+    goal, failure = _both_measures(total[GOAL], total[FAILED])
+    kept, surrogate = _both_measures(total[later + GOAL], total[later + FAILED])
     stopped = float("inf") if marks & (ENDLESS | FAILS) else total[STOPPED]
     endless = marks & (FAILS if later else ENDLESS | FAILS)
     target = float("inf") if endless else total[later + STOPPED]
@@ -154,7 +156,7 @@ def _measures(problem: Problem, names: list[str], total: list[float], marks: int
     )
 
 
-def _both(goal: float, failure: float) -> tuple[float, float]:
+def _both_measures(goal: float, failure: float) -> tuple[float, float]:
     """Goal and failure within [0, 1]; none of either where the other is sure."""
     if failure == 0.0:
         return 1.0, 0.0

@@ -10,8 +10,8 @@ from numbers import Rational
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.analysis.total_cost.layer_powers import LayerPowers, Places
-from ssp_lp.analysis.total_cost.live_chain import FreeMoves, Live
+from ssp_lp.analysis.total_cost.layer_powers import LayerPlaces, LayerPowers
+from ssp_lp.analysis.total_cost.live_chain import FreeChainMoves, LiveChain
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, concatenated_ranges
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.totals.lattice import common_unit, last_layer, layers_of, totals_of
@@ -42,7 +42,7 @@ class Arrivals:
     """
 
     def __init__(
-        self, live: Live, exact_costs: Mapping[float, Fraction], unit: Fraction | None = None
+        self, live: LiveChain, exact_costs: Mapping[float, Fraction], unit: Fraction | None = None
     ) -> None:
         """Begin at total cost 0, nothing settled.
 
@@ -69,7 +69,7 @@ class Arrivals:
         step = self._steps[np.searchsorted(distinct, paid)]
         goal = self._size - 1
         free = (step == 0) & (live.target != goal)
-        self._free = FreeMoves(live, free) if free.any() else None
+        self._free = FreeChainMoves(live, free) if free.any() else None
         onward = (live.source[~free], (step * self._size + live.target)[~free])
         shape = (goal, self._width * self._size)
         self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
@@ -81,7 +81,7 @@ class Arrivals:
 
     @property
     def exhausted(self) -> bool:
-        """Whether nothing waits any more: every atom is known."""
+        """Whether no arrival is waited for any more: every atom is known."""
         return not self._occupied.any()
 
     def cost_of(self, layers: IntArray) -> FloatArray:
@@ -178,12 +178,12 @@ class Arrivals:
         return float(goal.sum()), float(cost.sum())
 
     @cached_property
-    def _places(self) -> Places:
-        """Where mass can wait: at each node, until the dearest step into it has passed."""
+    def _places(self) -> LayerPlaces:
+        """Where mass that will arrive can wait: at each node, until its dearest step has passed."""
         dearest = np.zeros(self._size, dtype=np.int64)
         columns = self._onward.indices.astype(np.int64)
         np.maximum.at(dearest, columns % self._size, columns // self._size)
-        return Places.upto(dearest)
+        return LayerPlaces.upto(dearest)
 
     @cached_property
     def _powers(self) -> LayerPowers:
@@ -213,6 +213,7 @@ class Arrivals:
         return None
 
     def _settle_one(self) -> None:
+        """Settle one more layer: what arrives there is known."""
         row, size = self.settled % self._width, self._size
         here = self._waiting[row * size : (row + 1) * size]
         visits = here[:-1].copy()
@@ -249,11 +250,13 @@ class Arrivals:
         waiting[:begin] += sent[turn:]
 
     def _count(self, moves: int) -> None:
+        """Count the work of following arrivals, and end it where it is too much."""
         self._work += moves + _WORK_OF_A_LAYER
         if self._work > _MOST_WORK:
             raise ModelError(self._too_large("the answer lies too far out"))
 
     def _too_large(self, reason: str) -> str:
+        """Why the table of arrivals is too large, as an error says it."""
         return (
             f"the law of success costs takes too large a table: {self._size - 1:,} nodes of the "
             f"policy's chain, {self._width:,} layers of cost {float(self.unit):g} in one step, "

@@ -14,7 +14,7 @@ import numpy as np
 from ssp_lp.analysis.chain import Chain
 from ssp_lp.analysis.layers.chain_of_law import chain_of_law
 from ssp_lp.analysis.total_cost.followed_sums import Followed, Sweep, cost_of
-from ssp_lp.analysis.total_cost.live_chain import Live, Prospect
+from ssp_lp.analysis.total_cost.live_chain import ChainProspect, LiveChain
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model.arguments import explained
@@ -67,7 +67,7 @@ def law_of_chains(chains: Sequence[Chain], weights: FloatArray) -> CostLaw:
         chains: of the members.
         weights: of the members, > 0, [members].
     """
-    return CostLaw(tuple(Prospect.of(chain) for chain in chains), weights)
+    return CostLaw(tuple(ChainProspect.of(chain) for chain in chains), weights)
 
 
 class Atoms(NamedTuple):
@@ -90,7 +90,7 @@ class CostLaw:
     overstated.
     """
 
-    _prospects: tuple[Prospect, ...]  # of the members of the lottery
+    _prospects: tuple[ChainProspect, ...]  # of the members of the lottery
     _weights: FloatArray  # [members]
 
     @cached_property
@@ -116,7 +116,7 @@ class CostLaw:
         """
         if bound == inf:
             return self.goal
-        _check_number(bound, "bound")
+        _check_cost_number(bound, "bound")
 
         def arrived(arrivals: Sweep) -> float:
             last = arrivals.last_layer(bound)
@@ -131,7 +131,7 @@ class CostLaw:
 
     def excess(self, threshold: float) -> float:
         """E[(C - threshold)^+; goal]; what lies far out is not lost to cancellation."""
-        _check_number(threshold, "threshold")
+        _check_cost_number(threshold, "threshold")
         if threshold == inf:
             return 0.0
 
@@ -162,7 +162,7 @@ class CostLaw:
         Raises:
             ModelError: the level does not lie in [0, 1).
         """
-        _check_level(level)
+        _check_law_level(level)
         if self.goal == 0.0:
             return nan
         needed = level * self.goal * (1.0 - QUANTILE)
@@ -191,7 +191,7 @@ class CostLaw:
         Raises:
             ModelError: the level does not lie in [0, 1).
         """
-        _check_level(level)
+        _check_law_level(level)
         return TailMeanOf(level).of(self)
 
     def exponential(self, rate: float) -> float:
@@ -215,7 +215,7 @@ class CostLaw:
             ModelError: a utility that is not a finite number for each cost, or one that falls so
                 slowly, of a policy that takes so long, that the table becomes too large.
         """
-        gain = _gain(utility, at_infinity)
+        gain = _gain_by_cost_law(utility, at_infinity)
         if self.goal == 0.0:
             return 0.0
 
@@ -234,7 +234,7 @@ class CostLaw:
         """All atoms of a total cost of at most ``bound``, as :meth:`within` compares."""
         if bound == inf:
             raise ModelError("give a finite bound, or all_but(mass)")
-        _check_number(bound, "bound")
+        _check_cost_number(bound, "bound")
 
         def atoms(arrivals: Sweep) -> Atoms:
             last = arrivals.last_layer(bound)
@@ -268,7 +268,7 @@ class CostLaw:
 
         return self._followed.asked(atoms)
 
-    def _mean(self, of: Callable[[Prospect], float]) -> float:
+    def _mean(self, of: Callable[[ChainProspect], float]) -> float:
         """The lottery's mean of a number of each member."""
         numbers = zip(self._prospects, self._weights, strict=True)
         return sum((float(w) * of(p) for p, w in numbers), start=0.0)
@@ -276,25 +276,25 @@ class CostLaw:
     @cached_property
     def _followed(self) -> Followed:
         exact = self._prospects[0].chain.model.exact_costs
-        return Followed(Live.of(self._prospects, self._weights), exact, self.conditional_mean)
+        return Followed(LiveChain.of(self._prospects, self._weights), exact, self.conditional_mean)
 
     def __repr__(self) -> str:
         """One line: the goal probability and the mean."""
         return f"CostLaw(goal {self.goal:.6g}, mean cost given success {self.conditional_mean:.6g})"
 
 
-def _gain(utility: Utility, at_infinity: float) -> Utility:
+def _gain_by_cost_law(utility: Utility, at_infinity: float) -> Utility:
     """What a total cost is worth beyond an infinite one, checked."""
     if not isfinite(at_infinity):
         raise ModelError(f"at_infinity must be a finite number, not {at_infinity!r}")
     return lambda costs: utilities(utility, costs) - at_infinity
 
 
-def _check_number(value: float | Fraction, name: str) -> None:
+def _check_cost_number(value: float | Fraction, name: str) -> None:
     if isnan(value):
         raise ModelError(f"the {name} must be a number")
 
 
-def _check_level(level: float) -> None:
+def _check_law_level(level: float) -> None:
     if not 0.0 <= level < 1.0:
         raise ModelError(f"level must lie in [0, 1), not {level!r}{as_percentage(level)}")

@@ -18,7 +18,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.analysis.total_cost.arrivals import Arrivals
-from ssp_lp.analysis.total_cost.live_chain import FreeMoves, Live
+from ssp_lp.analysis.total_cost.live_chain import FreeChainMoves, LiveChain
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.totals.lattice import common_unit, exact_cost
@@ -37,7 +37,7 @@ class TooManySumsError(ModelError):
     """A question needs more sums than are followed one by one."""
 
 
-class Sums:
+class FollowedSums:
     """A sweep over the sums of a chain's costs. Mutable: it grows.
 
     The interface is that of ``Arrivals``, a layer being a multiple of a tiny unit.
@@ -45,7 +45,7 @@ class Sums:
 
     leaps = False
 
-    def __init__(self, live: Live, exact_costs: Mapping[float, Fraction]) -> None:
+    def __init__(self, live: LiveChain, exact_costs: Mapping[float, Fraction]) -> None:
         """Begin at total cost 0, nothing settled."""
         self.settled, self._followed = 0, 0
         kinds, kind = np.unique(live.paid, return_inverse=True)
@@ -55,7 +55,7 @@ class Sums:
         self._live, self._size = live, len(live.start)
         goal = self._size - 1
         free = (live.paid == 0.0) & (live.target != goal)
-        self._free = FreeMoves(live, free) if free.any() else None
+        self._free = FreeChainMoves(live, free) if free.any() else None
         onward = (live.source[~free], kind[~free] * self._size + live.target[~free])
         shape = (goal, len(kinds) * self._size)
         self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
@@ -68,25 +68,25 @@ class Sums:
 
     @property
     def exhausted(self) -> bool:
-        """Whether nothing waits any more: every atom is known."""
+        """Whether no sum is left to follow: every atom is known."""
         return not self._next
 
     def cost_of(self, layers: IntArray) -> FloatArray:
-        """Total cost of whole layers, rounded once, like ``layers``."""
+        """Total cost of a followed sum, rounded once, like ``layers``."""
         up, down = self.unit.numerator, self.unit.denominator
         found = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
         return np.array(found, dtype=np.float64).reshape(np.shape(layers))
 
     def last_layer(self, bound: float | Fraction) -> int:
-        """The last layer of a total of at most a bound, which may be a sum rounded otherwise."""
+        """The last sum of at most a bound, which may itself be a sum rounded otherwise."""
         return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
 
     def atoms(self) -> tuple[IntArray, FloatArray]:
-        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
+        """Followed sums at which mass arrives, increasing, and how much: [atoms] each."""
         return np.array(self._layers, dtype=object), np.array(self._masses, dtype=np.float64)
 
     def followed(self, enough: int | None = None) -> Iterator[int]:
-        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
+        """Follow twice as many sums each time, up to ``enough`` or to the end of the support.
 
         Yields:
             How many layers are settled; at least once.
@@ -101,7 +101,7 @@ class Sums:
             yield self.settled
 
     def settle(self, layers: int) -> None:
-        """Settle all layers below the given number.
+        """Settle all sums below the given layer.
 
         Raises:
             TooManySumsError: there are too many sums below it.
@@ -124,16 +124,16 @@ class Sums:
 
     @property
     def frontier(self) -> float:
-        """The total cost from which on nothing is settled."""
+        """The total cost from which on no sum is settled."""
         return float(self.settled * self.unit)
 
     def arrived(self, layer: int) -> float:
-        """Pr(goal, C lies below the layer), which is settled."""
+        """Pr(goal, C lies below the sum), which is settled."""
         known = sum(1 for found in self._layers if found < layer)
         return float(np.sum(self._masses[:known]))
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
-        """Of the runs that arrive at what is not settled: Pr(goal), and E[C - frontier; goal]."""
+        """Of the runs that arrive at sums not settled: Pr(goal), and E[C - frontier; goal]."""
         goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
         for begun, parts in self._pending.items():
             delay = float((begun - frontier) * self.unit)
@@ -148,6 +148,7 @@ class Sums:
         raise ModelError(f"no leap to a mass of {mass:g}: sums are followed one by one")
 
     def _settle_one(self, layer: int) -> None:
+        """Settle the least sum that is still followed."""
         parts = self._pending.pop(layer)
         nodes = np.concatenate([part[0] for part in parts])
         masses = np.concatenate([part[1] for part in parts])
@@ -170,14 +171,14 @@ class Sums:
             self._send(ahead, target[chosen], share[chosen])
 
     def _send(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
-        """Let mass wait for its layer."""
+        """Let mass wait for the sums that steps make of its own."""
         if layer not in self._pending:
             self._pending[layer] = []
             heappush(self._next, layer)
         self._pending[layer].append((nodes, masses))
 
 
-Sweep = Arrivals | Sums
+Sweep = Arrivals | FollowedSums
 Answer = TypeVar("Answer")
 
 
@@ -185,7 +186,7 @@ Answer = TypeVar("Answer")
 class Followed:
     """The sweeps over a chain's total cost, each begun when a question needs it."""
 
-    live: Live
+    live: LiveChain
     exact_costs: Mapping[float, Fraction]  # float cost -> the fraction meant
     typical: float  # a total cost
 
@@ -198,10 +199,11 @@ class Followed:
 
     @cached_property
     def _exact(self) -> Sweep:
+        """The sums that costs make as they are, or layers of a common unit."""
         try:
             return Arrivals(self.live, self.exact_costs)
         except ModelError:  # no common unit that is worth counting in
-            return Sums(self.live, self.exact_costs)
+            return FollowedSums(self.live, self.exact_costs)
 
     @cached_property
     def _rounded(self) -> Arrivals:
@@ -212,5 +214,5 @@ class Followed:
 
 
 def cost_of(sweep: Sweep, layer: int) -> float:
-    """Total cost of a layer."""
+    """Total cost of a layer or of a followed sum."""
     return float(sweep.cost_of(np.array(layer)))

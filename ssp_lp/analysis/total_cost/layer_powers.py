@@ -23,25 +23,25 @@ _MOSTLY_STAYS = 0.5
 """Exits up to which what stays is taken from them; above, the subtraction would lose digits."""
 
 
-class _Level(NamedTuple):
+class _LayerPower(NamedTuple):
     """2^k layers as one step."""
 
     onward: FloatArray  # [places, places]
     lands: FloatArray  # [places] probability of having arrived at the goal
     leaves: FloatArray  # [places] probability of having lost it
 
-    def scaled(self) -> _Level:
-        """The same, where the probabilities of going on add up to what the exits leave over."""
+    def scaled(self) -> _LayerPower:
+        """The same power, where the probabilities of going on add up to what the exits leave."""
         exits, total = self.lands + self.leaves, self.onward.sum(axis=1)
         stays = exits <= _MOSTLY_STAYS
         factor = np.divide(1.0 - exits, total, out=np.ones_like(exits), where=stays)
         return self._replace(onward=self.onward * factor[:, None])
 
-    def doubled(self) -> _Level:
-        """Twice as many layers."""
+    def doubled(self) -> _LayerPower:
+        """The power of twice as many layers."""
         lands = self.lands + self.onward @ self.lands
         leaves = self.leaves + self.onward @ self.leaves
-        return _Level(self.onward @ self.onward, lands, leaves).scaled()
+        return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
 
 
 class LayerPowers:
@@ -55,7 +55,7 @@ class LayerPowers:
             lands: probability of arriving at the goal in the layer, [places].
             leaves: probability of losing it in the layer, [places].
         """
-        self._levels = [_Level(onward, lands, leaves).scaled()]
+        self._levels = [_LayerPower(onward, lands, leaves).scaled()]
 
     def after(self, waiting: FloatArray, layers: int) -> tuple[float, FloatArray]:
         """What has arrived after some layers, and what waits then.
@@ -95,14 +95,15 @@ class LayerPowers:
                 layers, arrived, waiting = layers + (1 << j), more, waiting @ level.onward
         return layers
 
-    def _level(self, k: int) -> _Level:
+    def _level(self, k: int) -> _LayerPower:
+        """The transition of ``2^k`` layers."""
         while len(self._levels) <= k:
             self._levels.append(self._levels[-1].doubled())
         return self._levels[k]
 
 
 @dataclass(frozen=True, eq=False)
-class Places:
+class LayerPlaces:
     """Where mass can wait: at a node, some layers ahead. Those of a node follow each other."""
 
     node: IntArray  # [places] the goal is the last node
@@ -110,7 +111,7 @@ class Places:
     first: IntArray  # [nodes] the place of each node with no delay
 
     @classmethod
-    def upto(cls, dearest: IntArray) -> Places:
+    def upto(cls, dearest: IntArray) -> LayerPlaces:
         """The places that steps lead to, and one without delay at each node.
 
         Args:
@@ -123,7 +124,7 @@ class Places:
 
     @property
     def size(self) -> int:
-        """Number of places."""
+        """Number of places in which mass waits within a layer's power."""
         return len(self.node)
 
     def columns(self, n_nodes: int) -> IntArray:

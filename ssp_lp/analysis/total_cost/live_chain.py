@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
-from ssp_lp.analysis.chain import Chain, reaching
+from ssp_lp.analysis.chain import Chain, reaching_in_chain
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.linear_systems.system import System
 
@@ -18,7 +18,7 @@ _FEW = 256  # nodes of which a table of all visits is kept
 
 
 @dataclass(frozen=True, eq=False)
-class Prospect:
+class ChainProspect:
     """A policy's chain, and what is still to come from each of its nodes."""
 
     chain: Chain
@@ -27,9 +27,9 @@ class Prospect:
     cost: FloatArray  # [nodes] E[cost from here on; goal]
 
     @classmethod
-    def of(cls, chain: Chain) -> Prospect:
-        """Two linear solves on the chain."""
-        alive = reaching(chain, chain.goal > 0) & (chain.goal == 0)
+    def of(cls, chain: Chain) -> ChainProspect:
+        """The prospects of a live chain, by two linear solves."""
+        alive = reaching_in_chain(chain, chain.goal > 0) & (chain.goal == 0)
         goal = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive) + chain.goal
         paid = chain.per_node(goal[chain.target] * chain.cost)
         return cls(chain, alive, read_only(goal), read_only(chain.accumulate(paid, alive)))
@@ -48,7 +48,7 @@ class Prospect:
 
 
 @dataclass(frozen=True, eq=False)
-class Live:
+class LiveChain:
     """The parts of one or several chains that can still reach the goal, the goals made one node.
 
     Moves that lose the goal for good are left out; what they take away is ``lost``.
@@ -64,8 +64,8 @@ class Live:
     paid: FloatArray  # [moves] cost
 
     @classmethod
-    def of(cls, prospects: Sequence[Prospect], weights: FloatArray) -> Live:
-        """Chains side by side, entered with the weights of a lottery."""
+    def of(cls, prospects: Sequence[ChainProspect], weights: FloatArray) -> LiveChain:
+        """Live chains side by side, entered with the weights of a lottery."""
         size = sum(int(p.alive.sum()) for p in prospects)
         first, start, ahead, moves = 0, np.zeros(size + 1), np.zeros((3, size + 1)), []
         for prospect, weight in zip(prospects, weights, strict=True):
@@ -88,10 +88,10 @@ class Live:
         return cls(start, ahead[0], ahead[1], ahead[2, :-1], source, target, probability, paid)
 
 
-class FreeMoves:
+class FreeChainMoves:
     """What moves on at no cost before anything is paid: each layer is a chain of its own."""
 
-    def __init__(self, live: Live, free: BoolArray) -> None:
+    def __init__(self, live: LiveChain, free: BoolArray) -> None:
         """Take the moves marked ``free``, [moves], none of which leads to the goal."""
         n = len(live.lost)
         where = (live.source[free], live.target[free])
@@ -104,7 +104,7 @@ class FreeMoves:
         self._busy[self._component[where[0]]] = True
 
     def spread(self, inflow: FloatArray) -> FloatArray:
-        """Expected visits within one layer, given what enters it, [nodes].
+        """Expected visits by moves of a live chain within one layer, given what enters it, [nodes].
 
         Few nodes by a table that holds however hardly a loop is left; of many only the components
         that something enters are solved.
@@ -123,11 +123,11 @@ class FreeMoves:
 
     @cached_property
     def _visits(self) -> FloatArray:
-        """Expected visits within a layer, [nodes entered, nodes]."""
+        """Expected visits of a live chain within a layer, [nodes entered, nodes]."""
         return self.gathered(np.eye(len(self._leaving)))
 
     def gathered(self, rewards: FloatArray) -> FloatArray:
-        """Expected rewards of all visits within one layer, by where it is entered.
+        """Expected rewards of all visits of a live chain within one layer, by where it is entered.
 
         Args:
             rewards: of a visit, [nodes, rewards].

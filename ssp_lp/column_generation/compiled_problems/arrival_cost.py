@@ -12,7 +12,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     MOST_ENTRIES,
     CompiledLayered,
     LeastFailure,
-    check_table,
+    check_compiled_table,
 )
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
@@ -22,12 +22,12 @@ from ssp_lp.processes.goal_reach import (
     goal_directed,
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
-from ssp_lp.processes.layered.charges import Charge, ExponentialReward, TailValues
+from ssp_lp.processes.layered.charges import Charge, ExponentialCharge, TailValues
 from ssp_lp.processes.layered.exponential_utility import MomentReach, cost_horizon, greatest_moment
-from ssp_lp.processes.layered.layered_process import LayeredProcess, Tails
+from ssp_lp.processes.layered.layered_process import LayeredProcess, LayeredTails
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.lattice import layers_within
-from ssp_lp.processes.totals.sums import MOST_SUMS, step_lattice, sums_in
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 
 _FIRST_LAYERS = 64  # of a first attempt where nothing says how many are needed
 _NEARLY = 1.25  # costs given success of a way to the goal: from there on failing may be best
@@ -78,7 +78,7 @@ class CompiledArrivalCost(CompiledLayered):
     @cached_property
     def _moments(self) -> MomentReach | None:
         """The tail of an exponential utility."""
-        if not isinstance(self.charge, ExponentialReward):
+        if not isinstance(self.charge, ExponentialCharge):
             return None
         usable = self.greatest.usable if self.charge.bonus > 0.0 else None
         return greatest_moment(self.model, self.charge.rate, usable)
@@ -87,7 +87,7 @@ class CompiledArrivalCost(CompiledLayered):
     def cost_horizon(self) -> float:
         """Accumulated cost from which a stationary policy is optimal; 0 for other charges."""
         charge, moments = self.charge, self._moments
-        if moments is None or not isinstance(charge, ExponentialReward) or charge.bonus == 0.0:
+        if moments is None or not isinstance(charge, ExponentialCharge) or charge.bonus == 0.0:
             return 0.0
         return cost_horizon(self.model, self.greatest, moments, charge.rate, charge.bonus)
 
@@ -102,7 +102,7 @@ class CompiledArrivalCost(CompiledLayered):
                 cap *= _LOWER
                 ladder = self._ladder(cap)
             return LayeredProcess(self.base, ladder.size, self._tails, self.charge, ladder)
-        check_table(int(cap), self.base, "bound on them")
+        check_compiled_table(int(cap), self.base, "bound on them")
         return LayeredProcess(self.base, int(cap), self._tails, self.charge)
 
     def _ladder(self, cap: float) -> Ladder | None:
@@ -120,7 +120,7 @@ class CompiledArrivalCost(CompiledLayered):
     def _settled_units(self) -> float:
         """Where the charge has become affine, or the tail optimal; small where it never does."""
         settled = self.charge.settled or 0.0
-        if isinstance(self.charge, ExponentialReward):
+        if isinstance(self.charge, ExponentialCharge):
             return max(self._units(self.cost_horizon), self._least_units)
         if not self.by_sums:
             return max(layers_within(settled, self.base.exact_unit), 1)
@@ -149,7 +149,8 @@ class CompiledArrivalCost(CompiledLayered):
         return self._settled_units() + typical + width
 
     @cached_property
-    def _tails(self) -> Tails:
+    def _tails(self) -> LayeredTails:
+        """The tails beyond the cap that arriving there is charged by."""
         at, moments = self.base.quotient.least_over_members, self._moments
         first: ReachPolicy | MomentReach = self.safest_policy if moments is None else moments
         last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None
@@ -160,7 +161,7 @@ class CompiledArrivalCost(CompiledLayered):
             least, last = self.riskiest
             least_goal = at(least.bound)
         both = (first, last)
-        return Tails(
+        return LayeredTails(
             decisions=np.stack([p.decision for p in both]).astype(np.int32),
             values=TailValues.stacked([p.values for p in both], at),
             greatest_goal=-at(-self.greatest.bound),
@@ -224,7 +225,7 @@ class CompiledArrivalCost(CompiledLayered):
         An exponential reward has tails of its own.
         """
         kept: tuple[str, ...] = ("base",)
-        exponential = (isinstance(c, ExponentialReward) for c in (charge, self.charge))
+        exponential = (isinstance(c, ExponentialCharge) for c in (charge, self.charge))
         if charge == self.charge or not any(exponential):
             vars(self)["_tails"] = self._tails
             kept = ("base", "_tails", "_moments", "cost_horizon")

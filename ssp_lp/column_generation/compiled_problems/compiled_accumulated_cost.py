@@ -12,7 +12,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     MOST_ENTRIES,
     CompiledLayered,
     LeastFailure,
-    check_table,
+    check_compiled_table,
 )
 from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.errors import ModelError
@@ -24,7 +24,7 @@ from ssp_lp.processes.goal_reach import (
 )
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import TailValues
-from ssp_lp.processes.layered.layered_process import LayeredProcess, Tails
+from ssp_lp.processes.layered.layered_process import LayeredProcess, LayeredTails
 
 _FIRST_LAYERS = 2.5
 """Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
@@ -71,6 +71,7 @@ class CompiledAccumulatedCost(CompiledLayered):
 
     @cached_property
     def _directed(self) -> ReachPolicy:
+        """A policy that goes for the goal, for the tail beyond the accumulated cost's cap."""
         return goal_directed(self.model, self.survival)
 
     @cached_property
@@ -152,7 +153,8 @@ class CompiledAccumulatedCost(CompiledLayered):
         return other
 
     @cached_property
-    def _tails(self) -> Tails:
+    def _tails(self) -> LayeredTails:
+        """The tails that are followed beyond the cap on accumulated cost."""
         at = self.base.quotient.least_over_members
         least, riskiest = self.riskiest
         exact = self._has_exact_tails
@@ -163,7 +165,7 @@ class CompiledAccumulatedCost(CompiledLayered):
             first = self._directed
             greatest = np.full(self.base.n_nodes, self.survival)
         both = (first, riskiest)
-        return Tails(
+        return LayeredTails(
             decisions=np.stack([p.decision for p in both]).astype(np.int32),
             values=TailValues.stacked([p.values for p in both], at),
             greatest_goal=greatest,
@@ -172,6 +174,7 @@ class CompiledAccumulatedCost(CompiledLayered):
         )
 
     def _cap_layers(self) -> int:
+        """Layers of accumulated cost below the cap."""
         base = self.base
         if self.cap is not None:
             layers = self.cap
@@ -183,5 +186,5 @@ class CompiledAccumulatedCost(CompiledLayered):
             goal = float(base.start @ tails.goal[0]) + base.start_goal
             typical = cost / max(goal, 1e-300) / base.unit
             layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
-        check_table(layers, base, "cost_cap")
+        check_compiled_table(layers, base, "cost_cap")
         return layers

@@ -55,6 +55,7 @@ class CompiledFailureLabel:
 
     @cached_property
     def _pricing(self) -> ExplicitPricing:
+        """The pricing problem of the labelled process."""
         return ExplicitPricing(self.labelled, self.precise)
 
     def check_sure(self) -> None:

@@ -20,7 +20,7 @@ from ssp_lp.processes.failure_semantics import survival_of
 from ssp_lp.processes.goal_reach import (
     GoalReach,
     ReachPolicy,
-    cheapest,
+    cheapest_reach,
     greatest_goal_reach,
     least_goal_reach,
 )
@@ -171,7 +171,7 @@ _ROUNDED = 4e-15  # of what a complement is taken from
 
 
 @dataclass(frozen=True)
-class Sense:
+class ObjectiveSense:
     """A minimum in place of a maximum, or of a quantity with negative weights on ends."""
 
     constant: float | None = None  # what is maximised is this, less what is minimised
@@ -179,7 +179,7 @@ class Sense:
     offset: float = 0.0  # what is minimised is so much more than what is asked
 
     def worth(self, value: float) -> float:
-        """The problem's objective where what is minimised has a value."""
+        """The compiled problem's objective where what is minimised has a value."""
         return value - self.offset if self.constant is None else self.constant - value
 
     def settled_bound(self, value: float, bound: float) -> float:
@@ -192,7 +192,7 @@ MOST_ENTRIES = 800_000_000
 """Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""
 
 
-def check_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
+def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
     """Raise :class:`ModelError` with a remedy where a table of so many layers is too large."""
     if (layers + base.width) * base.n_nodes > MOST_ENTRIES:
         raise ModelError(
@@ -225,13 +225,13 @@ class CompiledLayered(ABC):
     @cached_property
     def safest_policy(self) -> ReachPolicy:
         """The cheapest policy of greatest goal probability."""
-        return cheapest(self.model, self.greatest, self.survival)
+        return cheapest_reach(self.model, self.greatest, self.survival)
 
     @cached_property
     def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
         """The least goal probability and the cheapest policy that attains it (pi'_or)."""
         least = least_goal_reach(self.model, self.survival)
-        return least, cheapest(self.model, least, self.survival)
+        return least, cheapest_reach(self.model, least, self.survival)
 
     def _handing_on(self, other: Self, *kept: str) -> Self:
         """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""

@@ -12,7 +12,7 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     LeastFailure,
-    Sense,
+    ObjectiveSense,
     checked_least_failure,
 )
 from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
@@ -20,7 +20,7 @@ from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
-from ssp_lp.processes.goal_reach import cheapest, greatest_goal_reach, least_goal_reach
+from ssp_lp.processes.goal_reach import cheapest_reach, greatest_goal_reach, least_goal_reach
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import Charge
 from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, first_total, truncates
@@ -65,16 +65,16 @@ class CompiledConstrained:
         return (FAILURE_ROW, *(row.name for row in self.side))
 
     @property
-    def sense(self) -> Sense:
+    def sense(self) -> ObjectiveSense:
         """How what is minimised stands for what is asked."""
         measure, charge = self.semantics.measure, self.charge
         shift = 0.0 if charge is None else max(-charge.lowest, 0.0)
         if self.objective is not None:
-            return Sense(None, shift, self.objective.offset)
+            return ObjectiveSense(None, shift, self.objective.offset)
         if self.semantics.aim is Aim.GREATEST_GOAL:
-            return Sense(1.0, shift)
+            return ObjectiveSense(1.0, shift)
         maximised = measure is not None and measure.maximised
-        return Sense(measure.failing + shift if measure and maximised else None, shift)
+        return ObjectiveSense(measure.failing + shift if measure and maximised else None, shift)
 
     @property
     def wants_ends(self) -> bool:
@@ -101,6 +101,7 @@ class CompiledConstrained:
 
     @property
     def _labelled(self) -> CompiledFailureLabel:
+        """The compiled problem without constraints, with a label for failing."""
         return CompiledFailureLabel(self.model, self.start, self.semantics, self.discount)
 
     def settled(self) -> CompiledConstrained:
@@ -182,6 +183,7 @@ class CompiledConstrained:
 
     @property
     def _room(self) -> int:
+        """How many levels of the total a constrained problem has room for."""
         return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
     @cached_property
@@ -227,7 +229,7 @@ class CompiledConstrained:
     def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
         survival = survival_of(self.discount)
-        safest = cheapest(self.model, greatest_goal_reach(self.model, survival), survival)
+        safest = cheapest_reach(self.model, greatest_goal_reach(self.model, survival), survival)
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property

@@ -28,7 +28,7 @@ from ssp_lp.compiled.deadline import Stop, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.leaving import leaving_choice
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
-from ssp_lp.dynamic_programming.policy_iteration import evaluate_policy, improve, switched
+from ssp_lp.dynamic_programming.policy_iteration import evaluate_policy, iterate_policy, switched
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.contraction import Contraction, bound_of, contract
@@ -94,6 +94,7 @@ class ExplicitPricing:
 
     @cached_property
     def _first(self) -> Column:
+        """The column of the leaving policy, from which explicit pricing begins."""
         return self.measure(self._leaving)
 
     def minimise(self, price: float | FloatArray, *warm: Column | None) -> Column:
@@ -101,10 +102,10 @@ class ExplicitPricing:
 
         What is free at the price is contracted first: rounding would find policies that stay.
         """
-        weights = _weights(price)
+        weights = _pricing_weights(price)
         choice, guess = self._begun(weights, warm)
         smaller, at = self._contracted(weights), None if isinstance(price, np.ndarray) else price
-        run = partial(improve, precise=self.precise)
+        run = partial(iterate_policy, precise=self.precise)
         if smaller is None:
             settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
             return self._column(settled.choice, settled.totals, settled.work, at)
@@ -114,7 +115,7 @@ class ExplicitPricing:
         try:
             settled = run(smaller.dynamics, priced, _UNIT, choice, about)
         except Stop as stop:
-            raise Stop(_expanded(smaller, self.process, stop.choice)) from stop
+            raise Stop(_expanded_pricing(smaller, self.process, stop.choice)) from stop
         return self.measure(smaller.expanded(self.process, settled.choice), settled.work, at)
 
     def _begun(
@@ -162,6 +163,7 @@ class ExplicitPricing:
     def _column(
         self, choice: IntArray, totals: FloatArray, work: Work, found_at: float | None
     ) -> Column:
+        """A column of explicit pricing from its choice and totals."""
         cost, failure, *rows = expected(self.process.start, totals).tolist()
         failure = min(max(failure, 0.0), 1.0)  # verified: beyond it lies rounding
         return Column(
@@ -176,7 +178,7 @@ class ExplicitPricing:
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
-        values = weighted(required(column.totals), _weights(price))
+        values = weighted(required(column.totals), _pricing_weights(price))
         return self._checked(price, values, column.choice)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -192,9 +194,10 @@ class ExplicitPricing:
     def _checked(
         self, price: float | FloatArray, values: FloatArray, choice: IntArray | None
     ) -> Proof:
-        process, weights = self.process, _weights(price)
+        """The proof that checked values of explicit pricing make."""
+        process, weights = self.process, _pricing_weights(price)
         priced = weighted(self.rewards, weights)
-        priced -= _rounding(self.rewards, weights) * np.abs(priced)  # a bound rounds down
+        priced -= _pricing_rounding(self.rewards, weights) * np.abs(priced)  # a bound rounds down
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
         found = bound_of(process, self._contracted(weights), priced, values, choice=choice)
         failing = float(weights[1])
@@ -232,19 +235,19 @@ class ExplicitPricing:
         return self.augmented.policy(required(column.choice))
 
 
-def _expanded(
+def _expanded_pricing(
     smaller: Contraction, process: ExplicitProcess, choice: IntArray | None
 ) -> IntArray | None:
     """The policy that a stopped improvement had come to, on the whole process, [states]."""
     return None if choice is None else smaller.expanded(process, choice)
 
 
-def _weights(price: float | FloatArray) -> FloatArray:
-    """The weight of each reward, [rewards]."""
+def _pricing_weights(price: float | FloatArray) -> FloatArray:
+    """The weight of each reward in explicit pricing, [rewards]."""
     return price if isinstance(price, np.ndarray) else np.array([1.0, price])
 
 
-def _rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
+def _pricing_rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
     """The relative rounding of a weighted sum of terms >= 0; 0 where it is exact, [pairs]."""
     terms, products = np.zeros(len(rewards), dtype=np.int64), np.zeros(len(rewards), dtype=np.bool_)
     for reward, weight in zip(rewards.T, weights.tolist(), strict=True):

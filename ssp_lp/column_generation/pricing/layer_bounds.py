@@ -10,7 +10,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import PairCost, backup_rounding, safe_minima
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 
@@ -18,7 +18,7 @@ _ONE = np.ones(1)
 
 
 def bound_layer(base: AccumulatedCost, sums: Summands, ahead: FloatArray) -> FloatArray:
-    """Of a layer whose steps all lead on to later ones, [nodes].
+    """Lower bounds of a layer whose steps all lead on to later ones, [nodes].
 
     Args:
         base: one layer of the process.
@@ -36,7 +36,7 @@ def bound_free_steps(
     inner: IntArray,
     floor: float,
 ) -> tuple[FloatArray, IntArray]:
-    """Of a layer with steps inside it, [nodes], and its best choice.
+    """Lower bounds of a layer with steps inside it, [nodes], and its best choice.
 
     Args:
         base: one layer of the process.
@@ -50,7 +50,7 @@ def bound_free_steps(
     size = (sums.magnitude + growth) + base.later @ np.abs(ahead)
     onward = (sums.cost.fixed + growth) + base.later @ ahead
     onward = np.where(size == sums.alone, onward, onward - backup_rounding(base.later) * size)
-    settled = improve(base.instant_dynamics, onward[:, None], _ONE, inner)
+    settled = iterate_policy(base.instant_dynamics, onward[:, None], _ONE, inner)
     given = np.minimum(settled.values, given)
     return sub_solution(base.instant_dynamics, onward, given, floor), settled.choice
 

@@ -25,8 +25,8 @@ from ssp_lp.dynamic_programming.bellman import (
     chosen_product,
     unsigned_parts,
 )
-from ssp_lp.dynamic_programming.leaving import approach
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.leaving import approach_leaving
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
@@ -107,7 +107,7 @@ class LayeredPricing:
             backup = best_pairs(offsets, base.later, cost, ahead.flat)
             return backup.choice, backup.minima
         onward = (cost.total + base.later @ ahead.flat)[:, None]
-        settled = improve(base.instant_dynamics, onward, _ONE, inner)
+        settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
         return settled.choice, settled.values
 
     def _fused(
@@ -159,6 +159,7 @@ class LayeredPricing:
         return totals
 
     def _measures_beyond(self, tail_price: float) -> Window:
+        """The measures of the tails beyond the layers."""
         return self.process.window(np.stack(self.process.beyond(tail_price), axis=-1))
 
     def _column(
@@ -172,6 +173,7 @@ class LayeredPricing:
         return Column(cost, failure, goal, choice, tail_price, work=work)
 
     def _blank_choice(self) -> IntArray:
+        """A choice in all layers, still to be filled."""
         most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
         return np.empty(self.value_shape, dtype=least_integer_type(most))
 
@@ -286,9 +288,10 @@ class LayeredPricing:
 
     @cached_property
     def _first_choice(self) -> IntArray:
+        """A choice by which each layer is left."""
         base = self.process.base
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
-        return approach(base.instant_dynamics, leaving)
+        return approach_leaving(base.instant_dynamics, leaving)
 
     def _tail_values(self, price: float, failing: float) -> FloatArray:
         """Values of the tails beyond the cap, [layers, nodes]."""

@@ -112,6 +112,7 @@ class OnePass:
 
     @property
     def _parts(self) -> tuple[Any, ...]:
+        """What the compiled pass reads of the process."""
         base, levels = self.process.base, self.process.levels
         indptr, _, nodes, data = base.steps_by_kind
         steps = unsigned(base.pair_offsets), indptr, self.kinds, nodes, data, self.leads
@@ -130,7 +131,7 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
     arriving = process.charges.arriving
     if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
         return None
-    order = _order(base)
+    order = _order_of_pass(base)
     if order is None:
         return None
     used, kinds = np.unique(base.steps_by_kind[1], return_inverse=True)
@@ -148,7 +149,7 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
     return OnePass(process, order, kinds, leads.astype(np.int64), charge, slot, _NONE)
 
 
-def _order(base: AccumulatedCost) -> IntArray | None:
+def _order_of_pass(base: AccumulatedCost) -> IntArray | None:
     """Nodes, each after those that its free steps lead to; None where these go round."""
     n, instant = base.n_nodes, base.instant
     if instant.nnz == 0:

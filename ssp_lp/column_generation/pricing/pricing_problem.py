@@ -42,7 +42,7 @@ class Column:
 
 
 def excess_failure(risky: Column, safe: Column) -> float:
-    """How much more ``risky`` fails than ``safe``, without cancellation."""
+    """How much more a column fails than another, without cancellation."""
     if max(risky.goal, safe.goal) < 0.5 and safe.goal > risky.goal:
         return safe.goal - risky.goal
     return risky.failure - safe.failure
@@ -65,7 +65,7 @@ class Proof:
 
 
 def required(part: _Array | None) -> _Array:
-    """The choice or the totals of a column that a pricing problem made.
+    """The choice or totals of a column that a pricing problem made, which must be there.
 
     Raises:
         ModelError: the column came from elsewhere.

@@ -19,14 +19,14 @@ _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
 def exact_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``a + b`` rounded, and what the rounding lost (Knuth)."""
+    """For precise advantages: ``a + b`` rounded, and what the rounding lost (Knuth)."""
     total = a + b
     back = total - a
     return total, (a - (total - back)) + (b - back)
 
 
 def exact_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """``a * b`` rounded, and what the rounding lost (Dekker)."""
+    """For precise advantages: ``a * b`` rounded, and what the rounding lost (Dekker)."""
     total = a * b
     c, d = _SPLIT * a, _SPLIT * b
     a_high, b_high = c - (c - a), d - (d - b)
@@ -75,6 +75,7 @@ def _advantages(
     high: FloatArray,
     low: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
+    """Advantages of some pairs, and bounds of their rounding."""
     here, here_low = high[home], low[home]
     term, lost = exact_product(-exits, here)
     total, slip = exact_sum(cost, term)

@@ -20,7 +20,7 @@ _MOST_STATES = 200_000
 def equations(
     matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
 ) -> sp.csc_array:
-    """``I - chain`` with a diagonal that is the sum of where a state departs to.
+    """Equations of a direct solver: ``I - chain``, its diagonal a sum of where states depart to.
 
     Args:
         matrix: [states, states].
@@ -52,7 +52,7 @@ def equations(
 
 
 def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
-    """Sparse factors; in the given order where that is topological, so that nothing fills in.
+    """Sparse factors for a direct solver; in the given order where that is topological.
 
     Raises:
         SolverError: the matrix is singular.
@@ -127,7 +127,7 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
         ordered = right if order is None else right[order]
         found = factors.solve(ordered)
         found = found + factors.solve(ordered - system @ found)
-        return _in_place(found, order)
+        return _solved_in_place(found, order)
 
     return solve
 
@@ -160,12 +160,12 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
     def solve(right: FloatArray) -> FloatArray:
         ordered = right[order]
         solve_band(band, departs, ordered)
-        return _in_place(ordered, order)
+        return _solved_in_place(ordered, order)
 
     return solve
 
 
-def _in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
+def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
     """What was worked out in some order, in the order of the states."""
     if order is None:
         return np.asarray(ordered)

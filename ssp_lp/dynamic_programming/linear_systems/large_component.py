@@ -132,10 +132,12 @@ class LargeComponent:
 
     @property
     def _arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """The chain's arrays, as compiled sweeps of a large component read them."""
         return unsigned(self._chain.indptr), unsigned(self._chain.indices), self._chain.data
 
     @cached_property
     def _own_arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """The arrays of moves among members of the large component."""
         return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
 
     def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from ssp_lp.compiled.accelerator import accelerated
 
 
 @dataclass(frozen=True, eq=False)
-class Components:
+class StrongComponents:
     """Strong components, each after all that it leads to: ends first."""
 
     label: IntArray  # [states] component of each state
@@ -41,7 +41,7 @@ class Components:
         return self.order[self.offsets[component] : self.offsets[component + 1]]
 
 
-def strong_components(indptr: IntArray, indices: IntArray, data: FloatArray) -> Components:
+def strong_components(indptr: IntArray, indices: IntArray, data: FloatArray) -> StrongComponents:
     """Find the components and sort them topologically (Tarjan 1972).
 
     Args:
@@ -53,13 +53,13 @@ def strong_components(indptr: IntArray, indices: IntArray, data: FloatArray) -> 
     if accelerated(len(indices)):
         return _compiled_components(indptr[:-1], indptr[1:], indices, data)
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
-    found = csgraph.connected_components(_possible(graph), connection="strong")[1]
-    label = _topological(graph, found)
+    found = csgraph.connected_components(_possible_edges(graph), connection="strong")[1]
+    label = _topological_components(graph, found)
     order = np.argsort(label, kind="stable").astype(np.int32)
-    return Components(label, order, np.append(0, np.cumsum(np.bincount(label))))
+    return StrongComponents(label, order, np.append(0, np.cumsum(np.bincount(label))))
 
 
-def chosen_components(rows: sp.csr_array, choice: IntArray) -> Components:
+def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
     """The same for ``rows[choice]``, compiled; the rows are read where they are.
 
     Args:
@@ -72,23 +72,24 @@ def chosen_components(rows: sp.csr_array, choice: IntArray) -> Components:
 
 def _compiled_components(
     begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray
-) -> Components:
+) -> StrongComponents:
+    """The strong components by a compiled search."""
     from ssp_lp.compiled.graph_components import order_components
 
     label, order, count = order_components(begin, end, indices, data)
     sizes = np.bincount(label, minlength=count)
-    return Components(label, order, np.append(0, np.cumsum(sizes)))
+    return StrongComponents(label, order, np.append(0, np.cumsum(sizes)))
 
 
-def _possible(graph: sp.csr_array) -> sp.csr_array:
-    """The graph with each edge once and no edges of weight 0: scipy's search needs both."""
+def _possible_edges(graph: sp.csr_array) -> sp.csr_array:
+    """A graph for strong components: each edge once and none of weight 0, as scipy needs it."""
     kept = graph.copy()
     kept.sum_duplicates()
     kept.eliminate_zeros()
     return kept
 
 
-def _topological(graph: sp.csr_array, label: IntArray) -> IntArray:
+def _topological_components(graph: sp.csr_array, label: IntArray) -> IntArray:
     """Labels renumbered, if need be, so that no edge leads to a component of a greater number.
 
     Those of scipy's search are so already, which is not documented and hence checked.

@@ -30,7 +30,7 @@ from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
 )
 from ssp_lp.dynamic_programming.linear_systems.large_component import LargeComponent
 from ssp_lp.dynamic_programming.linear_systems.strong_components import (
-    Components,
+    StrongComponents,
     strong_components,
 )
 from ssp_lp.errors import SolverError
@@ -77,7 +77,7 @@ class System:
         return len(self.exits)
 
     @cached_property
-    def components(self) -> Components:
+    def components(self) -> StrongComponents:
         """Strong components of the chain, ends first."""
         check_time()
         return strong_components(self.matrix.indptr, self.matrix.indices, self.matrix.data)
@@ -222,6 +222,7 @@ class System:
         return runs
 
     def _check_exits(self) -> None:
+        """Raise :class:`SolverError` for a linear system of a chain that is never left."""
         if (self.exits <= 0.0).any():
             raise SolverError(HOLDS_MASS)
 
@@ -252,9 +253,11 @@ class System:
 
     @cached_property
     def _kept(self) -> dict[tuple[int, int], Solver]:
+        """The system's solvers that are kept, by range of components."""
         return {}
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
+        """Solve a range of the system's components by compiled elimination, in place."""
         from ssp_lp.compiled.elimination import solve_by_elimination
 
         found, rows = self.components, self.matrix

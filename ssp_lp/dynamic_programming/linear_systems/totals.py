@@ -81,7 +81,7 @@ def evaluate_chain(
     for solve in (system.solve, lambda right, *_: system.solve_by_reduction(right)):
         try:
             first = solve(rewards, None, EXACT) if solved is None else solved
-            totals = _evaluated(system, rewards, first, solve, accuracy)
+            totals = _verified_totals(system, rewards, first, solve, accuracy)
         except SolverError:
             if system.closed.size:
                 raise
@@ -90,10 +90,10 @@ def evaluate_chain(
             solved = None
         if totals is not None:
             return totals
-    return _reduced(system, rewards)
+    return _reduced_totals(system, rewards)
 
 
-def _reduced(system: System, rewards: FloatArray) -> Totals:
+def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
     """Totals of a chain left so seldom that no residual verifies them, by state reduction alone.
 
     It subtracts nothing, so that every total of rewards of one sign is accurate whatever the
@@ -114,7 +114,7 @@ def _reduced(system: System, rewards: FloatArray) -> Totals:
     return Totals(gained - lost, np.zeros_like(gained), found[:, -1], rounding)
 
 
-def _evaluated(
+def _verified_totals(
     system: System, rewards: FloatArray, x: FloatArray, solve: _Solve, accuracy: float
 ) -> Totals | None:
     """Totals corrected and verified; None where that fails."""
@@ -125,12 +125,12 @@ def _evaluated(
         return None
     longest, low = float(runs.max(initial=0.0)), np.zeros_like(x)
     if accuracy >= EVALUATED:
-        plain = Totals(x, low, runs, _missed_at_most(system, rewards, x))
+        plain = Totals(x, low, runs, _missed_by_totals_at_most(system, rewards, x))
         if plain.are_within(accuracy):
             return plain
     before = np.full(rewards.shape[1], np.inf)
     for _ in range(CORRECTIONS):
-        off, missed = _missed(system, rewards, x, low)
+        off, missed = _missed_by_totals(system, rewards, x, low)
         scale = np.abs(x).max(axis=0, initial=0.0)
         wrong = 2.0 * longest * missed
         if (wrong <= accuracy * scale).all() or not (missed < 0.5 * before).any():
@@ -141,7 +141,7 @@ def _evaluated(
     return totals if totals.are_within(max(accuracy, EVALUATED)) else None
 
 
-def _missed_at_most(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
+def _missed_by_totals_at_most(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
     """The most by which totals miss their equations, bounded in working precision, [rewards]."""
     most = np.empty(rewards.shape[1])
     for j in range(most.size):
@@ -152,7 +152,7 @@ def _missed_at_most(system: System, rewards: FloatArray, x: FloatArray) -> Float
     return most
 
 
-def _missed(
+def _missed_by_totals(
     system: System, rewards: FloatArray, x: FloatArray, low: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """By what totals miss their equations, [states, rewards], and the most of it, [rewards]."""
@@ -167,7 +167,7 @@ def _missed(
 
 
 def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
-    """Expected steps, checked: at least one half more than what follows them, [states]."""
+    """Total expected steps, checked: at least one half more than what follows them, [states]."""
     ones, half = np.ones((system.size, 1)), np.full(system.size, -0.5)
     for accuracy in _RUN_ACCURACIES:
         runs = solve(ones, None, accuracy)[:, 0]

@@ -103,8 +103,8 @@ def from_gymnasium(
         (HorizonSSP(1,568 states, 4,288 pairs, 12,864 outcomes, 95 goals), {(0, 0): 1.0}, 100)
     """
     limit = step_limit_of(env)
-    table, begin = _table_of(env), _start_of(env, start)
-    model = _model_of(_Listing(table, begin, goal), _cost_function(cost))
+    table, begin = _table_of(env), _start_of_environment(env, start)
+    model = _model_of_environment(_GymListing(table, begin, goal), _cost_function(cost))
     logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
         raise ModelError(f"horizon must be 'env', a number of steps or None, not {horizon!r}")
@@ -140,24 +140,25 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> Table:
     if listed is None:
         raise ModelError(f"{env.unwrapped!r} has no table of transitions, env.unwrapped.P")
     return {
-        state: {action: _outcomes(state, action, rows) for action, rows in _entries(actions)}
+        state: {action: _gym_outcomes(state, action, rows) for action, rows in _entries(actions)}
         for state, actions in _entries(listed)
     }
 
 
 def _entries(listed: Any) -> list[tuple[Hashable, Any]]:
-    """Keys and values of a dict, or positions and entries of a list."""
+    """Keys and values of the environment's dict, or positions and entries of a list."""
     rows = listed.items() if isinstance(listed, Mapping) else enumerate(listed)
-    return [(plain(key), value) for key, value in rows]
+    return [(gym_value(key), value) for key, value in rows]
 
 
-def plain(value: Any) -> Any:
+def gym_value(value: Any) -> Any:
     """A number of numpy's as one of Python's; anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
-    found = [(float(p), plain(to), float(reward), bool(over)) for p, to, reward, over in rows]
+def _gym_outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
+    """The environment's outcomes of a pair, checked."""
+    found = [(float(p), gym_value(to), float(reward), bool(over)) for p, to, reward, over in rows]
     total = fsum(p for p, *_ in found)
     if abs(total - 1.0) > SINGLE_PRECISION_SUM:
         raise ModelError(
@@ -166,24 +167,27 @@ def _outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Ou
     return [(p / total, to, reward, over) for p, to, reward, over in found if p != 0.0]
 
 
-def _start_of(
+def _start_of_environment(
     env: gymnasium.Env[Any, Any], start: Hashable | Mapping[Hashable, float] | None
 ) -> dict[Hashable, float]:
-    """The states in which episodes begin, with their probabilities."""
+    """The states in which the environment's episodes begin, with their probabilities."""
     if start is None:
         shares = getattr(env.unwrapped, "initial_state_distrib", None)
         if shares is None:
             raise ModelError("the environment has no initial_state_distrib: give start=")
         start = {state: float(share) for state, share in _entries(shares)}
     if not isinstance(start, Mapping):
-        return {plain(start): 1.0}
+        return {gym_value(start): 1.0}
     total = fsum(start.values())
     if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
         raise ModelError(f"the start's probabilities sum to {total:.9g}")
-    return {plain(state): float(share) / total for state, share in start.items() if share != 0.0}
+    return {
+        gym_value(state): float(share) / total for state, share in start.items() if share != 0.0
+    }
 
 
 def _cost_function(cost: str | CostFunction) -> CostFunction:
+    """What a step of the environment costs, by its name or as given."""
     if callable(cost):
         return cost
     if cost not in _COSTS:
@@ -191,19 +195,19 @@ def _cost_function(cost: str | CostFunction) -> CostFunction:
     return _COSTS[cost]
 
 
-def _one(state: Any, action: Any, next_state: Any, reward: float) -> float:
+def _step_cost(state: Any, action: Any, next_state: Any, reward: float) -> float:
     return 1.0
 
 
-def _penalty(state: Any, action: Any, next_state: Any, reward: float) -> float:
+def _reward_cost(state: Any, action: Any, next_state: Any, reward: float) -> float:
     return max(0.0, -reward)
 
 
-_COSTS: dict[str, CostFunction] = {"step": _one, "reward": _penalty}
+_COSTS: dict[str, CostFunction] = {"step": _step_cost, "reward": _reward_cost}
 
 
-def _model_of(listing: _Listing, cost: CostFunction) -> EnvironmentSSP:
-    """The model: every state of the table, and the ends."""
+def _model_of_environment(listing: _GymListing, cost: CostFunction) -> EnvironmentSSP:
+    """The model of an environment: every state of its table, and the ends."""
     label = listing.label
     transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, float]]]] = {
         state: {
@@ -224,7 +228,7 @@ def _model_of(listing: _Listing, cost: CostFunction) -> EnvironmentSSP:
 
 
 @dataclass(frozen=True)
-class _Listing:
+class _GymListing:
     """An environment's table, and which of its states are ends and goals."""
 
     table: Table
@@ -233,13 +237,13 @@ class _Listing:
 
     @cached_property
     def going(self) -> Table:
-        """The rows of the states in which an episode may go on."""
+        """The rows of the environment's states in which an episode may go on."""
         return {s: actions for s, actions in self.table.items() if s not in self._only_ends}
 
     @cached_property
     def steps(self) -> list[Outcome]:
-        """The outcomes listed there."""
-        return _steps(self.going)
+        """The environment's outcomes listed there."""
+        return _gym_steps(self.going)
 
     @cached_property
     def goals(self) -> frozenset[Hashable]:
@@ -255,18 +259,19 @@ class _Listing:
 
     @cached_property
     def _goes_on(self) -> frozenset[Hashable]:
-        return frozenset(self.begin) | {to for _, to, _, over in _steps(self.table) if not over}
+        return frozenset(self.begin) | {to for _, to, _, over in _gym_steps(self.table) if not over}
 
     @cached_property
     def _only_ends(self) -> frozenset[Hashable]:
-        return frozenset(to for _, to, _, over in _steps(self.table) if over) - self._goes_on
+        return frozenset(to for _, to, _, over in _gym_steps(self.table) if over) - self._goes_on
 
     @cached_property
     def _states(self) -> list[Hashable]:
         return list(dict.fromkeys([*self.table, *(to for _, to, _, _ in self.steps)]))
 
 
-def _steps(table: Table) -> list[Outcome]:
+def _gym_steps(table: Table) -> list[Outcome]:
+    """All outcomes in the environment's table."""
     return [row for actions in table.values() for rows in actions.values() for row in rows]
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError, optional_module
-from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, plain, step_limit_of
+from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, gym_value, step_limit_of
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
 
-class _Player:
+class _EpisodePlayer:
     """A policy whose decisions and memories are asked for once, then kept."""
 
     def __init__(self, policy: Policy, rng: np.random.Generator) -> None:
@@ -57,7 +57,7 @@ class _Player:
         return self._memories[key]
 
 
-class Party:
+class GymParty:
     """The players of a lottery, and what their episodes have in common."""
 
     def __init__(self, policy: MixedPolicy, rng: np.random.Generator, most: int) -> None:
@@ -65,7 +65,7 @@ class Party:
         self.model = cast(EnvironmentSSP, policy.model)
         self.most, self._rng = most, rng
         self.over = dead_ends(policy.model) | policy.model.goal_mask  # [states]
-        self._players = [_Player(member, rng) for member in policy.policies]
+        self._players = [_EpisodePlayer(member, rng) for member in policy.policies]
         self._weights = policy.weights
         self._known: set[tuple[int, int]] = set()  # pairs and successors of the table
         self.cut_off = 0  # episodes that an environment did
@@ -73,7 +73,7 @@ class Party:
     def begin(self, shown: Any) -> GymEpisode:
         """An episode in what an environment shows after its reset."""
         player = self._players[int(self._rng.choice(len(self._players), p=self._weights))]
-        return GymEpisode(self, player, plain(shown))
+        return GymEpisode(self, player, gym_value(shown))
 
     def check(self, pair: int, successor: int, terminated: bool) -> None:
         """Raise :class:`ModelError` if the table does not know of a step."""
@@ -96,7 +96,7 @@ class Party:
 class GymEpisode:
     """An episode: where it stands, what it has cost, and how it ended, once it has."""
 
-    def __init__(self, party: Party, player: _Player, shown: Hashable) -> None:
+    def __init__(self, party: GymParty, player: _EpisodePlayer, shown: Hashable) -> None:
         self._party, self._player, self._shown = party, player, shown
         self._state, self.cost, self.steps = party.model.index_of(shown), 0.0, 0
         self._pair = self._memory = 0
@@ -116,7 +116,7 @@ class GymEpisode:
 
     def observe(self, shown: Any, reward: Any, terminated: Any, truncated: Any) -> None:
         """Take what the environment shows after a step."""
-        party, model, there = self._party, self._party.model, plain(shown)
+        party, model, there = self._party, self._party.model, gym_value(shown)
         successor = model.index_of(model.label(there, bool(terminated)))
         party.check(self._pair, successor, bool(terminated))
         action = model.action_of(self._pair)
@@ -133,6 +133,7 @@ class GymEpisode:
         self._state, self._shown = successor, there
 
     def _finish(self, state: int) -> None:
+        """End the episode in the environment."""
         self.end = "goal" if self._party.model.goal_mask[state] else "failed"
 
 
@@ -145,7 +146,9 @@ def is_vector(env: object) -> TypeIs[VectorEnv[Any, Any, Any]]:
     return isinstance(env, optional_module("gymnasium.vector", "gym").VectorEnv)
 
 
-def vector_episodes(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[GymEpisode]:
+def vector_episodes(
+    envs: VectorEnv[Any, Any, Any], party: GymParty, count: int
+) -> list[GymEpisode]:
     """Play rounds of one episode for each environment; a round ends with the last of them.
 
     An environment whose episode has ended is moved on by an action that changes nothing of ours,
@@ -159,11 +162,13 @@ def vector_episodes(envs: VectorEnv[Any, Any, Any], party: Party, count: int) ->
     """
     played: list[GymEpisode] = []
     while len(played) < count:
-        played += _round(envs, party, min(envs.num_envs, count - len(played)))
+        played += _round_of_episodes(envs, party, min(envs.num_envs, count - len(played)))
     return played
 
 
-def _round(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[GymEpisode]:
+def _round_of_episodes(
+    envs: VectorEnv[Any, Any, Any], party: GymParty, count: int
+) -> list[GymEpisode]:
     """One episode in each of the first environments."""
     from gymnasium.vector import AutoresetMode
     from gymnasium.vector.utils import iterate
@@ -184,7 +189,7 @@ def _round(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[Gym
         acting = [k for k, episode in enumerate(episodes) if episode.end is None]
         if mode is AutoresetMode.DISABLED and over.any():
             envs.reset(options={"reset_mask": over})
-        shown, rewards, terminated, truncated, infos = envs.step(_batch(envs, actions))
+        shown, rewards, terminated, truncated, infos = envs.step(_episode_actions(envs, actions))
         seen = list(iterate(envs.observation_space, shown))
         over = terminated | truncated
         for k in acting:
@@ -193,7 +198,7 @@ def _round(envs: VectorEnv[Any, Any, Any], party: Party, count: int) -> list[Gym
             episodes[k].observe(there, rewards[k], terminated[k], truncated[k])
 
 
-def _batch(envs: VectorEnv[Any, Any, Any], actions: Sequence[Hashable]) -> Any:
+def _episode_actions(envs: VectorEnv[Any, Any, Any], actions: Sequence[Hashable]) -> Any:
     """Actions as the environments take them together."""
     from gymnasium.vector.utils import concatenate, create_empty_array
 

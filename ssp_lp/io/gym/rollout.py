@@ -15,7 +15,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, step_limit_of
 from ssp_lp.io.gym.gym_episodes import (
     GymEpisode,
-    Party,
+    GymParty,
     is_vector,
     step_limit_of_vector,
     vector_episodes,
@@ -112,15 +112,15 @@ def rollout(
     limit = step_limit_of_vector(env) if is_vector(env) else step_limit_of(env)
     most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
     theirs, ours = np.random.SeedSequence(seed).spawn(2)  # one stream would couple their draws
-    party = Party(played, np.random.default_rng(ours), most)
+    party = GymParty(played, np.random.default_rng(ours), most)
     env.reset(seed=int(theirs.generate_state(1)[0]))
     if is_vector(env):
         played_out = vector_episodes(env, party, episodes)
     else:
-        played_out = _episodes(env, party, episodes)
+        played_out = _rollout_episodes(env, party, episodes)
     if party.cut_off and (horizon is None or limit is None or horizon > limit):
-        _warn(env, limit, party.cut_off, episodes)
-    return _report(played_out, limit, confidence)
+        _warn_of_rollout(env, limit, party.cut_off, episodes)
+    return _rollout_report(played_out, limit, confidence)
 
 
 def _on_environment(policy: Policy | MixedPolicy) -> tuple[MixedPolicy, int | None]:
@@ -135,8 +135,10 @@ def _on_environment(policy: Policy | MixedPolicy) -> tuple[MixedPolicy, int | No
     return lottery, min(known) if len(known) == len(limits) else None
 
 
-def _episodes(env: gymnasium.Env[Any, Any], party: Party, count: int) -> list[GymEpisode]:
-    """Episodes one after the other."""
+def _rollout_episodes(
+    env: gymnasium.Env[Any, Any], party: GymParty, count: int
+) -> list[GymEpisode]:
+    """Episodes of a rollout one after the other."""
     played = []
     for _ in range(count):
         shown, _ = env.reset()
@@ -150,7 +152,8 @@ def _episodes(env: gymnasium.Env[Any, Any], party: Party, count: int) -> list[Gy
     return played
 
 
-def _warn(env: Any, limit: int | None, cut_off: int, episodes: int) -> None:
+def _warn_of_rollout(env: Any, limit: int | None, cut_off: int, episodes: int) -> None:
+    """Warn of a rollout whose episodes were cut off."""
     name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
     told = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
     warnings.warn(
@@ -161,7 +164,10 @@ def _warn(env: Any, limit: int | None, cut_off: int, episodes: int) -> None:
     )
 
 
-def _report(played: list[GymEpisode], limit: int | None, confidence: float) -> RolloutReport:
+def _rollout_report(
+    played: list[GymEpisode], limit: int | None, confidence: float
+) -> RolloutReport:
+    """The report of a rollout's episodes."""
     count, episodes = Counter(one.end for one in played), len(played)
     costs = np.array([one.cost for one in played if one.end == "goal"])
     return RolloutReport(

@@ -18,7 +18,7 @@ from ssp_lp.io.model_files.raw_model import (
     distinct_actions,
     finished,
 )
-from ssp_lp.io.model_files.text_file import FilePath, Lines, TextFile
+from ssp_lp.io.model_files.text_file import FilePath, TextFile, TextLines
 from ssp_lp.model.arguments import explained
 
 _COMMENT = rb"//[^\n]*"
@@ -54,15 +54,15 @@ def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile
         OSError: the file cannot be opened.
     """
     with TextFile(path, _COMMENT) as file:
-        header = _read_header(file)
+        header = _read_drn_header(file)
         rewards = [word.strip('"') for word in header.get("@reward_models", "").split()]
-        body = _Body(file, header, len(rewards), _reward_column(rewards, cost, file))
+        body = _DrnBody(file, header, len(rewards), _drn_reward_column(rewards, cost, file))
         for lines in file.blocks():
             body.add(lines)
         return finished(body.raw(), goal, file.path)
 
 
-def _read_header(file: TextFile) -> dict[str, str]:
+def _read_drn_header(file: TextFile) -> dict[str, str]:
     """The sections up to the line ``@model``, by name.
 
     Raises:
@@ -83,13 +83,13 @@ def _read_header(file: TextFile) -> dict[str, str]:
         elif name not in ("@type", "@value_type"):
             raise file.fault(f"{name[:60]!r} is no section that can be read")
         found[name] = value.strip()
-        _check_section(name, found[name], file)
+        _check_drn_section(name, found[name], file)
     if "@type" not in found or "@nr_states" not in found:
         raise file.fault("@type and @nr_states must come before @model")
     return found
 
 
-def _check_section(name: str, value: str, file: TextFile) -> None:
+def _check_drn_section(name: str, value: str, file: TextFile) -> None:
     """Raise :class:`ModelError` for a value that is not understood."""
     if name == "@type" and value.upper() not in _KINDS:
         raise file.fault(f"models of type {value[:60]!r} are not read, only {' and '.join(_KINDS)}")
@@ -101,7 +101,7 @@ def _check_section(name: str, value: str, file: TextFile) -> None:
         raise file.fault(f"{name} is followed by {value[:60]!r}, which is no number")
 
 
-def _reward_column(rewards: Sequence[str], cost: str | None, file: TextFile) -> int | None:
+def _drn_reward_column(rewards: Sequence[str], cost: str | None, file: TextFile) -> int | None:
     """Position of the reward model that is the cost; None: the header names none.
 
     Raises:
@@ -119,7 +119,7 @@ def _reward_column(rewards: Sequence[str], cost: str | None, file: TextFile) -> 
     return rewards.index(cost)
 
 
-class _Body:
+class _DrnBody:
     """States, actions and transitions read so far, by blocks. Grows."""
 
     def __init__(
@@ -141,7 +141,7 @@ class _Body:
         self._intern: dict[bytes, str] = {}
         self._labels: dict[str, list[int]] = {}
 
-    def add(self, lines: Lines) -> None:
+    def add(self, lines: TextLines) -> None:
         """Append the next lines; raises :class:`ModelError` at the first that is none."""
         initial = lines.initial
         state, action = initial == ord("s"), initial == ord("a")
@@ -156,7 +156,7 @@ class _Body:
         self._add_transitions(lines, transition)
 
     def _place(
-        self, lines: Lines, state: BoolArray, action: BoolArray, transition: BoolArray
+        self, lines: TextLines, state: BoolArray, action: BoolArray, transition: BoolArray
     ) -> None:
         """Find the state of each action and the action of each transition."""
         states = self._n_states + np.cumsum(state)  # [lines] so far
@@ -174,9 +174,10 @@ class _Body:
         self._last_pair_state = int(known[-1])
         self._n_pairs = int(pairs[-1])
 
-    def _add_states(self, lines: Lines, mask: BoolArray) -> None:
+    def _add_states(self, lines: TextLines, mask: BoolArray) -> None:
+        """Add the states of a block of a DRN file's lines."""
         numbers, rewards = lines.numbers(mask), []
-        for line, number in zip(_split(lines, mask), numbers.tolist(), strict=True):
+        for line, number in zip(_drn_lines(lines, mask), numbers.tolist(), strict=True):
             match = _STATE.fullmatch(line)
             if match is None or int(match[1][:19]) != self._n_states:
                 raise self._file.fault(f"state {self._n_states} should come here", number)
@@ -197,9 +198,10 @@ class _Body:
             raise self._file.fault("a quotation mark that has no partner", number)
         return dict.fromkeys(labels)
 
-    def _add_actions(self, lines: Lines, mask: BoolArray) -> None:
+    def _add_actions(self, lines: TextLines, mask: BoolArray) -> None:
+        """Add the actions of a block of a DRN file's lines."""
         numbers, rewards = lines.numbers(mask), []
-        for line, number in zip(_split(lines, mask), numbers.tolist(), strict=True):
+        for line, number in zip(_drn_lines(lines, mask), numbers.tolist(), strict=True):
             match = _ACTION.fullmatch(line)
             if match is None:
                 raise self._file.fault("this is no action", number)
@@ -223,12 +225,12 @@ class _Body:
         self._rewarded = True
         return words[self._column or 0].strip()
 
-    def _add_transitions(self, lines: Lines, mask: BoolArray) -> None:
+    def _add_transitions(self, lines: TextLines, mask: BoolArray) -> None:
         """Take apart ``successor : probability``."""
         if not mask.any():
             return
         numbers = lines.numbers(mask)
-        parts = Lines.of(lines.select(mask).replace(b":", b" : "), 0)
+        parts = TextLines.of(lines.select(mask).replace(b":", b" : "), 0)
         words = parts.text.tobytes().split()
         broken = parts.words != 3
         if broken.any() or words[1::3] != [b":"] * broken.size:
@@ -255,17 +257,17 @@ class _Body:
                 f"the header says {states} states{told}, the file has {self._n_states} and "
                 f"{self._n_pairs}"
             )
-        pair_state = _joined(self._pair_states, np.int64)
-        sizes = np.bincount(_joined(self._sources, np.int64), minlength=self._n_pairs)
+        pair_state = _joined_drn(self._pair_states, np.int64)
+        sizes = np.bincount(_joined_drn(self._sources, np.int64), minlength=self._n_pairs)
         paid = np.ones(self._n_pairs)
         if self._rewarded:
-            by_state = _joined(self._state_rewards, np.float64)
-            paid = decimal_sum(_joined(self._pair_rewards, np.float64), by_state[pair_state])
+            by_state = _joined_drn(self._state_rewards, np.float64)
+            paid = decimal_sum(_joined_drn(self._pair_rewards, np.float64), by_state[pair_state])
         return RawModel(
             pair_offsets=offsets_of(np.bincount(pair_state, minlength=self._n_states)),
             outcome_offsets=offsets_of(sizes),
-            successors=_joined(self._successors, np.int64),
-            probabilities=_joined(self._probabilities, np.float64),
+            successors=_joined_drn(self._successors, np.int64),
+            probabilities=_joined_drn(self._probabilities, np.float64),
             costs=np.repeat(paid, sizes),
             actions=self._actions(pair_state),
             labels={name: np.array(at, dtype=np.int64) for name, at in self._labels.items()},
@@ -282,11 +284,11 @@ class _Body:
         return distinct_actions(names, pair_state)
 
 
-def _split(lines: Lines, mask: BoolArray) -> list[bytes]:
+def _drn_lines(lines: TextLines, mask: BoolArray) -> list[bytes]:
     """The lines of a mask, without the spaces around them."""
     return [line.strip() for line in lines.select(mask).split(b"\n")[:-1]]
 
 
-def _joined(arrays: Sequence[npt.NDArray[Any]], kind: npt.DTypeLike) -> npt.NDArray[Any]:
+def _joined_drn(arrays: Sequence[npt.NDArray[Any]], kind: npt.DTypeLike) -> npt.NDArray[Any]:
     """Arrays one after the other."""
     return np.concatenate([np.zeros(0, dtype=kind), *arrays])

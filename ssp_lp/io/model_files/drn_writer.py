@@ -35,23 +35,23 @@ def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
     Raises:
         ModelError: the start is no state, or a label cannot be written.
     """
-    write_text(path, _text(exported(model, start)))
+    write_text(path, _drn_text(exported(model, start)))
 
 
-def _text(process: Exported) -> Iterator[str]:
-    """The file in pieces."""
+def _drn_text(process: Exported) -> Iterator[str]:
+    """The DRN file in pieces."""
     n_states, n_pairs = process.pair_offsets.size - 1, process.costs.size
     yield "@type: MDP\n@value_type: double\n@parameters\n\n@reward_models\ncost\n"
     yield f"@nr_states\n{n_states}\n@nr_choices\n{n_pairs}\n@model\n"
-    marks = _marks(process)
+    marks = _drn_marks(process)
     for first in range(0, n_states, _STATES_AT_A_TIME):
-        yield _states_text(process, first, min(first + _STATES_AT_A_TIME, n_states), marks)
+        yield _drn_states_text(process, first, min(first + _STATES_AT_A_TIME, n_states), marks)
 
 
-def _states_text(process: Exported, first: int, end: int, marks: dict[int, str]) -> str:
+def _drn_states_text(process: Exported, first: int, end: int, marks: dict[int, str]) -> str:
     """The lines of the states ``first`` to ``end - 1``."""
-    pairs, begin = _part(process.pair_offsets, first, end)
-    outcomes, entry = _part(process.outcome_offsets, begin, begin + pairs[-1])
+    pairs, begin = _drn_part(process.pair_offsets, first, end)
+    outcomes, entry = _drn_part(process.outcome_offsets, begin, begin + pairs[-1])
     stop = entry + outcomes[-1]
     moves = [
         f"\t\t{successor} : {chance!r}\n"
@@ -71,13 +71,13 @@ def _states_text(process: Exported, first: int, end: int, marks: dict[int, str])
     return "".join(lines)
 
 
-def _part(offsets: IntArray, first: int, end: int) -> tuple[list[int], int]:
+def _drn_part(offsets: IntArray, first: int, end: int) -> tuple[list[int], int]:
     """Offsets of some segments counted from the first of them, and where that begins."""
     begin = int(offsets[first])
     return (offsets[first : end + 1] - begin).tolist(), begin
 
 
-def _marks(process: Exported) -> dict[int, str]:
+def _drn_marks(process: Exported) -> dict[int, str]:
     """What stands behind the number of a state: its labels."""
     marks: dict[int, str] = {}
     for name, members in process.labels.items():

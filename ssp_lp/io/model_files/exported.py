@@ -69,7 +69,7 @@ def exported(model: SSP, start: Hashable) -> Exported:
     Raises:
         ModelError: the start is no state, or a label cannot be written.
     """
-    outcomes, payments = _paid(model)
+    outcomes, payments = _exported_costs(model)
     idle = np.flatnonzero(np.diff(model.pair_offsets) == 0)
     before = np.searchsorted(idle, model.pair_state)
     # new numbers of the model's pairs, of the loops of states that had none, of those that pay
@@ -78,7 +78,7 @@ def exported(model: SSP, start: Hashable) -> Exported:
     paying = np.arange(payments.rests.size) + model.n_pairs + idle.size
     place = np.concatenate([own, loops, paying])
     lengths = np.ones(idle.size + paying.size)
-    final = _merged(
+    final = _merged_for_export(
         _Outcomes(
             np.concatenate([own[outcomes.pairs], loops, paying]),
             np.concatenate([outcomes.successors, idle, payments.successors]),
@@ -87,7 +87,7 @@ def exported(model: SSP, start: Hashable) -> Exported:
     )
     costs, code = np.zeros(place.size), np.empty(place.size, dtype=np.int64)
     costs[own], costs[paying] = payments.costs, payments.rests
-    names = [*_words(model.action_names), *_OWN_ACTIONS]
+    names = [*_exported_words(model.action_names), *_OWN_ACTIONS]
     code[own], code[loops], code[paying] = model.pair_action, len(names) - 2, len(names) - 1
     counts = np.concatenate([np.maximum(np.diff(model.pair_offsets), 1), np.ones_like(paying)])
     targets = np.full(model.n_outcomes, -1, dtype=np.int64)
@@ -99,13 +99,13 @@ def exported(model: SSP, start: Hashable) -> Exported:
         probabilities=final.probabilities,
         costs=costs,
         actions=[names[k] for k in code.tolist()],
-        labels=_labels(model, start, idle, paying.size),
+        labels=_exported_labels(model, start, idle, paying.size),
         choice_of_pair=own,
         target_of_outcome=targets,
     )
 
 
-def _paid(model: SSP) -> tuple[_Outcomes, _Payments]:
+def _exported_costs(model: SSP) -> tuple[_Outcomes, _Payments]:
     """Split the costs of outcomes: the least of the pair at once, the rest on the way."""
     occurs = model.probabilities > 0.0
     pairs = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))[occurs]
@@ -122,7 +122,7 @@ def _paid(model: SSP) -> tuple[_Outcomes, _Payments]:
     return _Outcomes(pairs, successors, model.probabilities[occurs]), payments
 
 
-def _merged(outcomes: _Outcomes) -> _Outcomes:
+def _merged_for_export(outcomes: _Outcomes) -> _Outcomes:
     """Sort by pair and successor, and add the probabilities of those that are the same."""
     order = np.lexsort((outcomes.successors, outcomes.pairs))
     pairs, successors = outcomes.pairs[order], outcomes.successors[order]
@@ -133,7 +133,7 @@ def _merged(outcomes: _Outcomes) -> _Outcomes:
     return _Outcomes(pairs[firsts], successors[firsts], chance)
 
 
-def _words(names: Sequence[Hashable]) -> list[str]:
+def _exported_words(names: Sequence[Hashable]) -> list[str]:
     """Names as distinct words of letters, digits and a few signs."""
     taken: set[str] = set()
     words = []
@@ -146,11 +146,13 @@ def _words(names: Sequence[Hashable]) -> list[str]:
     return words
 
 
-def _labels(model: SSP, start: Hashable, idle: IntArray, n_paying: int) -> Mapping[str, IntArray]:
+def _exported_labels(
+    model: SSP, start: Hashable, idle: IntArray, n_paying: int
+) -> Mapping[str, IntArray]:
     """The labels of the model, and those that the files give a meaning."""
     goals = np.flatnonzero(model.goal_mask)
     labels = {
-        INITIAL: np.array([_index_of(model, start)]),
+        INITIAL: np.array([_exported_start(model, start)]),
         DEADLOCK: idle[~model.goal_mask[idle]],
         GOAL: goals,
     }
@@ -164,14 +166,15 @@ def _labels(model: SSP, start: Hashable, idle: IntArray, n_paying: int) -> Mappi
     return labels
 
 
-def _index_of(model: SSP, start: Hashable) -> int:
+def _exported_start(model: SSP, start: Hashable) -> int:
+    """The number of the one state in which an exported model begins."""
     if isinstance(start, Mapping):
         raise ModelError("such files begin in one state: name it, or add one that draws the start")
     return model.index_of(start)
 
 
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:
-    """Write pieces of text one after the other; gzip where the name ends in .gz."""
+    """Write pieces of exported text one after the other; gzip where the name ends in .gz."""
     place = Path(path)
     if place.suffix == ".gz":
         with gzip.open(place, "wt", _GZIP_LEVEL, encoding="utf-8", newline="\n") as packed:

@@ -54,11 +54,11 @@ def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = N
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{source} is no JSON: {error}") from error
     if isinstance(table, dict) and isinstance(table.get("format"), str):
-        return _explicit(table, source, goal, cost)
+        return _explicit_json(table, source, goal, cost)
     return named_model(table, source, goal, cost)
 
 
-def _explicit(
+def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> StatedModel:
     """A published case: numbered states, and for each the list of its choices."""
@@ -70,7 +70,8 @@ def _explicit(
         names = {name for listed in choices for one in listed for name in one["rewards"]}
         transitions = {
             str(state): {
-                _named(listed, at): _choice(choice, cost, names) for at, choice in enumerate(listed)
+                _named_in_json(listed, at): _json_choice(choice, cost, names)
+                for at, choice in enumerate(listed)
             }
             for state, listed in enumerate(choices)
         }
@@ -84,13 +85,13 @@ def _explicit(
     return stated_model(transitions, source, [str(g) for g in goals], plain, start, None)
 
 
-def _named(listed: Sequence[Any], at: int) -> str:
+def _named_in_json(listed: Sequence[Any], at: int) -> str:
     """The name of a choice, with its position where another choice of the state has it, too."""
     name = str(listed[at]["name"])
     return name if sum(one["name"] == name for one in listed) == 1 else f"{at}:{name}"
 
 
-def _choice(choice: Mapping[str, Any], cost: str | None, names: set[str]) -> list[list[Any]]:
+def _json_choice(choice: Mapping[str, Any], cost: str | None, names: set[str]) -> list[list[Any]]:
     """The outcomes of a choice, whose cost goes with each of them."""
     none_given = dict.fromkeys(sorted(names), 0) or {UNIT: 1}
     paid = chosen_cost("its choices", {**none_given, **choice["rewards"]}, cost)
@@ -122,7 +123,7 @@ class StatedModel(NamedTuple):
 
 
 def named_model(table: Any, source: str, goal: Sequence[str], cost: str | None) -> StatedModel:
-    """The model of a table by name, whose names are words.
+    """The model of a table by name in JSON, whose names are words.
 
     A cost is a number or ``{name: number}``; a number may be a fraction in words, "1/3".
 
@@ -138,11 +139,11 @@ def named_model(table: Any, source: str, goal: Sequence[str], cost: str | None) 
     if not isinstance(table, dict):
         raise ModelError(f"{source} must hold {_TABLE}")
     if isinstance(table.get("goal"), list):
-        return _document(table, source, goal, cost)
+        return _json_document(table, source, goal, cost)
     return stated_model(table, source, goal, {}, None, cost)
 
 
-def _document(
+def _json_document(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> StatedModel:
     """A table of transitions with its goal, start and labels beside it."""
@@ -169,7 +170,7 @@ def stated_model(
     start: Hashable | Mapping[Hashable, float] | None,
     cost: str | None,
 ) -> StatedModel:
-    """The model of a table of actions by state, with the labels and the start that go with it.
+    """The model of a JSON table of actions by state, with the labels and the start beside it.
 
     Raises:
         ModelError: see :func:`named_model`.
@@ -177,7 +178,7 @@ def stated_model(
     if not goal:
         raise ModelError(f"{source} does not say which states are goals: name them")
     transitions: dict[Hashable, Any] = {
-        state: _actions(state, actions, cost) for state, actions in table.items()
+        state: _json_actions(state, actions, cost) for state, actions in table.items()
     }
     met = {to for actions in transitions.values() for some in actions.values() for _, to, _ in some}
     goals = [name for one in goal for name in labels.get(one, [one])]
@@ -191,7 +192,7 @@ def stated_model(
     return StatedModel(model, start)
 
 
-def _actions(
+def _json_actions(
     state: str, actions: Any, cost: str | None
 ) -> dict[Hashable, list[tuple[Any, Hashable, Any]]]:
     """The actions of a state, successors given as numbers read as words."""
@@ -199,14 +200,14 @@ def _actions(
         raise ModelError(f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}")
     return {
         name: [
-            _outcome(f"action {name!r} of state {state!r}", outcome, cost)
+            _json_outcome(f"action {name!r} of state {state!r}", outcome, cost)
             for outcome in (outcomes if isinstance(outcomes, list) else [outcomes])
         ]
         for name, outcomes in actions.items()
     }
 
 
-def _outcome(where: str, outcome: Any, cost: str | None) -> tuple[Any, Hashable, Any]:
+def _json_outcome(where: str, outcome: Any, cost: str | None) -> tuple[Any, Hashable, Any]:
     """An outcome, checked for its form."""
     fits = isinstance(outcome, list) and len(outcome) == 3
     if not fits or not isinstance(outcome[1], (str, int)):
@@ -216,11 +217,11 @@ def _outcome(where: str, outcome: Any, cost: str | None) -> tuple[Any, Hashable,
     paid = outcome[2]
     if not isinstance(paid, dict):
         paid = {None: paid}
-    return _number(outcome[0]), str(outcome[1]), _number(chosen_cost(where, paid, cost))
+    return _json_number(outcome[0]), str(outcome[1]), _json_number(chosen_cost(where, paid, cost))
 
 
 def chosen_cost(where: str, costs: Mapping[Any, Any], cost: str | None) -> Any:
-    """The cost of a name, or the only one."""
+    """The cost of a name in a JSON model, or the only one."""
     if cost == UNIT:
         return 1.0
     if cost in costs:
@@ -234,7 +235,7 @@ def chosen_cost(where: str, costs: Mapping[Any, Any], cost: str | None) -> Any:
     raise ModelError(f"{where}: choose one of the costs by its name (cost=, --cost): {known}{said}")
 
 
-def _number(value: Any) -> Any:
+def _json_number(value: Any) -> Any:
     """A number in words as the fraction that it is; anything else as it stands."""
     if isinstance(value, str) and _FRACTION.fullmatch(value) and not re.search(r"/0+$", value):
         return Fraction(value)
@@ -268,12 +269,12 @@ def model_in_json(
         stated["start"] = names[model.index_of(start)]
     yield json.dumps(stated, ensure_ascii=False)[:-1] + ', "transitions": {'
     for state, name in enumerate(names):
-        rows = json.dumps({name: _rows(model, state, names)}, ensure_ascii=False)[1:-1]
+        rows = json.dumps({name: _json_rows(model, state, names)}, ensure_ascii=False)[1:-1]
         yield ("\n" if state == 0 else ",\n") + rows
     yield "\n}}\n"
 
 
-def _rows(model: SSP, state: int, names: Sequence[str]) -> dict[str, list[list[Any]]]:
+def _json_rows(model: SSP, state: int, names: Sequence[str]) -> dict[str, list[list[Any]]]:
     """The actions of a state, as the file has them."""
     found: dict[str, list[list[Any]]] = {}
     for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):

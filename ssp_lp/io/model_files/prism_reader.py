@@ -51,16 +51,16 @@ def read_prism(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFi
         ModelError: naming the file and the line, or the state and the action.
     """
     base = without_ending(path)
-    transitions, labels = _existing(base, ".tra"), _existing(base, ".lab")
+    transitions, labels = _existing_prism_file(base, ".tra"), _existing_prism_file(base, ".lab")
     if transitions is None or labels is None:
         raise ModelError(f"{base}.tra and {base}.lab must be there")
     table = read_table(transitions, {2: 2, 3: 3})
     n_states = table.header[0]
-    raw, keys = _sorted(table, transitions)
-    structure = _chosen_structure(base, cost)
-    states = _existing(base, ".sta")
+    raw, keys = _sorted_prism_rows(table, transitions)
+    structure = _chosen_prism_rewards(base, cost)
+    states = _existing_prism_file(base, ".sta")
     raw = raw._replace(
-        costs=np.ones(len(keys)) if structure is None else _costs(*structure, n_states, keys),
+        costs=np.ones(len(keys)) if structure is None else _prism_costs(*structure, n_states, keys),
         labels={"init": np.zeros(1, dtype=np.int64)} | read_labels(labels, n_states),
         states=None if states is None else read_states(states, n_states),
     )
@@ -73,7 +73,7 @@ def without_ending(path: FilePath) -> Path:
     return base.with_name(base.name.removesuffix(".gz").removesuffix(".tra"))
 
 
-def _sorted(table: Table, path: Path) -> tuple[RawModel, IntArray]:
+def _sorted_prism_rows(table: Table, path: Path) -> tuple[RawModel, IntArray]:
     """Transitions by state and choice, without costs and labels, and the keys of each.
 
     The keys are state, choice and successor, [outcomes, 3]; no choice in a Markov chain.
@@ -112,7 +112,7 @@ def _sorted(table: Table, path: Path) -> tuple[RawModel, IntArray]:
     return raw, keys
 
 
-def _existing(base: Path, ending: str) -> Path | None:
+def _existing_prism_file(base: Path, ending: str) -> Path | None:
     """The file with this ending, plain or gzip; None where there is none."""
     for name in (base.name + ending, base.name + ending + ".gz"):
         if (base.parent / name).is_file():
@@ -120,7 +120,7 @@ def _existing(base: Path, ending: str) -> Path | None:
     return None
 
 
-def _chosen_structure(base: Path, cost: str | None) -> tuple[Path | None, Path | None] | None:
+def _chosen_prism_rewards(base: Path, cost: str | None) -> tuple[Path | None, Path | None] | None:
     """The rewards of states and of transitions that are the cost; None: no files of rewards.
 
     Args:
@@ -132,7 +132,10 @@ def _chosen_structure(base: Path, cost: str | None) -> tuple[Path | None, Path |
     """
     found: dict[tuple[Path | None, Path | None], str | None] = {}
     for number in chain(("",), map(str, count(1))):
-        files = _existing(base, f"{number}.srew"), _existing(base, f"{number}.trew")
+        files = (
+            _existing_prism_file(base, f"{number}.srew"),
+            _existing_prism_file(base, f"{number}.trew"),
+        )
         named = files[1] or files[0]
         if named is not None:
             found[files] = structure_name(named)
@@ -145,7 +148,7 @@ def _chosen_structure(base: Path, cost: str | None) -> tuple[Path | None, Path |
     raise ModelError(f"{base}: choose one of the reward structures, cost=...: {names}")
 
 
-def _costs(
+def _prism_costs(
     of_states: Path | None, of_transitions: Path | None, n_states: int, keys: IntArray
 ) -> FloatArray:
     """The reward of each outcome: of the state, and of the transition, [outcomes].
@@ -156,17 +159,19 @@ def _costs(
     by_state, paid = np.zeros(n_states), np.zeros(keys.shape[0])
     if of_states is not None:
         table = read_table(of_states, {2: 1})
-        _check_rewards(of_states, n_states, table)
+        _check_prism_rewards(of_states, n_states, table)
         by_state[table.keys[:, 0]] = table.values
     if of_transitions is not None:
         width = keys.shape[1]
         table = read_table(of_transitions, {width: width})
-        _check_rewards(of_transitions, n_states, table)
-        paid = _matched(table.keys, table.values, keys, of_transitions)
+        _check_prism_rewards(of_transitions, n_states, table)
+        paid = _matched_prism_rows(table.keys, table.values, keys, of_transitions)
     return decimal_sum(paid, by_state[keys[:, 0]])
 
 
-def _matched(listed: IntArray, values: FloatArray, keys: IntArray, path: Path) -> FloatArray:
+def _matched_prism_rows(
+    listed: IntArray, values: FloatArray, keys: IntArray, path: Path
+) -> FloatArray:
     """The values listed for some rows of keys, 0 for the others, [keys].
 
     Raises:
@@ -189,7 +194,7 @@ def _matched(listed: IntArray, values: FloatArray, keys: IntArray, path: Path) -
     return paid[known]
 
 
-def _check_rewards(path: Path, n_states: int, table: Table) -> None:
+def _check_prism_rewards(path: Path, n_states: int, table: Table) -> None:
     """Raise :class:`ModelError` unless a file of rewards is one of these states."""
     state = table.keys[:, 0]
     if table.header[0] != n_states or (state < 0).any() or (state >= n_states).any():

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.io.model_files.text_file import Lines, TextFile
+from ssp_lp.io.model_files.text_file import TextFile, TextLines
 
 _COMMENT = rb"^#[^\n]*"
 _NO_COMMENT = rb"(?!)"
@@ -32,7 +32,7 @@ class Table:
 
 
 def read_table(path: Path, widths: dict[int, int]) -> Table:
-    """Read a file of transitions or rewards.
+    """Read the text of PRISM's file of transitions or rewards.
 
     Args:
         path: the file.
@@ -42,9 +42,9 @@ def read_table(path: Path, widths: dict[int, int]) -> Table:
         ModelError: naming the line at fault.
     """
     with TextFile(path, _COMMENT) as file:
-        header = _header(file, widths)
+        header = _prism_header(file, widths)
         width = widths[len(header)]
-        parts = [part for lines in file.blocks() for part in _parts(file, lines, width)]
+        parts = [part for lines in file.blocks() for part in _prism_parts(file, lines, width)]
         none = np.zeros((0, width), dtype=np.int64)
         return Table(
             header,
@@ -54,7 +54,7 @@ def read_table(path: Path, widths: dict[int, int]) -> Table:
         )
 
 
-def _header(file: TextFile, widths: dict[int, int]) -> list[int]:
+def _prism_header(file: TextFile, widths: dict[int, int]) -> list[int]:
     """The numbers of the first line that is not empty."""
     line = file.line()
     while line == "":
@@ -66,7 +66,7 @@ def _header(file: TextFile, widths: dict[int, int]) -> list[int]:
     return [int(word) for word in words]
 
 
-def _parts(file: TextFile, lines: Lines, width: int) -> Iterator[Table]:
+def _prism_parts(file: TextFile, lines: TextLines, width: int) -> Iterator[Table]:
     """The lines of a block, those without a word and those with one."""
     strange = (lines.words != 0) & (lines.words != width + 1) & (lines.words != width + 2)
     if strange.any():
@@ -86,7 +86,7 @@ def _parts(file: TextFile, lines: Lines, width: int) -> Iterator[Table]:
 
 
 def read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
-    """Read a file of labels, ``0="init" 1="deadlock"`` and then ``state: number ...``.
+    """Read the text of PRISM's labels, ``0="init" 1="deadlock"`` and then ``state: number ...``.
 
     Raises:
         ModelError: naming the line at fault.
@@ -97,7 +97,7 @@ def read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
         if not names or _LABEL.sub("", line).strip():
             raise file.fault('the first line must say 0="init" and so on')
         members: dict[str, list[int]] = {number: [] for number in names}
-        for state, listed in _entries(file, n_states):
+        for state, listed in _prism_entries(file, n_states):
             for number in listed.split():
                 if number not in members:
                     raise file.fault(f"there is no label {number[:20]}")
@@ -105,7 +105,7 @@ def read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
         return {names[k]: np.unique(np.array(at, dtype=np.int64)) for k, at in members.items()}
 
 
-def _entries(file: TextFile, n_states: int) -> Iterator[tuple[int, str]]:
+def _prism_entries(file: TextFile, n_states: int) -> Iterator[tuple[int, str]]:
     """Lines ``state: ...``, taken apart."""
     for line in file.rest():
         if not line:
@@ -118,7 +118,7 @@ def _entries(file: TextFile, n_states: int) -> Iterator[tuple[int, str]]:
 
 
 def read_states(path: Path, n_states: int) -> Sequence[Hashable] | None:
-    """Read a file of states, ``(x,y)`` and then ``0:(1,2)``: tuples of numbers and truth values.
+    """Read the text of PRISM's states, ``(x,y)`` and then ``0:(1,2)``: tuples of values.
 
     Returns:
         The states; None if they are but numbered, by one variable.
@@ -129,17 +129,18 @@ def read_states(path: Path, n_states: int) -> Sequence[Hashable] | None:
     with TextFile(path, _COMMENT) as file:
         variables = (file.line() or "").strip("()").split(",")
         states: list[Hashable] = [None] * n_states
-        for state, listed in _entries(file, n_states):
+        for state, listed in _prism_entries(file, n_states):
             words = listed.strip().strip("()").split(",")
             if len(words) != len(variables) or states[state] is not None:
                 raise file.fault(f"state {state} is there twice, or has not its variables' values")
-            states[state] = tuple(_value(word.strip(), file) for word in words)
+            states[state] = tuple(_prism_value(word.strip(), file) for word in words)
         if None in states:
             raise file.fault(f"state {states.index(None)} is missing")
         return None if all(s == (k,) for k, s in enumerate(states)) else states
 
 
-def _value(word: str, file: TextFile) -> int | bool:
+def _prism_value(word: str, file: TextFile) -> int | bool:
+    """A value of PRISM's text: a whole number, true or false."""
     if word in _TRUTH:
         return _TRUTH[word]
     if not _WHOLE.fullmatch(word):

@@ -33,37 +33,37 @@ def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
     """
     base, process = without_ending(path), exported(model, start)
     texts = {
-        ".tra": _transitions(process),
-        ".lab": _label_lines(process),
-        ".trew": _rewards(process),
-        ".srew": _no_state_rewards(process),
-        ".sta": _state_lines(process, model),
+        ".tra": _prism_transitions(process),
+        ".lab": _prism_label_lines(process),
+        ".trew": _prism_rewards(process),
+        ".srew": _no_prism_rewards(process),
+        ".sta": _prism_state_lines(process, model),
     }
     for ending, text in texts.items():
         write_text(base.with_name(base.name + ending), text)
 
 
-def _transitions(process: Exported) -> Iterator[str]:
+def _prism_transitions(process: Exported) -> Iterator[str]:
     """The file of transitions."""
     n_states, n_pairs = process.pair_offsets.size - 1, process.costs.size
     yield f"{n_states} {n_pairs} {process.successors.size}\n"
-    for state, number, pair, successor, chance in _outcomes(process):
+    for state, number, pair, successor, chance in _prism_outcomes(process):
         yield f"{state} {number} {successor} {chance!r} {process.actions[pair]}\n"
 
 
-def _rewards(process: Exported) -> Iterator[str]:
+def _prism_rewards(process: Exported) -> Iterator[str]:
     """The file of rewards: those that are not 0."""
     n_states, n_pairs = process.pair_offsets.size - 1, process.costs.size
     paid = np.repeat(process.costs != 0.0, np.diff(process.outcome_offsets))
     yield '# Reward structure "cost"\n# Transition rewards\n'
     yield f"{n_states} {n_pairs} {int(paid.sum())}\n"
     costs = process.costs.tolist()
-    for state, number, pair, successor, _ in _outcomes(process):
+    for state, number, pair, successor, _ in _prism_outcomes(process):
         if costs[pair]:
             yield f"{state} {number} {successor} {costs[pair]!r}\n"
 
 
-def _outcomes(process: Exported) -> Iterator[tuple[int, int, int, int, float]]:
+def _prism_outcomes(process: Exported) -> Iterator[tuple[int, int, int, int, float]]:
     """State, choice, pair, successor and probability of each outcome, some pairs at a time."""
     n_pairs = process.costs.size
     states = np.repeat(np.arange(process.pair_offsets.size - 1), np.diff(process.pair_offsets))
@@ -83,7 +83,7 @@ def _outcomes(process: Exported) -> Iterator[tuple[int, int, int, int, float]]:
         )
 
 
-def _label_lines(process: Exported) -> Iterator[str]:
+def _prism_label_lines(process: Exported) -> Iterator[str]:
     """The file of labels."""
     yield " ".join(f'{k}="{name}"' for k, name in enumerate(process.labels)) + "\n"
     borne: dict[int, list[str]] = {}
@@ -94,15 +94,15 @@ def _label_lines(process: Exported) -> Iterator[str]:
         yield f"{state}: {' '.join(borne[state])}\n"
 
 
-def _no_state_rewards(process: Exported) -> Iterator[str]:
+def _no_prism_rewards(process: Exported) -> Iterator[str]:
     """The file of state rewards: there are none."""
     yield f'# Reward structure "cost"\n# State rewards\n{process.pair_offsets.size - 1} 0\n'
 
 
-def _state_lines(process: Exported, model: SSP) -> Iterator[str]:
+def _prism_state_lines(process: Exported, model: SSP) -> Iterator[str]:
     """The file of states: what the model calls them, if those are tuples, else their numbers."""
     n_states = process.pair_offsets.size - 1
-    length = _variables(model.states) if n_states == model.n_states else 0
+    length = _prism_variables(model.states) if n_states == model.n_states else 0
     if not length:
         yield "(x)\n"
         yield from (f"{k}:({k})\n" for k in range(n_states))
@@ -113,7 +113,7 @@ def _state_lines(process: Exported, model: SSP) -> Iterator[str]:
         yield f"{k}:({','.join(str(value).lower() for value in values)})\n"
 
 
-def _variables(states: Sequence[Hashable]) -> int:
+def _prism_variables(states: Sequence[Hashable]) -> int:
     """How many variables name the states; 0 where they are no tuples of whole numbers."""
     first = states[0]
     length = len(first) if isinstance(first, tuple) else 0

@@ -48,7 +48,7 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
         raw: what a file says.
         goals: the goal states.
     """
-    paying = _paying(raw, goals)
+    paying = _paying_in_raw_model(raw, goals)
     if not paying.any() or not (raw.costs >= 0.0).all():  # no sum may hide a wrong cost
         return raw
     sizes = np.diff(raw.outcome_offsets)
@@ -78,7 +78,7 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
     )
 
 
-def _paying(raw: RawModel, goals: IntArray) -> BoolArray:
+def _paying_in_raw_model(raw: RawModel, goals: IntArray) -> BoolArray:
     """Which states do nothing but pay, [states]."""
     n_states = raw.pair_offsets.size - 1
     paying = np.zeros(n_states, dtype=np.bool_)
@@ -90,14 +90,16 @@ def _paying(raw: RawModel, goals: IntArray) -> BoolArray:
     paying[raw.labels.get(INITIAL, goals)] = False
     for state in np.flatnonzero(paying).tolist():
         pair, end = raw.pair_offsets[state : state + 2].tolist()
-        paying[state] = end == pair + 1 and raw.actions[pair] == PAY and _is_certain(raw, pair)
+        paying[state] = (
+            end == pair + 1 and raw.actions[pair] == PAY and _is_certain_in_raw_model(raw, pair)
+        )
     marked = np.flatnonzero(paying)
     followed = raw.successors[raw.outcome_offsets[raw.pair_offsets[marked]]]
     paying[marked[paying[followed]]] = False  # none pays for another
     return paying
 
 
-def _is_certain(raw: RawModel, pair: int) -> bool:
+def _is_certain_in_raw_model(raw: RawModel, pair: int) -> bool:
     """Whether a pair has one outcome."""
     first, end = raw.outcome_offsets[pair : pair + 2].tolist()
     return bool(end == first + 1 and raw.probabilities[first] == 1.0)
@@ -117,7 +119,7 @@ class ModelFile:
 
     @property
     def start(self) -> Hashable:
-        """The one initial state.
+        """The one initial state of a file's raw model.
 
         Raises:
             ModelError: the file names none, or several.
@@ -130,7 +132,7 @@ class ModelFile:
 
 
 def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
-    """Make the model whose goal states bear a label.
+    """Make a model of a raw one whose goal states bear a label.
 
     Actions of goal states are dropped, and of states with the label "deadlock" that no action
     leaves: they are dead-ends. States that only pay what an action has not paid are taken out.
@@ -159,7 +161,7 @@ def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
 
 
 def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP:
-    """Make a model of which goal states, and idle ones that no action leaves, have no actions.
+    """Make a raw model's goal states, and idle ones that no action leaves, have no actions.
 
     Raises:
         ModelError: naming the source, the state and the action at fault.
@@ -168,7 +170,7 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
     state = np.repeat(np.arange(n_states), np.diff(raw.pair_offsets))
     sizes = np.diff(raw.outcome_offsets)
     acts = np.ones(n_states, dtype=np.bool_)
-    acts[idle] = _leaves(raw, state, n_states)[idle]
+    acts[idle] = _leaves_in_raw_model(raw, state, n_states)[idle]
     acts[goals] = False
     pair_kept = acts[state]
     kept = np.repeat(pair_kept, sizes)
@@ -197,7 +199,7 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
         raise ModelError(f"{source}: {error}") from error
 
 
-def _leaves(raw: RawModel, state: IntArray, n_states: int) -> BoolArray:
+def _leaves_in_raw_model(raw: RawModel, state: IntArray, n_states: int) -> BoolArray:
     """Whether some outcome of positive probability leaves each state, [states]."""
     source = np.repeat(state, np.diff(raw.outcome_offsets))
     away = (raw.successors != source) & (raw.probabilities != 0.0)
@@ -207,7 +209,7 @@ def _leaves(raw: RawModel, state: IntArray, n_states: int) -> BoolArray:
 
 
 def distinct_actions(names: Sequence[str], pair_state: IntArray) -> Sequence[str]:
-    """Action names that differ within each state: a repeated one gets a number, [pairs]."""
+    """Action names of a raw model, distinct in each state: a repeat gets a number, [pairs]."""
     table: dict[str, int] = {}
     code = np.array([table.setdefault(name, len(table)) for name in names], dtype=np.int64)
     order = np.lexsort((code, pair_state))

@@ -30,7 +30,7 @@ _SPACE = np.zeros(256, dtype=np.bool_)
 _SPACE[list(b" \t\r\n\v\f")] = True
 
 
-class Lines(NamedTuple):
+class TextLines(NamedTuple):
     """Some whole lines of a file."""
 
     text: npt.NDArray[np.uint8]  # [bytes]
@@ -40,7 +40,7 @@ class Lines(NamedTuple):
     initial: npt.NDArray[np.uint8]  # [lines] first byte that is no space, 0 on an empty line
 
     @classmethod
-    def of(cls, text: bytes, first: int) -> Lines:
+    def of(cls, text: bytes, first: int) -> TextLines:
         """Find lines and words in a text that ends with the end of a line."""
         array = np.frombuffer(text, dtype=np.uint8)
         ends = np.flatnonzero(array == ord("\n")) + 1
@@ -113,7 +113,7 @@ class TextFile:
         except UnicodeDecodeError as error:
             raise self.fault("the text is no UTF-8", number) from error
 
-    def blocks(self) -> Iterator[Lines]:
+    def blocks(self) -> Iterator[TextLines]:
         """The lines that are left, some megabytes at a time.
 
         Raises:
@@ -144,12 +144,14 @@ class TextFile:
                 yield line.strip()
             self.number = last
 
-    def _lines(self, text: bytes) -> Lines:
-        found = Lines.of(self._comment.sub(b"", text), self.number + 1)
+    def _lines(self, text: bytes) -> TextLines:
+        """The lines of a piece of the text file."""
+        found = TextLines.of(self._comment.sub(b"", text), self.number + 1)
         self.number += found.words.size
         return found
 
     def _read(self, take: Callable[[], bytes]) -> bytes:
+        """What the text file gives; an error names it where its gzip is broken."""
         try:
             return take()
         except (gzip.BadGzipFile, EOFError, zlib.error) as error:
@@ -172,7 +174,7 @@ class TextFile:
                 pass
         for word, number in zip(words, numbers, strict=True):
             if not re.fullmatch(rb"-?\d{1,18}", word):
-                raise self.fault(f"{_shown(word)} is no whole number", int(number))
+                raise self.fault(f"{_shown_word(word)} is no whole number", int(number))
         return np.array([int(word) for word in words], dtype=np.int64)
 
     def floats(self, words: Sequence[bytes], numbers: IntArray) -> FloatArray:
@@ -195,16 +197,17 @@ class TextFile:
         )
 
     def _float(self, word: bytes, number: int) -> float:
+        """A word of the text file as a float."""
         above, slash, below = word.partition(b"/")
         try:
             value = int(above) / int(below) if slash else float(word)
         except (ValueError, ArithmeticError) as error:
-            raise self.fault(f"{_shown(word)} is no number", number) from error
+            raise self.fault(f"{_shown_word(word)} is no number", number) from error
         if b"_" in word:
-            raise self.fault(f"{_shown(word)} is no number", number)
+            raise self.fault(f"{_shown_word(word)} is no number", number)
         return value
 
 
-def _shown(word: bytes) -> str:
+def _shown_word(word: bytes) -> str:
     """A word from a file, short and printable."""
     return repr(word[:60].decode("utf-8", "replace"))

@@ -37,17 +37,17 @@ def ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **optio
         ModelError: Storm refuses; the message says why in Storm's words.
     """
     try:
-        with _quiet():
+        with _quiet_storm():
             return call(*arguments, **options)
     except ModelError:
         raise
-    except _refusals() as error:
+    except _refusals_of_storm() as error:
         hint = _AVERAGED if _OF_OUTCOMES in str(error) else ""
         raise ModelError(f"{source}: Storm refuses it: {error}{hint}") from error
 
 
 @contextmanager
-def _quiet() -> Iterator[None]:
+def _quiet_storm() -> Iterator[None]:
     """Storm's log off: it goes to standard output, and errors arrive as exceptions as well."""
     log = storm().developer
     level = log.get_log_level()
@@ -58,7 +58,7 @@ def _quiet() -> Iterator[None]:
         log.set_log_level(level)
 
 
-def _refusals() -> tuple[type[Exception], ...]:
+def _refusals_of_storm() -> tuple[type[Exception], ...]:
     """What stormpy raises: errors of Storm arrive as errors of Python's own classes, too."""
     own = storm().exceptions.StormError
     return RuntimeError, ValueError, IndexError, TypeError, OverflowError, MemoryError, own

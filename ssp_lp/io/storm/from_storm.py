@@ -46,7 +46,7 @@ def from_stormpy(model: Any, *, goal: str, cost: str | None = None) -> ModelFile
         ModelError: a model of another kind, no such goal or cost, or naming the state and the
             action at fault, as where a reward is negative.
     """
-    return built(model, goal, label_formula(goal), cost, "the stormpy model")
+    return built_from_storm(model, goal, label_formula(goal), cost, "the stormpy model")
 
 
 def label_formula(goal: str) -> Any:
@@ -62,8 +62,10 @@ def label_formula(goal: str) -> Any:
     return formula
 
 
-def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) -> ModelFile:
-    """Make a model whose goals are the states with a label, or those that a formula holds in.
+def built_from_storm(
+    model: Any, goal: str, formula: Any, cost: str | None, source: str
+) -> ModelFile:
+    """Make a model of Storm's whose goals are the states with a label, or those of a formula.
 
     Args:
         model: of stormpy.
@@ -75,13 +77,16 @@ def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) ->
     Raises:
         ModelError: see :func:`from_stormpy`.
     """
-    _check_sparse(model, source)
-    labels = {name: _members(model.labeling.get_states(name)) for name in _label_names(model)}
+    _check_sparse_storm(model, source)
+    labels = {
+        name: _members_from_storm(model.labeling.get_states(name))
+        for name in _label_names_in_storm(model)
+    }
     if formula is not None:
-        labels[goal] = ask_storm(source, _states_of, model, formula, goal, source)
-    reward, paid = _chosen_reward(model, cost, source)
+        labels[goal] = ask_storm(source, _states_from_storm, model, formula, goal, source)
+    reward, paid = _chosen_storm_reward(model, cost, source)
     matrix = model.transition_matrix
-    offsets, pair_offsets = _offsets(model, matrix)
+    offsets, pair_offsets = _offsets_from_storm(model, matrix)
     entries = list(matrix.row_iter(0, matrix.nr_rows - 1))
     successors = np.array([entry.column for entry in entries], dtype=np.int64)
     state = np.repeat(np.arange(model.nr_states), np.diff(pair_offsets))
@@ -90,10 +95,10 @@ def built(model: Any, goal: str, formula: Any, cost: str | None, source: str) ->
         outcome_offsets=offsets,
         successors=successors,
         probabilities=np.array([entry.value for entry in entries]),
-        costs=_costs(reward, state, offsets, successors),
-        actions=ask_storm(source, _action_names, model, state, pair_offsets),
+        costs=_costs_from_storm(reward, state, offsets, successors),
+        actions=ask_storm(source, _action_names_from_storm, model, state, pair_offsets),
         labels=labels,
-        states=ask_storm(source, _state_names, model),
+        states=ask_storm(source, _state_names_from_storm, model),
     )
     return finished(raw, goal, f"{source}, cost {paid!r}" if paid else source)
 
@@ -104,7 +109,7 @@ def check_kind(kind: str, source: object) -> None:
         raise ModelError(f"{source} is a {kind}: only MDPs and DTMCs are read")
 
 
-def _check_sparse(model: Any, source: str) -> None:
+def _check_sparse_storm(model: Any, source: str) -> None:
     """Raise :class:`ModelError` unless this is a sparse model of floats and of a kind we know."""
     kind = getattr(getattr(model, "model_type", None), "name", None)
     if kind is None:
@@ -118,26 +123,27 @@ def _check_sparse(model: Any, source: str) -> None:
         raise ModelError(f"{source} has {told} for numbers: build it with floats")
 
 
-def _label_names(model: Any) -> list[str]:
+def _label_names_in_storm(model: Any) -> list[str]:
+    """The names of labels in Storm's model."""
     return sorted(name for name in model.labeling.get_labels() if not name.startswith("("))
 
 
-def _members(bits: Any) -> IntArray:
-    """The states of a bit vector, [members]."""
+def _members_from_storm(bits: Any) -> IntArray:
+    """The states of Storm's bit vector, [members]."""
     return np.array(list(bits), dtype=np.int64)
 
 
-def _states_of(model: Any, formula: Any, goal: str, source: str) -> IntArray:
-    """The states in which a formula holds, [members]."""
+def _states_from_storm(model: Any, formula: Any, goal: str, source: str) -> IntArray:
+    """The states in which Storm says that a formula holds, [members]."""
     found = storm().model_checking(model, formula, only_initial_states=False)
     if not found.is_qualitative():
         raise ModelError(
             f"{source}: the goal must say of each state whether it is one, not {goal!r}"
         )
-    return _members(found.get_truth_values_vector())
+    return _members_from_storm(found.get_truth_values_vector())
 
 
-def _offsets(model: Any, matrix: Any) -> tuple[IntArray, IntArray]:
+def _offsets_from_storm(model: Any, matrix: Any) -> tuple[IntArray, IntArray]:
     """Where the outcomes of each pair begin, and the pairs of each state."""
     sizes = np.array([len(matrix.get_row(row)) for row in range(matrix.nr_rows)], dtype=np.int64)
     if matrix.has_trivial_row_grouping:
@@ -145,7 +151,7 @@ def _offsets(model: Any, matrix: Any) -> tuple[IntArray, IntArray]:
     return offsets_of(sizes), np.array(model.nondeterministic_choice_indices, dtype=np.int64)
 
 
-def _chosen_reward(model: Any, cost: str | None, source: str) -> tuple[Any, str]:
+def _chosen_storm_reward(model: Any, cost: str | None, source: str) -> tuple[Any, str]:
     """The reward model that is the cost, and its name; None where the model has none."""
     rewards = dict(model.reward_models)
     if cost is None and not rewards:
@@ -157,7 +163,9 @@ def _chosen_reward(model: Any, cost: str | None, source: str) -> tuple[Any, str]
     return rewards[chosen], chosen
 
 
-def _costs(reward: Any, state: IntArray, offsets: IntArray, successors: IntArray) -> FloatArray:
+def _costs_from_storm(
+    reward: Any, state: IntArray, offsets: IntArray, successors: IntArray
+) -> FloatArray:
     """The cost of each outcome: of the state, the action and the transition, [outcomes]."""
     pair = np.repeat(np.arange(state.size), np.diff(offsets))
     if reward is None:
@@ -180,7 +188,9 @@ def _costs(reward: Any, state: IntArray, offsets: IntArray, successors: IntArray
     return decimal_sum(of_pair[pair], of_outcome)
 
 
-def _action_names(model: Any, state: IntArray, pair_offsets: IntArray) -> Sequence[str] | None:
+def _action_names_from_storm(
+    model: Any, state: IntArray, pair_offsets: IntArray
+) -> Sequence[str] | None:
     """Labels of choices, the position where there is none, [pairs]; None: no labels at all."""
     if not model.has_choice_labeling():
         return None
@@ -192,17 +202,19 @@ def _action_names(model: Any, state: IntArray, pair_offsets: IntArray) -> Sequen
     return distinct_actions(names, state)
 
 
-def _state_names(model: Any) -> Sequence[Hashable] | None:
+def _state_names_from_storm(model: Any) -> Sequence[Hashable] | None:
     """The values of each state's variables, in Storm's order; None: they name no state."""
     if not model.has_state_valuations():
         return None
     valuations = model.state_valuations
-    columns = [_values(valuations, variable) for variable in valuations.get_all_variables()]
+    columns = [
+        _values_from_storm(valuations, variable) for variable in valuations.get_all_variables()
+    ]
     names = list(zip(*columns, strict=True))
     return names if len(set(names)) == model.nr_states else None
 
 
-def _values(valuations: Any, variable: Any) -> list[Hashable]:
+def _values_from_storm(valuations: Any, variable: Any) -> list[Hashable]:
     """A variable's value in each state, [states]."""
     if variable.has_boolean_type():
         bits = valuations.get_boolean_values(variable)

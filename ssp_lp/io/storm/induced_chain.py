@@ -6,7 +6,7 @@ from collections.abc import Hashable, Mapping
 
 import numpy as np
 
-from ssp_lp.analysis.chain import Chain, policy_chain, reaching
+from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.io.model_files.exported import GOAL
 from ssp_lp.io.model_files.raw_model import ModelFile
@@ -52,13 +52,15 @@ def induced_chain(
     firsts = offsets_of(np.array([chain.n_nodes for chain in chains]))
     n_states = int(firsts[-1]) + 2
     draw, end = n_states - 2, n_states - 1
-    parts = [_start_rows(chains, lottery.weights, firsts, draw)]
-    parts += [_rows(chain, int(first), end) for chain, first in zip(chains, firsts, strict=False)]
+    parts = [_start_of_chain(chains, lottery.weights, firsts, draw)]
+    parts += [
+        _rows_of_chain(chain, int(first), end) for chain, first in zip(chains, firsts, strict=False)
+    ]
     source, target, chance, cost = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     order = np.argsort(source, kind="stable")
     acting, sizes = np.unique(source, return_counts=True)
-    states = [*_names(chains), START, GAVE_UP]
-    goals = _members(chains, firsts, np.flatnonzero(model.goal_mask))
+    states = [*_names_in_chain(chains), START, GAVE_UP]
+    goals = _nodes_in_chain(chains, firsts, np.flatnonzero(model.goal_mask))
     if not goals.size:  # a model has a goal, though this one is not reached
         states.append(GOAL)
         goals = np.array([n_states])
@@ -72,7 +74,7 @@ def induced_chain(
         goal_states=goals,
         states=states,
         state_labels={
-            name: [states[i] for i in _members(chains, firsts, at)]
+            name: [states[i] for i in _nodes_in_chain(chains, firsts, at)]
             for name, at in model.state_labels.items()
         }
         | {GAVE_UP: [GAVE_UP]},
@@ -83,16 +85,16 @@ def induced_chain(
     return ModelFile(chain, (START,))
 
 
-def _start_rows(chains: list[Chain], weights: FloatArray, firsts: IntArray, draw: int) -> _Rows:
+def _start_of_chain(chains: list[Chain], weights: FloatArray, firsts: IntArray, draw: int) -> _Rows:
     """The free step that draws the lottery and the first state."""
     chance = np.concatenate([w * chain.start for w, chain in zip(weights, chains, strict=True)])
     target = np.flatnonzero(chance > 0.0)
     return np.full(target.size, draw), target, chance[target], np.zeros(target.size)
 
 
-def _rows(chain: Chain, first: int, end: int) -> _Rows:
+def _rows_of_chain(chain: Chain, first: int, end: int) -> _Rows:
     """The steps of one member's chain while the goal is in reach, the last of them giving up."""
-    hopeful = reaching(chain, chain.goal > 0.0)
+    hopeful = reaching_in_chain(chain, chain.goal > 0.0)
     quits = np.flatnonzero((chain.give_up > 0.0) & hopeful)
     moves = np.flatnonzero(hopeful[chain.source])
     return (
@@ -103,7 +105,7 @@ def _rows(chain: Chain, first: int, end: int) -> _Rows:
     )
 
 
-def _names(chains: list[Chain]) -> list[Hashable]:
+def _names_in_chain(chains: list[Chain]) -> list[Hashable]:
     """(state, memory) of each node, with the member's number before where there are several."""
     states = chains[0].model.states
     nodes = [zip(chain.state.tolist(), chain.memory.tolist(), strict=True) for chain in chains]
@@ -112,7 +114,7 @@ def _names(chains: list[Chain]) -> list[Hashable]:
     return [(k, states[state], memory) for k, some in enumerate(nodes) for state, memory in some]
 
 
-def _members(chains: list[Chain], firsts: IntArray, states: IntArray) -> IntArray:
+def _nodes_in_chain(chains: list[Chain], firsts: IntArray, states: IntArray) -> IntArray:
     """The nodes at some of the model's states, [members]."""
     found = [
         np.flatnonzero(np.isin(chain.state, states)) + first

@@ -10,7 +10,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, ModelFile
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.storm.bindings import ask_storm, storm
-from ssp_lp.io.storm.from_storm import built, check_kind, label_formula
+from ssp_lp.io.storm.from_storm import built_from_storm, check_kind, label_formula
 from ssp_lp.io.storm.sound_files import check_jani, check_umb
 from ssp_lp.model.arguments import explained
 
@@ -52,7 +52,7 @@ def read_with_storm(
         stormpy = storm()
     if file.suffix == ".umb":
         check_umb(file)
-        return _archive(stormpy, file, goal, cost, constants)
+        return _archived_program(stormpy, file, goal, cost, constants)
     if file.suffix == ".jani":
         check_jani(file)
         program, _ = ask_storm(file, stormpy.parse_jani_model, str(file))
@@ -62,10 +62,10 @@ def read_with_storm(
         )
     check_kind(ask_storm(file, getattr, program, "model_type").name, file)
     program, _ = ask_storm(file, stormpy.instantiate_constants, program, constants or {})
-    return _explored(stormpy, file, program, goal, cost)
+    return _explored_program(stormpy, file, program, goal, cost)
 
 
-def _archive(
+def _archived_program(
     stormpy: Any, file: Path, goal: str, cost: str | None, constants: Constants | None
 ) -> ModelFile:
     """The model of a UMB archive."""
@@ -74,18 +74,20 @@ def _archive(
     options = stormpy.io.UmbImportOptions()
     options.build_choice_labeling = options.build_state_valuations = True
     model = ask_storm(file, stormpy.build_model_from_umb, str(file), options=options)
-    return built(model, goal, label_formula(goal), cost, str(file))
+    return built_from_storm(model, goal, label_formula(goal), cost, str(file))
 
 
-def _explored(stormpy: Any, file: Path, program: Any, goal: str, cost: str | None) -> ModelFile:
+def _explored_program(
+    stormpy: Any, file: Path, program: Any, goal: str, cost: str | None
+) -> ModelFile:
     """The model that a program without open constants describes."""
-    named = f"{file}, goal {goal!r}{_known_labels(program)}"
-    formula = _property(stormpy, named, _condition(program, goal), program)
+    named = f"{file}, goal {goal!r}{_program_labels(program)}"
+    formula = _program_property(stormpy, named, _program_condition(program, goal), program)
     # a condition that stands alone would have Storm explore no further than where it holds
-    wanted = [formula, _property(stormpy, str(file), "true", program)]
+    wanted = [formula, _program_property(stormpy, str(file), "true", program)]
     if cost is not None:
         reward = f'R{{"{cost}"}}min=? [C]' if cost else "Rmin=? [C]"
-        wanted.append(_property(stormpy, f"{file}, cost {cost!r}", reward, program))
+        wanted.append(_program_property(stormpy, f"{file}, cost {cost!r}", reward, program))
     options = ask_storm(file, stormpy.BuilderOptions, wanted, program)
     options.set_build_all_labels()
     options.set_build_choice_labels()
@@ -95,16 +97,16 @@ def _explored(stormpy: Any, file: Path, program: Any, goal: str, cost: str | Non
     if cost is None:
         options.set_build_all_reward_models()
     model = ask_storm(file, stormpy.build_model, program, options=options)
-    return built(model, goal, formula, cost, str(file))
+    return built_from_storm(model, goal, formula, cost, str(file))
 
 
-def _known_labels(program: Any) -> str:
+def _program_labels(program: Any) -> str:
     """The labels of a program in PRISM's language, for errors."""
     names = ", ".join(repr(label.name) for label in getattr(program, "labels", ()))
     return f" (labels: {names})" if names else ""
 
 
-def _condition(program: Any, goal: str) -> str:
+def _program_condition(program: Any, goal: str) -> str:
     """The goal as Storm writes it: labels of programs stand in quotation marks."""
     is_label = goal in (INITIAL, DEADLOCK)
     if hasattr(program, "has_label"):  # PRISM's; JANI's labels are variables
@@ -112,7 +114,7 @@ def _condition(program: Any, goal: str) -> str:
     return f'"{goal}"' if is_label else goal
 
 
-def _property(stormpy: Any, source: str, text: str, program: Any) -> Any:
+def _program_property(stormpy: Any, source: str, text: str, program: Any) -> Any:
     """One property of a program."""
     found = ask_storm(source, stormpy.parse_properties, text, program)
     if len(found) != 1:

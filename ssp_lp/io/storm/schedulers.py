@@ -55,17 +55,20 @@ def write_scheduler(policy: Policy | MixedPolicy, path: FilePath, *, start: Hash
     process = exported(policy.model, start)
     begin = start_distribution(policy.model, start)
     chain = policy_chain(policy.model, members[0], begin)
-    single = np.unique(chain.memory[~_ended(chain)]).size <= 1 and not (chain.give_up > 0.0).any()
+    single = (
+        np.unique(chain.memory[~_ended_in_scheduler(chain)]).size <= 1
+        and not (chain.give_up > 0.0).any()
+    )
     if single:
         memory = int(members[0].start_memory(np.flatnonzero(begin))[0])
-        entries = _without_memory(members[0], memory, process)
+        entries = _scheduler_without_memory(members[0], memory, process)
     else:
-        entries = _with_memory(_Automaton(chain, process).decisions(), process)
-    write_text(path, _text(entries))
+        entries = _scheduler_with_memory(_SchedulerAutomaton(chain, process).decisions(), process)
+    write_text(path, _scheduler_text(entries))
 
 
-def _text(entries: Iterator[dict[str, Any]]) -> Iterator[str]:
-    """The file in pieces, an entry each."""
+def _scheduler_text(entries: Iterator[dict[str, Any]]) -> Iterator[str]:
+    """The scheduler's file in pieces, an entry each."""
     before = "[\n"
     for entry in entries:
         yield before + json.dumps(entry, indent=4, sort_keys=True)
@@ -73,11 +76,14 @@ def _text(entries: Iterator[dict[str, Any]]) -> Iterator[str]:
     yield "\n]\n"
 
 
-def _choice(process: Exported, index: int, probability: float) -> dict[str, Any]:
+def _scheduler_choice(process: Exported, index: int, probability: float) -> dict[str, Any]:
+    """A choice of the scheduler, in Storm's words."""
     return {"index": index, "labels": [process.actions[index]], "prob": probability}
 
 
-def _without_memory(policy: Policy, memory: int, process: Exported) -> Iterator[dict[str, Any]]:
+def _scheduler_without_memory(
+    policy: Policy, memory: int, process: Exported
+) -> Iterator[dict[str, Any]]:
     """An entry for each state of the file."""
     model = policy.model
     acting = np.flatnonzero(np.diff(model.pair_offsets))
@@ -86,28 +92,30 @@ def _without_memory(policy: Policy, memory: int, process: Exported) -> Iterator[
     for situation, pair, chance in zip(*(part.tolist() for part in found), strict=True):
         if pair >= 0 and chance > 0.0:
             index = int(process.choice_of_pair[pair])
-            chosen[int(acting[situation])].append(_choice(process, index, chance))
+            chosen[int(acting[situation])].append(_scheduler_choice(process, index, chance))
     for state, first in enumerate(process.pair_offsets[:-1].tolist()):
-        choices = chosen.get(state, [_choice(process, first, 1.0)])
+        choices = chosen.get(state, [_scheduler_choice(process, first, 1.0)])
         yield {"s": state, "c": choices or "undefined"}
 
 
-def _with_memory(decisions: Decisions, process: Exported) -> Iterator[dict[str, Any]]:
+def _scheduler_with_memory(decisions: Decisions, process: Exported) -> Iterator[dict[str, Any]]:
     """An entry for each state and memory that is reached."""
     for (state, memory), choices in sorted(decisions.items()):
         entry: dict[str, Any] = {"s": state, "m": memory, "c": []}
         for index, (chance, after) in sorted(choices.items()):
             updates = [{"s'": successor, "m'": after[successor]} for successor in sorted(after)]
-            entry["c"].append(_choice(process, index, chance) | {"memory-updates": updates})
+            entry["c"].append(
+                _scheduler_choice(process, index, chance) | {"memory-updates": updates}
+            )
         yield entry
 
 
-def _ended(chain: Chain) -> Any:
+def _ended_in_scheduler(chain: Chain) -> Any:
     """Which nodes are goals or dead-ends, [nodes]."""
     return chain.model.goal_mask[chain.state] | (chain.dead > 0.0)
 
 
-class _Automaton:
+class _SchedulerAutomaton:
     """What a policy with a memory does on the states of a file. Grows."""
 
     def __init__(self, chain: Chain, process: Exported) -> None:
@@ -122,7 +130,7 @@ class _Automaton:
     def decisions(self) -> Decisions:
         """The choices of every state and memory that is reached."""
         moves = self._moves()
-        for node in np.flatnonzero(_ended(self._chain)).tolist():
+        for node in np.flatnonzero(_ended_in_scheduler(self._chain)).tolist():
             self._end(int(self._chain.state[node]), self._memory(node))
         branches = self._chain.branch_node, self._chain.branch_pair, self._chain.branch_probability
         quits: dict[int, float] = {}
@@ -137,6 +145,7 @@ class _Automaton:
         return self._found
 
     def _memory(self, node: int) -> int:
+        """The scheduler's memory at a node."""
         return self._number[int(self._chain.memory[node])]
 
     def _moves(self) -> dict[tuple[int, int], dict[int, int]]:
@@ -162,6 +171,7 @@ class _Automaton:
         choices[index] = chance, updates
 
     def _pay(self, state: int, memory: int) -> None:
+        """Pay in a state of its own, the scheduler's memory unchanged."""
         index = int(self._process.pair_offsets[state])
         follower = int(self._process.successors[self._process.outcome_offsets[index]])
         self._found[state, memory] = {index: (1.0, {follower: memory})}

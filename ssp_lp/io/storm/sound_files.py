@@ -73,13 +73,13 @@ def check_umb(file: Path) -> None:
 
 
 def _broken_part(archive: tarfile.TarFile) -> str | None:
-    """The first part that no model has; the whole archive is unpacked once on the way."""
+    """The first part of a file that is not sound; the whole archive is unpacked once on the way."""
     parts = {member.name: member for member in archive if member.isfile()}
     for member in parts.values():
-        for _ in _numbers(archive, member, 1):
+        for _ in _numbers_of_part(archive, member, 1):
             pass  # a wrong checksum is told at the end
     try:
-        with _opened(archive, parts[_INDEX]) as stream:
+        with _opened_part(archive, parts[_INDEX]) as stream:
             counts = dict(json.loads(stream.read(_LONGEST_INDEX))["transition-system"])
     except (KeyError, TypeError, ValueError, RecursionError):
         return _INDEX
@@ -95,22 +95,25 @@ def _broken_part(archive: tarfile.TarFile) -> str | None:
         words, values = parts.get(f"{folder}strings.bin"), parts.get(f"{folder}values.bin")
         if words is None or not _are_offsets(archive, member, named, words.size):
             return name
-        several = () if values is None else _numbers(archive, values, _POSITION_BYTES)
+        several = () if values is None else _numbers_of_part(archive, values, _POSITION_BYTES)
         if any((piece >= named).any() for piece in several):
             return f"{folder}values.bin"
     return None
 
 
-def _opened(archive: tarfile.TarFile, member: tarfile.TarInfo) -> IO[bytes]:
+def _opened_part(archive: tarfile.TarFile, member: tarfile.TarInfo) -> IO[bytes]:
+    """A part of an archive that must be sound, opened."""
     found = archive.extractfile(member)
     if found is None:
         raise EOFError(member.name)
     return found
 
 
-def _numbers(archive: tarfile.TarFile, member: tarfile.TarInfo, width: int) -> Iterator[IntArray]:
+def _numbers_of_part(
+    archive: tarfile.TarFile, member: tarfile.TarInfo, width: int
+) -> Iterator[IntArray]:
     """The whole numbers of a part, some at a time."""
-    with _opened(archive, member) as stream:
+    with _opened_part(archive, member) as stream:
         while piece := stream.read(_PIECE):
             yield np.frombuffer(piece[: len(piece) // width * width], dtype=f"<u{width}")
 
@@ -121,7 +124,7 @@ def _are_offsets(archive: tarfile.TarFile, member: tarfile.TarInfo, count: Any, 
     if not counted or member.size != _OFFSET_BYTES * (count + 1):
         return False
     last = np.zeros(1, dtype=np.uint64)
-    for number, piece in enumerate(_numbers(archive, member, _OFFSET_BYTES)):
+    for number, piece in enumerate(_numbers_of_part(archive, member, _OFFSET_BYTES)):
         rising = np.concatenate([last, piece])
         if (rising[1:] < rising[:-1]).any() or (number == 0 and piece[0] != 0):
             return False

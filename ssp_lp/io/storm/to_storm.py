@@ -40,15 +40,15 @@ def to_stormpy(model: SSP, *, start: Hashable) -> Any:
     stormpy, process = storm(), exported(model, start)
     models = stormpy.models
     parts = models.SparseModelComponents[float](
-        transition_matrix=_matrix(stormpy, process),
-        state_labeling=_state_labels(models, process),
+        transition_matrix=_matrix_for_storm(stormpy, process),
+        state_labeling=_state_labels_for_storm(models, process),
         reward_models={
             "cost": models.SparseRewardModel[float](
                 optional_state_action_reward_vector=process.costs.tolist()
             )
         },
     )
-    parts.choice_labeling = _choice_labels(models, process)
+    parts.choice_labeling = _choice_labels_for_storm(models, process)
     return models.SparseMdp[float](parts)
 
 
@@ -74,8 +74,8 @@ def write_umb(model: SSP, path: FilePath, *, start: Hashable) -> None:
     io.export_to_umb(found, str(path), options=options)
 
 
-def _matrix(stormpy: Any, process: Exported) -> Any:
-    """The transitions; the rows of a state are a group."""
+def _matrix_for_storm(stormpy: Any, process: Exported) -> Any:
+    """The transitions as Storm's matrix; the rows of a state are a group."""
     offsets, ends = process.pair_offsets, process.outcome_offsets
     n_states, n_pairs = offsets.size - 1, process.costs.size
     builder = stormpy.datastructures.SparseMatrixBuilder[float](
@@ -98,7 +98,8 @@ def _matrix(stormpy: Any, process: Exported) -> Any:
     return builder.build()
 
 
-def _state_labels(models: Any, process: Exported) -> Any:
+def _state_labels_for_storm(models: Any, process: Exported) -> Any:
+    """The labels of states, as Storm has them."""
     labels = models.StateLabeling(process.pair_offsets.size - 1)
     for name, members in process.labels.items():
         labels.add_label(name)
@@ -107,7 +108,8 @@ def _state_labels(models: Any, process: Exported) -> Any:
     return labels
 
 
-def _choice_labels(models: Any, process: Exported) -> Any:
+def _choice_labels_for_storm(models: Any, process: Exported) -> Any:
+    """The names of actions, as Storm's labels of choices."""
     labels = models.ChoiceLabeling(process.costs.size)
     for name in dict.fromkeys(process.actions):
         labels.add_label(name)

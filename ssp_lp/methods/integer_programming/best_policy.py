@@ -32,7 +32,7 @@ from dataclasses import replace
 
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.methods.integer_programming.search import best_single_policy
-from ssp_lp.methods.refinement import Outcome
+from ssp_lp.methods.refinement import RefinedOutcome
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.solution import Solution
 
@@ -40,7 +40,7 @@ _OPEN = 1e-6  # relative gap from which determinism is said to cost at most so m
 
 
 def best_deterministic(
-    mixed: Solution, outcome: Outcome, tolerance: float, deadline: float
+    mixed: Solution, outcome: RefinedOutcome, tolerance: float, deadline: float
 ) -> Solution:
     """The best single deterministic policy, beside the best lottery.
 

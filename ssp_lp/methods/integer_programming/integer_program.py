@@ -44,7 +44,7 @@ _OVER = {
 }
 
 
-def _run(solver: highspy.Highs) -> None:
+def _run_integer_program(solver: highspy.Highs) -> None:
     """Run HiGHS beside this thread, which so hears of Ctrl-C and ends it."""
     solver.startSolve()
     try:
@@ -142,7 +142,7 @@ class IntegerProgram:
         solver, n = self._solver, self.process.n_pairs
         solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
         solver.changeColsCost(n, np.arange(n, dtype=np.int32), cost)
-        _run(solver)
+        _run_integer_program(solver)
         status, info = solver.getModelStatus(), solver.getInfo()
         if status in _OVER:
             return IntegerAnswer(None, None, np.inf, finished=True)
@@ -172,7 +172,7 @@ _EACH = 400  # states up to which each gets a program of its own
 def most_visits(
     process: ExplicitProcess, budget: float, most: float, ratio: float, deadline: float
 ) -> FloatArray | None:
-    """Bound the expected visits of each state over all policies within a limit, [states].
+    """Bound the visits that an integer program allows each state, over all policies, [states].
 
     States out of reach get 0. Where no state can be visited twice all others get 1. Else one
     linear program finds the greatest expected number of visits of all states together, and, where
@@ -199,21 +199,25 @@ def most_visits(
     n_parts, _ = csgraph.connected_components(steps, directed=True, connection="strong")
     if n_parts == process.n_states and not steps.diagonal().any():
         return np.where(reached, once, 0.0)
-    solver = _prepared(process, budget, most, ratio)
-    total = _greatest(solver, np.ones(process.n_pairs), deadline)
+    solver = _prepared_integer_program(process, budget, most, ratio)
+    total = _greatest_by_integers(solver, np.ones(process.n_pairs), deadline)
     if total is None:
         return None
     visits = np.where(reached, total, 0.0)
     decided = np.flatnonzero(reached & (np.diff(process.pair_offsets) > 1))
     for state in decided if decided.size <= _EACH else ():
-        own = _greatest(solver, (process.pair_state == state).astype(np.float64), deadline)
+        own = _greatest_by_integers(
+            solver, (process.pair_state == state).astype(np.float64), deadline
+        )
         if own is None:
             return visits
         visits[state] = min(own, total)
     return visits
 
 
-def _prepared(process: ExplicitProcess, budget: float, most: float, ratio: float) -> highspy.Highs:
+def _prepared_integer_program(
+    process: ExplicitProcess, budget: float, most: float, ratio: float
+) -> highspy.Highs:
     """The policies within the limit, as a program whose objective is still to be said."""
     program = occupation_program(process, budget + _ROOM, ratio=False)
     lp = highs_lp(program)
@@ -231,8 +235,10 @@ def _prepared(process: ExplicitProcess, budget: float, most: float, ratio: float
     return solver
 
 
-def _greatest(solver: highspy.Highs, counted: FloatArray, deadline: float) -> float | None:
-    """The greatest expected number of counted steps, with a margin; None: out of time."""
+def _greatest_by_integers(
+    solver: highspy.Highs, counted: FloatArray, deadline: float
+) -> float | None:
+    """For the integer program, the greatest expected number of counted steps, with a margin."""
     left = deadline - time.perf_counter()
     if left <= 0.0:
         return None

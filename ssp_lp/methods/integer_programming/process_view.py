@@ -55,16 +55,17 @@ def process_view(compiled: CompiledProblem, price: float) -> ProcessView:
     """
     here = compiled.for_program()
     if isinstance(here, CompiledFailureLabel):
-        return _of_case_m(here, price)
+        return _view_of_case_m(here, price)
     if isinstance(here, CompiledAccumulatedCost):
-        return _of_case_s(here, price)
+        return _view_of_case_s(here, price)
     raise ModelError(f"policy_class='deterministic' does not know {type(compiled).__name__}")
 
 
-def _of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
+def _view_of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
+    """The view of a process in case M."""
     pricing = compiled.pricing()
     process = pricing.process
-    _check_size(process.n_pairs)
+    _check_view_size(process.n_pairs)
     best = pricing.minimise(price)
     free = np.zeros(process.n_states, dtype=np.bool_)
     merged = _merged_nodes(compiled.labelled.quotient)
@@ -79,10 +80,11 @@ def _of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
     )
 
 
-def _of_case_s(compiled: CompiledAccumulatedCost, price: float) -> ProcessView:
+def _view_of_case_s(compiled: CompiledAccumulatedCost, price: float) -> ProcessView:
+    """The view of a process in case S, layer by layer."""
     layered, pricing = compiled.process, compiled.pricing()
     base, cap = layered.base, layered.cap
-    _check_size(cap * len(base.gain))
+    _check_view_size(cap * len(base.gain))
     process = compiled.explicit()
     beyond = np.arange((base.width - 1) * base.n_nodes) + cap * base.n_nodes
     free = np.zeros(process.n_states, dtype=np.bool_)
@@ -99,14 +101,14 @@ def _of_case_s(compiled: CompiledAccumulatedCost, price: float) -> ProcessView:
     return ProcessView(
         compiled=compiled,
         process=process,
-        outer=_with_loose_tails(process, layered, beyond),
+        outer=_view_with_loose_tails(process, layered, beyond),
         free=free & within_reach(steps_between(process), process.start > 0),
         safe=compiled.explicit_choice(pricing.minimise(price)),
         measure=measure,
     )
 
 
-def _with_loose_tails(
+def _view_with_loose_tails(
     process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
 ) -> ExplicitProcess:
     """Replace the tails by the greatest and the least success, which cost what has been paid.
@@ -127,12 +129,13 @@ def _with_loose_tails(
 
 
 def _merged_nodes(quotient: Quotient) -> BoolArray:
-    """Nodes that stand for a collapsed component of several states, [nodes]."""
+    """Nodes of the process viewed that stand for a component of several states, [nodes]."""
     members = np.bincount(quotient.node_of[quotient.merged], minlength=quotient.n_nodes)
     return np.asarray(members > 1)
 
 
-def _check_size(n_pairs: int) -> None:
+def _check_view_size(n_pairs: int) -> None:
+    """Raise :class:`ModelError` where the view of a process is too large for an integer program."""
     if n_pairs > _MOST_PAIRS:
         raise ModelError(
             f"policy_class='deterministic': a mixed-integer program of {n_pairs:,} pairs is too "
@@ -141,7 +144,7 @@ def _check_size(n_pairs: int) -> None:
 
 
 def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
-    """States to which a path leads, the first ones included, [states]."""
+    """States of a process viewed to which a path leads, the first ones included, [states]."""
     n = len(start)
     first = sp.csr_array(start.astype(np.float64)[None, :])
     below = sp.vstack([steps, first])
@@ -153,7 +156,7 @@ def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
 
 
 def steps_between(process: ExplicitProcess) -> sp.csr_array:
-    """Steps between states by whatever pair, [states, states]."""
+    """Steps between states of a process viewed, by whatever pair, [states, states]."""
     of_state = sp.csr_array(
         (np.ones(process.n_pairs), np.arange(process.n_pairs), process.pair_offsets),
         shape=(process.n_states, process.n_pairs),

@@ -9,7 +9,7 @@ import scipy.sparse as sp
 from scipy.sparse import linalg
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.column_generation.failure_row import Row, relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.generation import Generated
 from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.methods.assembling import Found
@@ -19,7 +19,7 @@ from ssp_lp.methods.integer_programming.integer_program import (
     most_visits,
 )
 from ssp_lp.methods.integer_programming.process_view import ProcessView, process_view, within_reach
-from ssp_lp.methods.refinement import Outcome
+from ssp_lp.methods.refinement import RefinedOutcome
 from ssp_lp.processes.explicit import ExplicitProcess
 
 _ROUNDING = 1e-13
@@ -34,11 +34,11 @@ _REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
 
 
 @dataclass(eq=False)
-class _Search:
+class _PolicySearch:
     """The best policy so far, and the view that it is measured on."""
 
     view: ProcessView
-    row: Row
+    row: FailureRow
     best: Found  # its bound holds of every policy
     tolerance: float  # relative
     deadline: float
@@ -56,7 +56,7 @@ class _Search:
             return False
         kept = False
         for column in self.view.measure(whole):
-            if column.failure > _allowed(self.row):
+            if column.failure > _allowed_in_search(self.row):
                 continue
             kept, value = True, self.row.objective(column.cost, column.goal)
             if value <= self.best.value:
@@ -80,7 +80,9 @@ class _Search:
         return np.where(reached, choice, self.view.safe), reached
 
 
-def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> tuple[Found, bool]:
+def best_single_policy(
+    outcome: RefinedOutcome, tolerance: float, deadline: float
+) -> tuple[Found, bool]:
     """Search for the best deterministic policy, stationary in the states of the process.
 
     The search begins with the best member of the best lottery that keeps to the budget and the
@@ -98,7 +100,7 @@ def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> t
         ModelError: the process is of no known kind, or too large.
     """
     found, row, pricing = outcome.found, outcome.row, outcome.compiled.pricing()
-    inside = [c for c in found.columns if c.failure <= _allowed(row)]
+    inside = [c for c in found.columns if c.failure <= _allowed_in_search(row)]
     first = min(inside, key=lambda c: row.objective(c.cost, c.goal))
     value = row.objective(first.cost, first.goal)
     start = Found(pricing.policy(first), value, found.lower_bound, first.failure)
@@ -109,34 +111,34 @@ def best_single_policy(outcome: Outcome, tolerance: float, deadline: float) -> t
     except STOPS as stop:
         heed(stop)
         return start, False
-    search = _Search(view, row, start, tolerance, deadline)
+    search = _PolicySearch(view, row, start, tolerance, deadline)
     try:
-        return _searched(search, found)
+        return _searched_policy(search, found)
     except STOPS as stop:
         heed(stop)
         return search.best, False
 
 
-def _searched(search: _Search, found: Generated) -> tuple[Found, bool]:
+def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
     """The walk and the programs; the best policy so far is kept by the search."""
     view, tolerance = search.view, search.tolerance
-    _walk_between(search, found.price)
+    _search_between(search, found.price)
     if relative_gap(search.best.value, found.lower_bound) <= tolerance:
         return search.best, True
-    bound, finished = _minimised(search, view.process, is_outer=False)
+    bound, finished = _minimised_in_search(search, view.process, is_outer=False)
     if view.free.any():
-        bound, finished = _minimised(search, view.outer, is_outer=True)
+        bound, finished = _minimised_in_search(search, view.outer, is_outer=True)
     best = search.best
     return replace(best, bound=min(max(bound, found.lower_bound), best.value)), finished
 
 
-def _allowed(row: Row) -> float:
+def _allowed_in_search(row: FailureRow) -> float:
     """The budget with its rounding."""
     return row.budget + min(_ROUNDING, _SMALL * row.budget)
 
 
-def _walk_between(search: _Search, price: float) -> None:
-    """Begin with policies between two, as near to the budget as changing states allows.
+def _search_between(search: _PolicySearch, price: float) -> None:
+    """Begin the search with policies between two, as near to the budget as changing states allows.
 
     The two that are best at prices just beside the lottery's are both optimal at it, and so is
     every policy that follows the one in some states and the other elsewhere: of these, the one that
@@ -153,10 +155,10 @@ def _walk_between(search: _Search, price: float) -> None:
         differing = np.flatnonzero(safe != risky)
         for order in (differing, differing[::-1]):
             if search.offer(safe):
-                _walk(search, safe, risky, order)
+                _search_walk(search, safe, risky, order)
 
 
-def _walk(search: _Search, safe: IntArray, risky: IntArray, order: IntArray) -> None:
+def _search_walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: IntArray) -> None:
     """Change states in order while that keeps to the budget, by bisection; skip one that does not.
 
     Args:
@@ -170,21 +172,23 @@ def _walk(search: _Search, safe: IntArray, risky: IntArray, order: IntArray) -> 
         kept, broken = 0, order.size + 1  # states changed, and too many
         while broken - kept > 1 and not is_late():
             middle = (kept + broken) // 2
-            within = search.offer(_changed(here, risky, order[:middle]))
+            within = search.offer(_changed_in_search(here, risky, order[:middle]))
             kept, broken = (middle, broken) if within else (kept, middle)
-        here, order = _changed(here, risky, order[:kept]), order[kept + 1 :]
+        here, order = _changed_in_search(here, risky, order[:kept]), order[kept + 1 :]
         if order.size == 0:
             return
 
 
-def _changed(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
+def _changed_in_search(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
     """The first choice, in some states the second, [states]."""
     changed = first.copy()
     changed[states] = second[states]
     return changed
 
 
-def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> tuple[float, bool]:
+def _minimised_in_search(
+    search: _PolicySearch, process: ExplicitProcess, *, is_outer: bool
+) -> tuple[float, bool]:
     """A lower bound of what policies of a process attain, and whether the search was finished.
 
     Case S by Dinkelbach's iteration. Where no policy is worth less than D >= -1 at the price c of
@@ -201,7 +205,7 @@ def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> 
     if visits is None:
         return 0.0, False
     free = search.view.free if is_outer else np.zeros_like(search.view.free)
-    program = IntegerProgram(process, _allowed(row), visits, free)
+    program = IntegerProgram(process, _allowed_in_search(row), visits, free)
     if not row.ratio:
         program.stop_at(search.tolerance)
     if program.pairs.size == 0:
@@ -209,19 +213,21 @@ def _minimised(search: _Search, process: ExplicitProcess, *, is_outer: bool) -> 
     ratio, bound = known if row.ratio else 0.0, 0.0
     for _ in range(_RATIOS):
         cost = process.cost - ratio * process.goal
-        _begin(search, program, cost)
-        answer = _answered(search, program, cost, is_outer=is_outer)
-        bound = max(bound, min(_bound(row, ratio, answer.bound), known))
+        _begin_policy_search(search, program, cost)
+        answer = _searched_program(search, program, cost, is_outer=is_outer)
+        bound = max(bound, min(_bound_of_search(row, ratio, answer.bound), known))
         if not answer.finished:
             return bound, False
-        better = _ratio(process, answer.x) if row.ratio and answer.x is not None else ratio
+        better = (
+            _ratio_in_search(process, answer.x) if row.ratio and answer.x is not None else ratio
+        )
         if not better < ratio * (1.0 - _DUAL):
             return bound, True
         ratio = better
     return bound, False
 
 
-def _begin(search: _Search, program: IntegerProgram, cost: FloatArray) -> None:
+def _begin_policy_search(search: _PolicySearch, program: IntegerProgram, cost: FloatArray) -> None:
     """Begin at the best policy so far, where it is one of the process's."""
     choice = search.choice
     if choice is None:
@@ -233,8 +239,8 @@ def _begin(search: _Search, program: IntegerProgram, cost: FloatArray) -> None:
     program.start_at(x, choice)
 
 
-def _answered(
-    search: _Search, program: IntegerProgram, cost: FloatArray, *, is_outer: bool
+def _searched_program(
+    search: _PolicySearch, program: IntegerProgram, cost: FloatArray, *, is_outer: bool
 ) -> IntegerAnswer:
     """Solve, and solve again without each policy that breaks the budget when it is measured."""
     while True:
@@ -247,7 +253,7 @@ def _answered(
         program.forbid(answer.choice, search.completed(answer.choice)[1])
 
 
-def _bound(row: Row, ratio: float, value: float) -> float:
+def _bound_of_search(row: FailureRow, ratio: float, value: float) -> float:
     """The objective's bound from the least ``cost - ratio * goal`` of any policy."""
     if not np.isfinite(value):
         return value
@@ -259,6 +265,7 @@ def _bound(row: Row, ratio: float, value: float) -> float:
     return max(ratio + safe / share, 0.0) if share > 0.0 else 0.0
 
 
-def _ratio(process: ExplicitProcess, x: FloatArray) -> float:
+def _ratio_in_search(process: ExplicitProcess, x: FloatArray) -> float:
+    """The cost given success of visits that the search found."""
     goal = float(process.goal @ x)
     return float(process.cost @ x) / goal if goal > 0.0 else np.inf

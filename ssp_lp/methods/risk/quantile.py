@@ -14,7 +14,7 @@ from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.risk.question import Near, Question, Trial, question_remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import Problem
-from ssp_lp.processes.layered.charges import Late
+from ssp_lp.processes.layered.charges import LateCharge
 from ssp_lp.solution import Run, Solution
 
 
@@ -40,16 +40,16 @@ def least_quantile(
     Raises:
         ModelError: the quantile lies beyond the largest table of costs.
     """
-    kept, (low, refuted, high), calls = _searched(question, level, options, near)
+    kept, (low, refuted, high), calls = _searched_quantile(question, level, options, near)
     if not question.thresholds.sharp:
-        refuted, more = _greatest_refuted(question, level, options, refuted, low)
+        refuted, more = _greatest_refuted_quantile(question, level, options, refuted, low)
         calls += more
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
     found = Found(
         policy=kept.policy,
         value=objective,
-        bound=min(_beyond(question, refuted), objective),
+        bound=min(_beyond_quantile(question, refuted), objective),
         failure=1.0 - law.goal,
         note=question_remarks(question, in_time=high - low <= 1),
     )
@@ -57,10 +57,10 @@ def least_quantile(
     return assembled(problem, found, Run(options.method, reason, calls, 0.0))
 
 
-def _searched(
+def _searched_quantile(
     question: Question, level: float, options: SolveOptions, near: Near | None
 ) -> tuple[Trial, tuple[int, int, int], int]:
-    """A trial that keeps to its bound, and the calls that it took.
+    """A quantile's trial that keeps to its bound, and the calls that it took.
 
     With it the numbers of bounds: the greatest that is too low, that is proved so, and the kept.
     """
@@ -74,25 +74,25 @@ def _searched(
         if kept is not None and low < 0 < step:  # from what is near, in longer steps
             middle, step = max(middle, high - step), 2 * step
         try:
-            trial = question.attempt(Late(places.total(middle)), options, kappa)
+            trial = question.attempt(LateCharge(places.total(middle)), options, kappa)
         except STOPS as stop:
             heed(stop)
             if kept is None:
-                raise Stop(told=_known(question, refuted)) from stop
+                raise Stop(told=_known_of_quantile(question, refuted)) from stop
             break
         calls, kappa = calls + trial.calls, trial.kappa if near is not None else 0.0
-        if trial.value <= _allowed(level):
+        if trial.value <= _allowed_beyond_quantile(level):
             kept, high = trial, middle
         else:
-            low, refuted = middle, middle if _is_refuted(trial, level) else refuted
+            low, refuted = middle, middle if _is_refuted_quantile(trial, level) else refuted
             high = 2 * middle + 1 if kept is None else high
         late = is_late()
         if late and kept is None:
-            raise Stop(told=_known(question, refuted))
+            raise Stop(told=_known_of_quantile(question, refuted))
     return kept, (low, refuted, high), calls
 
 
-def _greatest_refuted(
+def _greatest_refuted_quantile(
     question: Question, level: float, options: SolveOptions, refuted: int, low: int
 ) -> tuple[int, int]:
     """The greatest number up to ``low`` that a proof refutes, as far as time allows; the calls."""
@@ -100,18 +100,18 @@ def _greatest_refuted(
     while low - refuted > 1 and not is_late():
         middle = (low + refuted) // 2
         try:
-            trial = question.attempt(Late(question.thresholds.total(middle)), options)
+            trial = question.attempt(LateCharge(question.thresholds.total(middle)), options)
         except STOPS as stop:
             heed(stop)
             break
-        calls, is_low = calls + trial.calls, _is_refuted(trial, level)
+        calls, is_low = calls + trial.calls, _is_refuted_quantile(trial, level)
         low, refuted = (low, middle) if is_low else (middle, refuted)
     return refuted, calls
 
 
-def _known(question: Question, refuted: int) -> str:
+def _known_of_quantile(question: Question, refuted: int) -> str:
     """What is known while no bound was found that some policy keeps to."""
-    return f"no policy's quantile lies below {_beyond(question, refuted):g}"
+    return f"no policy's quantile lies below {_beyond_quantile(question, refuted):g}"
 
 
 def quantile_bound(
@@ -126,14 +126,14 @@ def quantile_bound(
         options: tolerance and limits.
     """
     below = question.thresholds.number(quantile) - 1
-    if below < 0 or not _is_refuted(
-        question.attempt(Late(question.thresholds.total(below)), options), level
+    if below < 0 or not _is_refuted_quantile(
+        question.attempt(LateCharge(question.thresholds.total(below)), options), level
     ):
         return 0.0
-    return _beyond(question, below)
+    return _beyond_quantile(question, below)
 
 
-def _beyond(question: Question, refuted: int) -> float:
+def _beyond_quantile(question: Question, refuted: int) -> float:
     """The least total that can occur beyond one that is refuted; -1: none is."""
     places = question.thresholds
     if places.sharp:
@@ -141,7 +141,7 @@ def _beyond(question: Question, refuted: int) -> float:
     return places.total(refuted) if refuted >= 0 else 0.0
 
 
-def _allowed(level: float) -> float:
+def _allowed_beyond_quantile(level: float) -> float:
     """The share of the successes that may lie beyond the quantile, with the slack of its law.
 
     Below 1, however low the level: some success must be in time, beyond what may be rounding.
@@ -149,6 +149,6 @@ def _allowed(level: float) -> float:
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
 
 
-def _is_refuted(trial: Trial, level: float) -> bool:
+def _is_refuted_quantile(trial: Trial, level: float) -> bool:
     """Whether a proof says that no policy has its quantile at the trial's bound."""
-    return trial.lower_bound > _allowed(level)
+    return trial.lower_bound > _allowed_beyond_quantile(level)

@@ -16,19 +16,19 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.column_generation.failure_row import Row
+from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.initial_columns import DualGuess
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import refined_optimum
-from ssp_lp.methods.risk.thresholds import Multiples, SumsThatOccur, Thresholds
-from ssp_lp.methods.rows.lottery import Truth, taken
-from ssp_lp.methods.rows.optimum import rows_optimum
+from ssp_lp.methods.risk.thresholds import ThresholdMultiples, Thresholds, ThresholdSums
+from ssp_lp.methods.rows.lottery import Truth, taken_by_lottery
 from ssp_lp.methods.rows.proof import bound_at
+from ssp_lp.methods.rows.rows_optimum import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, by_rows, compiled_constrained
-from ssp_lp.processes.layered.charges import Charge, Excess, Late, TotalCost
+from ssp_lp.processes.layered.charges import Charge, ExcessCharge, LateCharge, TotalCostCharge
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT
 
@@ -59,7 +59,7 @@ class Near(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class _WithinBudget:
+class _QuestionWithinBudget:
     """Failure alone is limited."""
 
     compiled: CompiledArrivalCost  # of the total cost
@@ -71,8 +71,8 @@ class _WithinBudget:
     def thresholds(self) -> Thresholds:
         """The totals that can occur."""
         if self.compiled.by_sums:
-            return SumsThatOccur(self.compiled.model)
-        return Multiples(self.compiled.base.exact_unit)
+            return ThresholdSums(self.compiled.model)
+        return ThresholdMultiples(self.compiled.base.exact_unit)
 
     @property
     def allowed(self) -> float:
@@ -129,13 +129,13 @@ class _WithinBudget:
         if self.budget is None:
             proof = compiled.pricing().prove(0.0)
             return max(proof.bound, 0.0) / min(float(compiled.start @ compiled.greatest.bound), 1.0)
-        return Row(self.budget, ratio=True).lower_bound(
+        return FailureRow(self.budget, ratio=True).lower_bound(
             compiled.pricing().prove(kappa, slack=slack)
         )
 
 
 @dataclass(frozen=True, eq=False)
-class _WithinRows:
+class _QuestionWithinRows:
     """Other quantities are limited, too."""
 
     problem: Problem
@@ -145,12 +145,12 @@ class _WithinRows:
     def thresholds(self) -> Thresholds:
         """The totals that can occur, or those of a grid."""
         if self.compiled.rungs is None:
-            return Multiples(self.compiled.base.exact_unit)
+            return ThresholdMultiples(self.compiled.base.exact_unit)
         try:
-            found = SumsThatOccur(self.compiled.model)
+            found = ThresholdSums(self.compiled.model)
             found.number(_AHEAD * self.compiled.typical_cost)
         except ModelError:
-            return Multiples(Fraction(self.compiled.typical_cost / _FINE), sharp=False)
+            return ThresholdMultiples(Fraction(self.compiled.typical_cost / _FINE), sharp=False)
         return found
 
     @property
@@ -190,32 +190,32 @@ class _WithinRows:
 
         def value(policy: MixedPolicy) -> float:
             law = success_costs(policy, self.problem)
-            return _expected(charge, law) / law.goal
+            return _expected_in_question(charge, law) / law.goal
 
         def figures(policy: Policy) -> FloatArray:
             law, found = success_costs(policy, self.problem), evaluate(policy, self.problem)
-            spent = taken(self.compiled, found)
-            return np.array([_expected(charge, law), found.failure_probability, *spent])
+            spent = taken_by_lottery(self.compiled, found)
+            return np.array([_expected_in_question(charge, law), found.failure_probability, *spent])
 
         return Truth(value, figures)
 
 
-Question = _WithinBudget | _WithinRows
+Question = _QuestionWithinBudget | _QuestionWithinRows
 """The policies among which the least risk is sought."""
 
 
-def _expected(charge: Charge, law: CostLaw) -> float:
+def _expected_in_question(charge: Charge, law: CostLaw) -> float:
     """E[charge; goal].
 
     Raises:
         ModelError: no charge of a risk.
     """
     match charge:
-        case TotalCost():
+        case TotalCostCharge():
             return law.cost
-        case Late(bound):
+        case LateCharge(bound):
             return law.goal - law.within(bound)
-        case Excess(threshold, share):
+        case ExcessCharge(threshold, share):
             return threshold * law.goal + law.excess(threshold) / share
     raise ModelError(f"{charge!r} is no charge of a risk")
 
@@ -233,7 +233,7 @@ def question_of(problem: Problem) -> Question:
         ModelError: the problem is not compiled to accumulated costs.
     """
     if by_rows(problem):
-        return _WithinRows(problem, compiled_constrained(problem).settled())
+        return _QuestionWithinRows(problem, compiled_constrained(problem).settled())
     compiled = problem.compile()
     if not isinstance(compiled, CompiledArrivalCost):
         raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
@@ -253,13 +253,13 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
     column = checked_least_failure(compiled, budget).column
     least = column.failure
     if budget is not None and budget > least + _ROUNDING * column.goal:
-        return _WithinBudget(compiled, budget, least)
+        return _QuestionWithinBudget(compiled, budget, least)
     note = ""
     if budget is not None and budget != least:
         side = "below" if budget < least else "above"
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return _WithinBudget(compiled.safest(), None, least, note)
+    return _QuestionWithinBudget(compiled.safest(), None, least, note)
 
 
 def question_remarks(question: Question, *, in_time: bool) -> str:

@@ -34,7 +34,7 @@ from ssp_lp.methods.risk.question import Near, Question, Trial, question_remarks
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.processes.layered.charges import Excess
+from ssp_lp.processes.layered.charges import ExcessCharge
 from ssp_lp.solution import Run, Solution
 
 _TIED = 1e-12  # relative difference of values that is rounding
@@ -44,7 +44,7 @@ _NEAR = 0.02  # relative distance of prices at which trying others ends
 
 
 @dataclass(frozen=True, eq=False)
-class Best:
+class BestTailMean:
     """The least value so far, who attains it, and what its search took."""
 
     value: float
@@ -63,14 +63,14 @@ class Best:
 
 
 @dataclass(eq=False)
-class _Search:
+class _TailMeanSearch:
     """A search over thresholds. Mutable: it learns."""
 
     problem: Problem
     question: Question
     level: float
     options: SolveOptions
-    best: Best | None = None
+    best: BestTailMean | None = None
     tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
     kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
     sweeps: int = 0
@@ -80,10 +80,10 @@ class _Search:
         """Whether there is time left."""
         return not is_late()
 
-    def attempt(self, threshold: int) -> Best:
+    def attempt(self, threshold: int) -> BestTailMean:
         """The better of the best so far and the best policy at a threshold."""
         best = self.best
-        charge = Excess(self.question.thresholds.total(threshold), 1.0 - self.level)
+        charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
         trial = self.question.attempt(charge, self.options, self._kappa(threshold))
         self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
         law = success_costs(trial.policy, self.problem)
@@ -95,7 +95,7 @@ class _Search:
             self.best = replace(best, calls=calls)
         else:
             found = value, trial.policy, 1.0 - law.goal, quantile, trial.kappa, calls
-            self.best = Best(*found, trial.prices)
+            self.best = BestTailMean(*found, trial.prices)
         return self.best
 
     def refuted(self, first: int, last: int) -> float:
@@ -104,7 +104,7 @@ class _Search:
         Of a single one the price of failure is sought that proves most: the bound is concave in it.
         """
         places, middle = self.question.thresholds, (first + last) // 2
-        charge = Excess(places.total(last), 1.0 - self.level, places.total(first))
+        charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
         kappa = self._kappa(middle)
         bound = self._swept(charge, middle, kappa)
         if first < last or self.question.budget is None or kappa <= 0.0:
@@ -126,7 +126,7 @@ class _Search:
         """The value that thresholds must not fall below."""
         return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
 
-    def _swept(self, charge: Excess, threshold: int, kappa: float) -> float:
+    def _swept(self, charge: ExcessCharge, threshold: int, kappa: float) -> float:
         """The bound at a guess of what failing is worth."""
         near, target = self._nearest(threshold), self.target
         prices: Mapping[str, float] = {} if near is None else near.prices
@@ -165,8 +165,8 @@ def least_tail_mean(
         options: method, tolerance and limits.
         near: where the best threshold may be; None: unknown.
     """
-    search = _Search(problem, question, level, options)
-    best, bound = _proved(search, near)
+    search = _TailMeanSearch(problem, question, level, options)
+    best, bound = _proved_tail_mean(search, near)
     sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
     reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
@@ -195,10 +195,12 @@ def tail_mean_bound(
         level: in [0, 1).
         options: tolerance and limits.
     """
-    return _proved(_Search(problem, question, level, options))[1]
+    return _proved_tail_mean(_TailMeanSearch(problem, question, level, options))[1]
 
 
-def _proved(search: _Search, near: Near | None = None) -> tuple[Best, float]:
+def _proved_tail_mean(
+    search: _TailMeanSearch, near: Near | None = None
+) -> tuple[BestTailMean, float]:
     """The best policy, and a lower bound of every policy's tail mean."""
     places, best = search.question.thresholds, search.attempt(0)
     whole = search.tried[0].lower_bound
@@ -223,14 +225,16 @@ def _proved(search: _Search, near: Near | None = None) -> tuple[Best, float]:
     ]
     while weakest and search.in_time and weakest[0][0] < search.target:
         try:
-            _split(search, weakest, bounds)
+            _split_thresholds(search, weakest, bounds)
         except STOPS as stop:
             heed(stop)
     best = search.best or best
     return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
 
 
-def _split(search: _Search, weakest: list[tuple[float, int, int]], bounds: list[float]) -> None:
+def _split_thresholds(
+    search: _TailMeanSearch, weakest: list[tuple[float, int, int]], bounds: list[float]
+) -> None:
     """Refute the interval of the least bound, or halve it; of one threshold a policy is found.
 
     Args:

@@ -10,11 +10,11 @@ import numpy as np
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.processes.totals.sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
 
 
 @dataclass(frozen=True)
-class Multiples:
+class ThresholdMultiples:
     """Multiples of a unit: of all costs, or, not sharp, of a grid."""
 
     unit: Fraction
@@ -29,7 +29,7 @@ class Multiples:
         return round(total / float(self.unit))
 
 
-class SumsThatOccur:
+class ThresholdSums:
     """Sums of steps of which the last one leads into the goal. Mutable: they are found as needed.
 
     Raises:
@@ -67,7 +67,7 @@ class SumsThatOccur:
         return above - 1 if nearer_below else above
 
     def _found(self) -> FloatArray:
-        """All of them up to the cap."""
+        """All sums up to the cap that a threshold may be."""
         sums = sums_in(self._model, self._cap, MOST_SUMS)
         if sums is None:
             raise ModelError(f"more than {MOST_SUMS:,} sums of costs lie below {self._cap:g}")
@@ -77,5 +77,5 @@ class SumsThatOccur:
         return np.asarray(every[np.diff(every, prepend=-np.inf) > room])
 
 
-Thresholds = Multiples | SumsThatOccur
+Thresholds = ThresholdMultiples | ThresholdSums
 """Totals, each with its number, 0, 1, ..."""

@@ -95,30 +95,30 @@ def true_lottery(
     Returns:
         None where none of them keeps to the rows: the grid is too coarse.
     """
-    policies = _candidates(compiled, rows, pool, weights)
+    policies = _lottery_candidates(compiled, rows, pool, weights)
     true = np.stack([figures(policy) for policy in policies], axis=1)
-    taken, limits = true[rows.index], (rows.bounds, rows.scales)
+    taken_by_lottery, limits = true[rows.index], (rows.bounds, rows.scales)
     cost, failure = true[0], true[1]
-    nearest = solve_master(cost, taken, *limits, elastic=True)
-    if (taken @ nearest.weights > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
+    nearest = solve_master(cost, taken_by_lottery, *limits, elastic=True)
+    if (taken_by_lottery @ nearest.weights > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
         return None
     chosen = nearest.weights
     if not compiled.ratio:
-        chosen = solve_master(cost, taken, *limits, elastic=False).weights
-        return _lottery(policies, chosen), float(failure @ chosen)
-    ratio = _ratio(cost, failure, chosen)
+        chosen = solve_master(cost, taken_by_lottery, *limits, elastic=False).weights
+        return _lottery_of(policies, chosen), float(failure @ chosen)
+    ratio = _ratio_of_lottery(cost, failure, chosen)
     if not np.isfinite(ratio):
         ratio = float((cost / np.maximum(1.0 - failure, 1e-300)).max()) + 1.0
     for _ in range(_TRUE_RATIOS):
-        found = solve_master(cost + ratio * failure, taken, *limits, elastic=False)
-        attained = _ratio(cost, failure, found.weights)
+        found = solve_master(cost + ratio * failure, taken_by_lottery, *limits, elastic=False)
+        attained = _ratio_of_lottery(cost, failure, found.weights)
         if not attained < ratio * (1.0 - _TRUE_SETTLED):
             break
         chosen, ratio = found.weights, attained
-    return _lottery(policies, chosen), float(failure @ chosen)
+    return _lottery_of(policies, chosen), float(failure @ chosen)
 
 
-def _candidates(
+def _lottery_candidates(
     compiled: CompiledConstrained, rows: Rows, pool: Pool, weights: FloatArray
 ) -> list[Policy]:
     """The best policies of the search and, where something is limited, some of steeper prices.
@@ -140,18 +140,20 @@ def _candidates(
     return [pricing.policy(point) for point in points]
 
 
-def _lottery(policies: list[Policy], weights: FloatArray) -> MixedPolicy:
+def _lottery_of(policies: list[Policy], weights: FloatArray) -> MixedPolicy:
+    """The lottery of the policies that have a weight."""
     used = np.flatnonzero(weights > 0.0)
     return MixedPolicy(tuple(policies[k] for k in used.tolist()), weights[used])
 
 
-def _ratio(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:
+def _ratio_of_lottery(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:
+    """The cost given success of a lottery."""
     goal = 1.0 - float(failure @ weights)
     return float(cost @ weights) / goal if goal > 0.0 else float("inf")
 
 
 def truth_of(problem: Problem, stated: CompiledConstrained) -> Truth | None:
-    """What policies are worth on the model itself, where the process truncates them."""
+    """What the policies of a lottery are worth on the model itself, where tables truncate them."""
     if stated.charge is None:
         return None
 
@@ -168,12 +170,12 @@ def truth_of(problem: Problem, stated: CompiledConstrained) -> Truth | None:
         cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
         if not stated.ratio:
             cost = value(MixedPolicy((policy,), np.ones(1)))
-        return np.array([cost, failure, *taken(stated, found)])
+        return np.array([cost, failure, *taken_by_lottery(stated, found)])
 
     return Truth(value, figures)
 
 
-def taken(stated: CompiledConstrained, found: Evaluation) -> list[float]:
-    """What a policy takes of each row beside failure."""
+def taken_by_lottery(stated: CompiledConstrained, found: Evaluation) -> list[float]:
+    """What a policy of the lottery takes of each row beside failure."""
     spent = found.secondary_costs
     return [row.activity(spent[row.condition.name]) for row in stated.side]

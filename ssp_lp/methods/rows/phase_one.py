@@ -16,7 +16,7 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.pool import Pool, Rows
-from ssp_lp.column_generation.stabilised_master import StabilisedMaster, violation
+from ssp_lp.column_generation.stabilised_master import StabilisedMaster, violation_in_master
 from ssp_lp.compiled.deadline import Stop, closing
 from ssp_lp.errors import InfeasibleError, SolverError
 from ssp_lp.methods.assembling import Found
@@ -27,7 +27,7 @@ from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 
 
-def opening(
+def phase_one_opening(
     compiled: CompiledConstrained, stated: CompiledConstrained, options: SolveOptions
 ) -> StabilisedMaster:
     """The cheapest policy of all, and more until some lottery keeps to all rows (phase 1).
@@ -48,7 +48,7 @@ def opening(
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     _refuse_empty(compiled, stated, limited)
     rows = pool.rows(1 + limited, compiled.bounds[limited])
-    ended = generate(violation(pool, rows), options)
+    ended = generate(violation_in_master(pool, rows), options)
     if kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
         ratio = _first_ratio(pool, ended) if compiled.ratio else 0.0
@@ -56,7 +56,9 @@ def opening(
         return StabilisedMaster(pool, replace(raised, ratio=ratio), *at_none)
     if compiled.budget is None and stated.budget is not None:
         anyhow = replace(stated, budget=1.0)
-        opening(anyhow, anyhow, options)  # raises where the limits contradict each other anyhow
+        phase_one_opening(
+            anyhow, anyhow, options
+        )  # raises where the limits contradict each other anyhow
     with closing():
         first = proved_conflict(pool, rows, ended)
     if first is None and not ended.finished:
@@ -67,11 +69,11 @@ def opening(
             "rounding ended the search"
         )
     conflict = smallest_conflict(pool, rows, first, options)
-    raise _refusal(compiled, stated, conflict, rows)
+    raise _refusal_in_phase_one(compiled, stated, conflict, rows)
 
 
 def _first_ratio(pool: Pool, ended: Generated) -> float:
-    """A ratio to begin with: that of the known lottery, or some policy's."""
+    """A ratio for phase 1 to begin with: that of the known lottery, or some policy's."""
     attained = ended.ratio
     if np.isfinite(attained) and attained > 0.0:
         return attained
@@ -94,12 +96,12 @@ def _refuse_empty(
             raise InfeasibleError(
                 f"{compiled.told[k]!r} is 0 under every policy, {compiled.bounds[k]:.6g} allowed",
                 failure_budget=stated.budget,
-                least_failure=_least_failure(compiled, None),
+                least_failure=_least_failure_in_phase_one(compiled, None),
                 conflicting_rows=(compiled.names[k],),
             )
 
 
-def _refusal(
+def _refusal_in_phase_one(
     compiled: CompiledConstrained, stated: CompiledConstrained, conflict: Conflict, rows: Rows
 ) -> InfeasibleError:
     """The conflict as an error, with the least failure of all policies."""
@@ -117,13 +119,16 @@ def _refusal(
     return InfeasibleError(
         told,
         failure_budget=budget,
-        least_failure=_least_failure(compiled, None),
-        least_discounted_failure=None if discount is None else _least_failure(compiled, discount),
+        least_failure=_least_failure_in_phase_one(compiled, None),
+        least_discounted_failure=None
+        if discount is None
+        else _least_failure_in_phase_one(compiled, discount),
         conflicting_rows=tuple(named),
     )
 
 
-def _least_failure(compiled: CompiledConstrained, discount: float | None) -> float:
+def _least_failure_in_phase_one(compiled: CompiledConstrained, discount: float | None) -> float:
+    """The least failure of all policies, for phase 1."""
     reach = greatest_goal_reach(compiled.model, survival_of(discount)).goal
     return max(1.0 - float(compiled.start @ reach), 0.0)
 
@@ -141,7 +146,7 @@ class Conflict:
     allowed: float  # the sum that the bounds allow
 
     def told(self, names: list[str], bounds: FloatArray, every: str) -> str:
-        """The proof in words.
+        """The proof of phase 1's conflict in words.
 
         Args:
             names: of the rows of the conflict.
@@ -201,7 +206,7 @@ def smallest_conflict(pool: Pool, rows: Rows, first: Conflict, options: SolveOpt
         for some in combinations(range(len(rows.index)), size):
             tried += 1
             if tried > _MOST_SETS:
-                return _thinned(pool, rows, first, options)
+                return _thinned_conflict(pool, rows, first, options)
             found = _conflict_among(pool, rows, some, options)
             if found is not None:
                 return found
@@ -213,14 +218,14 @@ def _conflict_among(
 ) -> Conflict | None:
     """A conflict among some rows, by position among all; None where they can be kept together."""
     part = rows.among(some)
-    ended = generate(violation(pool, part), options)
+    ended = generate(violation_in_master(pool, part), options)
     found = None if kept_to(ended, part) else proved_conflict(pool, part, ended)
     if found is None:
         return None
     return Conflict(tuple(some[k] for k in found.rows), found.shares, found.least, found.allowed)
 
 
-def _thinned(pool: Pool, rows: Rows, first: Conflict, options: SolveOptions) -> Conflict:
+def _thinned_conflict(pool: Pool, rows: Rows, first: Conflict, options: SolveOptions) -> Conflict:
     """A conflict none of whose rows can be left out."""
     conflict = first
     for row in first.rows:
@@ -273,6 +278,6 @@ def begun_at_duals(
 
 
 def by_name(compiled: CompiledConstrained, rows: Rows, values: FloatArray) -> dict[str, float]:
-    """A value of each limited row, by its name."""
+    """A value of phase 1 for each limited row, by its name."""
     names = [compiled.names[index - 1] for index in rows.index.tolist()]
     return dict(zip(names, values.tolist(), strict=True))

@@ -108,7 +108,7 @@ def rows_bound(
 
 
 def bound_at(compiled: CompiledConstrained, prices: Mapping[str, float], ratio: float) -> float:
-    """A certified lower bound of every lottery within the rows, at prices by name.
+    """A proof of a lower bound of every lottery within the rows, at prices by name.
 
     Args:
         compiled: the problem, settled.

@@ -144,14 +144,14 @@ class Taken(NamedTuple):
     end: IntArray  # 0 goes on, 1 goal, 2 .. dead-ends
 
 
-def take_step(
+def take_step_in_world(
     model: ContinuousModel,
     point: Coordinates,
     action: int,
     noise: Coordinates,
     shape: tuple[int, ...],
 ) -> Taken:
-    """Take a step from many points.
+    """Take a step of a continuous model from many points.
 
     Args:
         model: the world.
@@ -164,7 +164,9 @@ def take_step(
         ModelError: the step function's answer is of a wrong form, or it leaves the box.
     """
     name = model.actions[action]
-    coordinates, cost, end = _read(model.step(point, name, noise), len(model.grid.axes), shape)
+    coordinates, cost, end = _read_world(
+        model.step(point, name, noise), len(model.grid.axes), shape
+    )
     who = _Culprit(f"action {name!r}", point, shape)
     last = 1 + len(model.dead_ends)
     if end.min(initial=0) < 0 or end.max(initial=0) > last:
@@ -173,16 +175,16 @@ def take_step(
     heights = model.grid.heights(coordinates)
     missed = model.grid.misses(heights)
     if missed.any():
-        end = _stray(model, missed & (end == 0), coordinates, end, who)
+        end = _stray_in_world(model, missed & (end == 0), coordinates, end, who)
         axes = zip(model.grid.axes, heights, strict=True)
         heights = tuple(np.where(axis.misses(h), 0.0, h) for axis, h in axes)
     return Taken(coordinates, heights, cost, end)
 
 
-def _read(
+def _read_world(
     answer: Any, n_axes: int, shape: tuple[int, ...]
 ) -> tuple[Coordinates, FloatArray, IntArray]:
-    """Coordinates, cost and end of an answer, each of the points' number of dimensions."""
+    """Coordinates, cost and end that a continuous model's step answers."""
     if not isinstance(answer, tuple) or len(answer) != 3:
         raise ModelError(f"step must return (new point, cost, end), not {type(answer).__name__}")
     moved, paid, ended = answer
@@ -191,18 +193,18 @@ def _read(
     if count != n_axes:
         raise ModelError(f"step returned {count} coordinates; there are {n_axes} axes")
     coordinates = tuple(
-        _shaped(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
+        _shaped_answer(c, shape, f"coordinate {number}").astype(np.float64, copy=False)
         for number, c in enumerate(moved)
     )
-    cost = _shaped(paid, shape, "the cost").astype(np.float64, copy=False)
-    end = _shaped(ended, shape, "the end")
+    cost = _shaped_answer(paid, shape, "the cost").astype(np.float64, copy=False)
+    end = _shaped_answer(ended, shape, "the end")
     if end.dtype.kind not in "biu":
         raise ModelError("step must return ends as whole numbers: 0 goes on, 1 goal, 2 .. dead-end")
     return coordinates, cost, end
 
 
-def _shaped(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
-    """The answer as an array of the points' number of dimensions."""
+def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> npt.NDArray[Any]:
+    """The answer of a continuous model's step as an array of the points' number of dimensions."""
     array = np.asarray(answer)
     array = array.reshape((1,) * (len(shape) - array.ndim) + array.shape)
     fits = array.ndim == len(shape) and all(
@@ -224,7 +226,7 @@ class _Culprit(NamedTuple):
     shape: tuple[int, ...]
 
     def refuse(self, broken: BoolArray, words: str, moved: Coordinates = ()) -> None:
-        """Raise :class:`ModelError` for the first broken point, and say where it moved."""
+        """Raise :class:`ModelError` for the first point that a continuous model moved wrongly."""
         if not broken.any():
             return
         first = tuple(np.argwhere(np.broadcast_to(broken, self.shape))[0])
@@ -235,7 +237,7 @@ class _Culprit(NamedTuple):
         raise ModelError(f"{self.action} leads from {begin} {words.format(end)}")
 
 
-def _stray(
+def _stray_in_world(
     model: ContinuousModel, lost: BoolArray, moved: Coordinates, end: IntArray, who: _Culprit
 ) -> IntArray:
     """Ends in which what goes on outside the box fails, or an error where there is none."""

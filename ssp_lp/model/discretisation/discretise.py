@@ -13,8 +13,8 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, least_integer_type, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
-from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, tally
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step_in_world
+from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, tally_outcomes
 from ssp_lp.model.discretisation.points import Quadrature, Samples, Trials
 from ssp_lp.model.ssp import SSP
 
@@ -68,15 +68,15 @@ def discretise(
     size = max(1, TRIALS // math.prod(trials.shape))
     for begin in range(0, n_distinct, size):
         some = np.arange(begin, min(begin + size, n_distinct), dtype=least_integer_type(n_all))
-        store.append(_rows(world, trials, some if distinct is None else distinct[some]))
+        store.append(_discretised_rows(world, trials, some if distinct is None else distinct[some]))
         done = int(some[-1]) + 1
         share = {"share": done / n_distinct}
         _BUILDING.debug("%d of %d pairs tried", done, n_distinct, extra=share)
         if progress is not None:
             progress(done, n_distinct)
     if row_of_pair is not None:
-        store = _repeated(world, trials, store.outcomes(), row_of_pair)
-    model = _model(world, store)
+        store = _repeated_rows(world, trials, store.outcomes(), row_of_pair)
+    model = _discretised_model(world, store)
     _BUILDING.info("%r", model)
     return model
 
@@ -89,11 +89,12 @@ class _Tried(NamedTuple):
     cost: FloatArray  # [trials or 1, cells or 1]
 
 
-def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
+def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
     """The outcomes of some pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
     tried = [
-        _try(world, trials, cells, int(a), np.flatnonzero(action == a)) for a in np.unique(action)
+        _try_in_cells(world, trials, cells, int(a), np.flatnonzero(action == a))
+        for a in np.unique(action)
     ]
     sides = max(len(part.states) for part in tried)  # 1, 2, 4, ...
     count = math.prod(trials.shape)
@@ -102,16 +103,18 @@ def _rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
         for side in range(sides):
             states[part.rows, side] = part.states[side % len(part.states)].T
     weights = None if trials.weights is None else np.tile(trials.weights, sides)
-    return tally(states.reshape(len(pairs), -1), weights, _costs(tried, len(pairs), sides))
+    return tally_outcomes(
+        states.reshape(len(pairs), -1), weights, _discretised_costs(tried, len(pairs), sides)
+    )
 
 
-def _try(
+def _try_in_cells(
     world: ContinuousModel, trials: Trials, cells: IntArray, action: int, rows: IntArray
 ) -> _Tried:
     """Take the step of one action in those of the cells that are listed."""
     point, noise = trials.draw(cells[rows])
     shape = (*trials.shape, len(rows))
-    taken = take_step(world, point, action, noise, shape)
+    taken = take_step_in_world(world, point, action, noise, shape)
     states = world.grid.numbers_about(taken.heights)
     if taken.end.any():
         ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
@@ -123,8 +126,8 @@ def _try(
     return _Tried(rows, reached, cost.reshape(-1, cost.shape[-1]))
 
 
-def _costs(tried: list[_Tried], n_pairs: int, sides: int) -> FloatArray:
-    """A number, [pairs, 1], or [pairs, trials] where trials of a pair differ."""
+def _discretised_costs(tried: list[_Tried], n_pairs: int, sides: int) -> FloatArray:
+    """Discretised costs: a number, [pairs, 1], or [pairs, trials] where they differ."""
     first = tried[0].cost.flat[0]
     if all(part.cost.size == 1 and part.cost.flat[0] == first for part in tried):
         return np.asarray(first)
@@ -136,7 +139,7 @@ def _costs(tried: list[_Tried], n_pairs: int, sides: int) -> FloatArray:
 
 
 def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None, IntArray | None]:
-    """Pairs with different outcomes, in order, and the place among them of each pair's own.
+    """Discretised pairs with different outcomes, in order, and each pair's place among them.
 
     None and None where nothing is known of pairs that are alike, and all are allowed.
     """
@@ -162,11 +165,11 @@ def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None
 def _check_alike(
     world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
 ) -> None:
-    """Work out some pairs by themselves; raise :class:`ModelError` for one that is not alike."""
+    """Discretise some pairs by themselves; raise :class:`ModelError` for one that is not alike."""
     known = world.allowed_pairs
     for k in np.unique(np.linspace(0, len(row_of_pair) - 1, SPOT_CHECKS).astype(np.int64)):
         pair = k if known is None else known[k]
-        own, shared = _rows(world, trials, pair[None]), found.rows(row_of_pair[k, None])
+        own, shared = _discretised_rows(world, trials, pair[None]), found.rows(row_of_pair[k, None])
         same = np.array_equal(own.successors, shared.successors) and all(
             np.allclose(getattr(own, name), getattr(shared, name), rtol=1e-9, atol=1e-9)
             for name in ("probabilities", "costs")
@@ -179,10 +182,10 @@ def _check_alike(
             )
 
 
-def _repeated(
+def _repeated_rows(
     world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
 ) -> OutcomeStore:
-    """The rows of all pairs, from those of the distinct ones."""
+    """The rows of all discretised pairs, from those of the distinct ones."""
     if trials.repeatable:
         _check_alike(world, trials, found, row_of_pair)
     lengths = np.diff(found.outcome_offsets)
@@ -192,7 +195,7 @@ def _repeated(
     return store
 
 
-def _model(world: ContinuousModel, store: OutcomeStore) -> SSP:
+def _discretised_model(world: ContinuousModel, store: OutcomeStore) -> SSP:
     """The model of all pairs of the cells, with the ends added."""
     n_cells, n_actions, pairs = world.grid.n_cells, len(world.actions), world.allowed_pairs
     goal = world.end_state("goal")

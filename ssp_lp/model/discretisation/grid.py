@@ -83,6 +83,7 @@ class Axis:
         return self.low + np.mod(values - self.low, self.high - self.low)
 
     def _numbered(self, cells: FloatArray) -> IntArray:
+        """Numbers of cells on the grid's axis, kept within it."""
         if self.periodic:
             inside = cells - self.cells * np.floor(cells / self.cells)
         else:

@@ -29,8 +29,8 @@ class Outcomes(NamedTuple):
         )
 
 
-def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
-    """Count trials.
+def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
+    """Count the outcomes of trials.
 
     Args:
         states: where they lead, [pairs, trials].
@@ -40,7 +40,7 @@ def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Ou
     varies = costs.ndim == 2 and costs.shape[1] > 1
     if weights is None and not varies:
         ordered = np.sort(states, axis=1)
-        firsts, lengths = _runs(ordered)
+        firsts, lengths = _runs_of_outcomes(ordered)
         counts = np.diff(firsts, append=ordered.size)
         paid = np.repeat(costs[:, 0], lengths) if costs.ndim == 2 else costs
         return Outcomes(
@@ -55,7 +55,7 @@ def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Ou
     trial = packed - ordered * n_trials
     share = np.full(n_trials, 1.0) if weights is None else weights
     taken = share[trial].ravel()
-    firsts, lengths = _runs(ordered)
+    firsts, lengths = _runs_of_outcomes(ordered)
     mass = np.add.reduceat(taken, firsts)
     paid = costs
     if varies:
@@ -69,7 +69,7 @@ def tally(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Ou
     return Outcomes(offsets_of(lengths), successors, mass / share.sum(), paid)
 
 
-def _runs(ordered: IntArray) -> tuple[IntArray, IntArray]:
+def _runs_of_outcomes(ordered: IntArray) -> tuple[IntArray, IntArray]:
     """Where runs of equal numbers begin, in the flat array, and how many each row has."""
     begins = np.empty(ordered.shape, dtype=np.bool_)
     begins[:, 0] = True
@@ -120,11 +120,13 @@ class OutcomeStore:
         return Outcomes(offsets, self._successors, self._probabilities, costs)
 
     def _reserve(self, size: int) -> None:
+        """Make room for so many outcomes."""
         room = len(self._successors)
         if size > room:
             for array in self._grown():
                 array.resize(max(size, room + room // _GROWTH), refcheck=False)
 
     def _grown(self) -> list[npt.NDArray[Any]]:
+        """The arrays of outcomes that grow."""
         arrays: list[npt.NDArray[Any]] = [self._successors, self._probabilities]
         return arrays if self._costs is None else [*arrays, self._costs]

@@ -45,7 +45,7 @@ class Quadrature:
     rule: str = "midpoint"
 
     def trials(self, model: ContinuousModel) -> Trials:
-        """All combinations, with a dimension for each axis and then for each random number.
+        """All combinations of points, a dimension for each axis, then one for each random number.
 
         Raises:
             ModelError: a wrong number of points, or an unknown rule.
@@ -68,7 +68,7 @@ class Quadrature:
         return Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
 
     def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
-        """Nodes and weights of each axis, in widths of a cell, and of each random number."""
+        """Points and weights of each axis, in widths of a cell, and of each random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
         counts = list(given) if isinstance(given, Iterable) else [given] * (n_axes + n_noise)
@@ -80,10 +80,10 @@ class Quadrature:
             )
         within = [self._levels(int(n)) for n in counts]
         noise = zip(model.noise, within[n_axes:], strict=True)
-        return within[:n_axes] + [_noise_nodes(draw, *levels) for draw, levels in noise]
+        return within[:n_axes] + [_noise_points(draw, *levels) for draw, levels in noise]
 
     def _levels(self, count: int) -> tuple[FloatArray, FloatArray]:
-        """Nodes in (0, 1) and weights that sum to 1."""
+        """Points in (0, 1) and weights that sum to 1."""
         if self.rule == "midpoint":
             return (np.arange(count) + 0.5) / count, np.full(count, 1.0 / count)
         if self.rule == "gauss-legendre":
@@ -113,7 +113,7 @@ class Samples:
             raise ModelError(f"rng must be a generator or a seed such as 0, not {self.rng!r}")
 
     def trials(self, model: ContinuousModel) -> Trials:
-        """Fresh samples at every call, in one dimension."""
+        """Fresh sample points at every call, in one dimension."""
         rng, axes = np.random.default_rng(self.rng), model.grid.axes
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
@@ -155,10 +155,10 @@ class Samples:
         return min(2.0, math.sqrt(2.0 * logarithm / self.number))
 
 
-def _noise_nodes(
+def _noise_points(
     draw: Distribution, levels: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Values of a random number with their weights; a discrete one has its own."""
+    """Points of a random number with their weights; a discrete one has its own."""
     if draw.values is not None and draw.probabilities is not None:
         return draw.values, draw.probabilities
     return draw.at(levels), weights

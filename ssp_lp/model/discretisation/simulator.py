@@ -10,7 +10,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model.arguments import check_fields
-from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step
+from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step_in_world
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.ssp import SSP
 
@@ -83,7 +83,7 @@ class WorldSimulator:
             some = np.flatnonzero(action == number)
             point = tuple(world[some].T)
             drawn = tuple(values[some] for values in noise)
-            taken = take_step(model, point, int(number), drawn, (len(some),))
+            taken = take_step_in_world(model, point, int(number), drawn, (len(some),))
             for k, (axis, values) in enumerate(zip(grid.axes, taken.point, strict=True)):
                 after[some, k] = axis.wrapped(values)
             ended = grid.n_cells - 1 + taken.end.astype(np.int64)

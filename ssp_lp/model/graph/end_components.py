@@ -8,7 +8,7 @@ from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.model.chunks import pieces
+from ssp_lp.model.chunks import pieces_of_chunks
 from ssp_lp.model.graph.predecessors import narrow, possible_steps
 from ssp_lp.model.graph.reachability import close_pairs, drain, edges
 from ssp_lp.model.ssp import SSP
@@ -42,8 +42,8 @@ def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]
         pending &= counts > 0
         if not pending.any():
             break
-        _label_components(model, inside, pending, label)
-        leaving = np.flatnonzero(_crossing(model, inside, pending, label))
+        _label_end_components(model, inside, pending, label)
+        leaving = np.flatnonzero(_crossing_end_components(model, inside, pending, label))
         torn = np.zeros_like(pending)
         torn[label[model.pair_state[leaving]]] = True
         closed = close_pairs(model, inside, counts, leaving)
@@ -53,7 +53,9 @@ def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]
     return component, inside
 
 
-def _label_components(model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray) -> None:
+def _label_end_components(
+    model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray
+) -> None:
     """Label each pending state, in place, by the first state of its strong component.
 
     Args:
@@ -79,7 +81,7 @@ def _label_components(model: SSP, inside: BoolArray, pending: BoolArray, label: 
 
 
 def _strong_components(columns: IntArray, offsets: IntArray) -> IntArray:
-    """The strong component of each state by scipy, which never ends if an edge comes twice."""
+    """For end components, the strong component of each state by scipy."""
     shape = len(offsets) - 1, len(offsets) - 1
     present = np.ones(columns.size, dtype=np.bool_)
     once = sp.csr_array((present, columns.copy(), narrow(offsets)), shape=shape)
@@ -88,7 +90,9 @@ def _strong_components(columns: IntArray, offsets: IntArray) -> IntArray:
     return np.asarray(csgraph.connected_components(graph, connection="strong")[1])
 
 
-def _crossing(model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray) -> BoolArray:
+def _crossing_end_components(
+    model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray
+) -> BoolArray:
     """Inside pairs of pending states that may lead to a state of another label, [pairs]."""
     candidates = inside & pending[model.pair_state]
     if accelerated(model.n_outcomes):
@@ -96,7 +100,7 @@ def _crossing(model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray
 
         arrays = model.outcome_offsets, model.successors, model.probabilities, model.pair_state
         return crossing_pairs(*arrays, candidates, label)
-    for piece in pieces(model.outcome_offsets):
+    for piece in pieces_of_chunks(model.outcome_offsets):
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         here = np.repeat(label[model.pair_state[piece.segments]], piece.lengths)
         other = (label[successors] != here) & (chances > 0)

@@ -16,7 +16,7 @@ from ssp_lp.arrays import (
     sorted_unique,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.model.chunks import pieces, segment_chunks
+from ssp_lp.model.chunks import pieces_of_chunks, segment_chunks
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,9 @@ def find_predecessors(
 
         offsets, pairs = transpose_graph(n_states, outcome_offsets, successors, probabilities)
     else:
-        offsets, pairs = _transposed(n_states, outcome_offsets, successors, probabilities)
+        offsets, pairs = _transposed_to_predecessors(
+            n_states, outcome_offsets, successors, probabilities
+        )
     return Predecessors(read_only(offsets), read_only(pairs))
 
 
@@ -71,7 +73,7 @@ def possible_steps(
     probabilities: FloatArray,
     chosen: BoolArray | None = None,
 ) -> tuple[IntArray, IntArray]:
-    """The outcomes of positive probability, of the chosen pairs or of all of them.
+    """The outcomes of positive probability, of which predecessors are told.
 
     Args:
         outcome_offsets: [pairs + 1].
@@ -85,7 +87,7 @@ def possible_steps(
     """
     counts = np.zeros(len(outcome_offsets), dtype=np.int64)
     found = [successors[:0]]
-    for piece in pieces(outcome_offsets):
+    for piece in pieces_of_chunks(outcome_offsets):
         kept = probabilities[piece.entries] > 0
         if chosen is not None:
             kept &= np.repeat(chosen[piece.segments], piece.lengths)
@@ -99,12 +101,12 @@ def possible_steps(
 
 
 def narrow(offsets: IntArray) -> IntArray:
-    """Offsets in 32 bits where they fit: scipy widens a copy of the columns to match them."""
+    """Offsets of predecessors in 32 bits where they fit, to match scipy's columns."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
 
 
-def _transposed(
+def _transposed_to_predecessors(
     n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
 ) -> tuple[IntArray, IntArray]:
     """Offsets, [states + 1], and pairs, [entries], by scipy's conversion from rows to columns."""

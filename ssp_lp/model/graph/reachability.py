@@ -8,7 +8,7 @@ from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.model.chunks import pieces
+from ssp_lp.model.chunks import pieces_of_chunks
 from ssp_lp.model.graph.kept import kept
 from ssp_lp.model.graph.predecessors import Predecessors, narrow, possible_steps
 from ssp_lp.model.ssp import SSP
@@ -103,7 +103,7 @@ def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
 
         return leading_into(model.outcome_offsets, model.successors, model.probabilities, states)
     leads = np.zeros(model.n_pairs, dtype=np.bool_)
-    for piece in pieces(model.outcome_offsets):
+    for piece in pieces_of_chunks(model.outcome_offsets):
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         entering = states[successors] & (chances > 0)
         leads[piece.segments] = np.logical_or.reduceat(entering, piece.firsts)
@@ -143,7 +143,7 @@ def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> Bool
 
 
 def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
-    """A graph as scipy's searches want it; the weights, which they do not read, take no room."""
+    """A graph for scipy's search of reachable states; weights, never read, take no room."""
     weights: FloatArray = np.broadcast_to(np.float64(1.0), columns.shape)
     shape = len(offsets) - 1, len(offsets) - 1
     return sp.csr_array((weights, columns, narrow(offsets)), shape=shape)
@@ -179,10 +179,10 @@ def nearer_pairs(
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice)
         return choice
-    return _by_distance(before, pair_offsets, pair_state, useful, free)
+    return _reachable_by_distance(before, pair_offsets, pair_state, useful, free)
 
 
-def _by_distance(
+def _reachable_by_distance(
     before: Predecessors,
     pair_offsets: IntArray,
     pair_state: IntArray,

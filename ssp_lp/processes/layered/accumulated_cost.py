@@ -21,11 +21,11 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
 from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means, uniform_cost
 from ssp_lp.processes.failure_semantics import survival_of
-from ssp_lp.processes.layered.charges import Charge, TotalCost
+from ssp_lp.processes.layered.charges import Charge, TotalCostCharge
 from ssp_lp.processes.live_rows import RowChoice, live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
 from ssp_lp.processes.totals.lattice import Lattice, lattice_of, totals_of
-from ssp_lp.processes.totals.sums import last_steps, step_lattice
+from ssp_lp.processes.totals.step_sums import last_steps, step_lattice
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +135,10 @@ def accumulate_cost(
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
     counted = going_on | model.goal_mask if arrivals else going_on
-    lattice, arriving, last = _kinds_of_steps(model) if by_steps else _multiples(model, counted)
-    instant, later = _steps(quotient, lattice, survival)
+    lattice, arriving, last = (
+        _kinds_of_costs(model) if by_steps else _multiples_of_unit(model, counted)
+    )
+    instant, later = _steps_by_cost(quotient, lattice, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     acting = quotient.pair_at >= 0
     base = AccumulatedCost(
@@ -152,25 +154,27 @@ def accumulate_cost(
         start_goal=float(start[model.goal_mask].sum()),
         start_failure=float(start[quotient.dead].sum()),
         departs=np.ones(len(quotient.pair_at)),
-        arrivals=_arrivals(quotient, arriving) if arrivals else None,
+        arrivals=_arrivals_by_cost(quotient, arriving) if arrivals else None,
         last_steps=last,
     )
     return base if discount is not None or instant.nnz == 0 else _departing(base)
 
 
-def _kinds_of_steps(model: SSP) -> tuple[Lattice, Lattice, FloatArray | None]:
+def _kinds_of_costs(model: SSP) -> tuple[Lattice, Lattice, FloatArray | None]:
     """Distinct costs of steps as layers; those into the goal, and what these cost, [kinds]."""
     return step_lattice(model)[0], *last_steps(model)
 
 
-def _multiples(model: SSP, counted: BoolArray) -> tuple[Lattice, Lattice, FloatArray | None]:
+def _multiples_of_unit(
+    model: SSP, counted: BoolArray
+) -> tuple[Lattice, Lattice, FloatArray | None]:
     """Multiples of the common unit of the steps into some states, [states], for all steps."""
     lattice = lattice_of(model, counted)
     return lattice, lattice, None
 
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
-    """Pairs seen on departing only: waiting for free in place changes no total."""
+    """Pairs of accumulated cost seen on departing only: waiting for free changes no total."""
     leak = base.gain + base.failure + np.asarray(base.later.sum(axis=1)).ravel()
     instant = base.instant.copy()
     instant.sum_duplicates()
@@ -181,23 +185,23 @@ def _departing(base: AccumulatedCost) -> AccumulatedCost:
     return replace(
         base,
         instant=instant,
-        later=_scaled(base.later, share),
+        later=_scaled_rows(base.later, share),
         gain=base.gain / departs,
         gain_cost=base.gain_cost / departs,
         failure=base.failure / departs,
         departs=departs,
-        arrivals=None if arrivals is None else _scaled(arrivals, share),
+        arrivals=None if arrivals is None else _scaled_rows(arrivals, share),
     )
 
 
-def _scaled(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
+def _scaled_rows(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
     """A matrix with each row multiplied by a factor, [rows]."""
     data = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
     return sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
-def _arrivals(quotient: Quotient, lattice: Lattice) -> sp.csr_array:
-    """Probability of stepping into the goal by the layers that the step passes, [pairs, width]."""
+def _arrivals_by_cost(quotient: Quotient, lattice: Lattice) -> sp.csr_array:
+    """Probability of stepping into the goal by the accumulated cost of the step, [pairs, width]."""
     at_goal = np.where(quotient.model.goal_mask, 0, -1).astype(np.int32)
     rows = RowChoice(
         quotient.model, at_goal, 1, quotient.pair_at, ahead=lattice.ahead, width=lattice.width
@@ -205,10 +209,10 @@ def _arrivals(quotient: Quotient, lattice: Lattice) -> sp.csr_array:
     return live_rows(rows).matrix
 
 
-def _steps(
+def _steps_by_cost(
     quotient: Quotient, lattice: Lattice, survival: float
 ) -> tuple[sp.csr_array, sp.csr_array]:
-    """Steps within the layer and steps to later layers; one of them is often empty."""
+    """Steps that cost nothing, and steps that add to the accumulated cost; one is often empty."""
     model, n = quotient.model, quotient.n_nodes
     rows = RowChoice(model, quotient.node_of, n, quotient.pair_at)
     uniform = uniform_cost(model)
@@ -235,7 +239,7 @@ class ArrivalCharges:
     @property
     def grow_evenly(self) -> bool:
         """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
-        return isinstance(self.charge, TotalCost)
+        return isinstance(self.charge, TotalCostCharge)
 
     def from_layer(self, layer: int) -> PairCost:
         """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""

@@ -52,7 +52,7 @@ class TailValues:
     def stacked(
         cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
     ) -> TailValues:
-        """Several policies' values, one row each, seen by some other index."""
+        """Several policies' values to be charged, one row each, seen by some other index."""
         return cls(
             np.stack([seen(p.goal) for p in policies]),
             np.stack([seen(p.failure) for p in policies]),
@@ -62,7 +62,7 @@ class TailValues:
         )
 
     def row(self, number: int) -> TailValues:
-        """The values of one policy out of several, whose number is the first index."""
+        """The values to be charged of one policy of several, whose number is the first index."""
         return TailValues(
             self.goal[number],
             self.failure[number],
@@ -131,7 +131,7 @@ class Charge(ABC):
 
 
 @dataclass(frozen=True)
-class TotalCost(Charge):
+class TotalCostCharge(Charge):
     """The total cost itself: case S."""
 
     @property
@@ -149,11 +149,11 @@ class TotalCost(Charge):
         return np.asarray(totals)
 
 
-TOTAL_COST: Final = TotalCost()
+TOTAL_COST: Final = TotalCostCharge()
 
 
 @dataclass(frozen=True)
-class Late(Charge):
+class LateCharge(Charge):
     """1 for arriving at a cost beyond the bound, 0 else; less 1 for every arrival if rewarded.
 
     A total within :data:`~ssp_lp.arrays.SAME_TOTAL` of the bound is the bound, summed in another
@@ -184,7 +184,7 @@ class Late(Charge):
 
 
 @dataclass(frozen=True)
-class Excess(Charge):
+class ExcessCharge(Charge):
     """``z + max(cost - z, 0) / share``: the integrand of Rockafellar and Uryasev's formula.
 
     With a ``first`` it is the least of the integrands for first <= z <= threshold, or less:
@@ -218,7 +218,7 @@ class Excess(Charge):
 
 
 @dataclass(frozen=True)
-class UtilityReward(Charge):
+class UtilityCharge(Charge):
     """Minus what arriving is worth more than failing, by any utility of the total cost (GUBS).
 
     Beyond every table the utility is taken to be what it falls to, which understates it.
@@ -262,7 +262,7 @@ class UtilityReward(Charge):
 
 
 @dataclass(frozen=True)
-class ExponentialReward(Charge):
+class ExponentialCharge(Charge):
     """``-(exp(rate * cost) + bonus)``, rate < 0 (eGUBS); what a tail is worth factors exactly."""
 
     rate: float

@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach
-from ssp_lp.dynamic_programming.policy_iteration import improve
+from ssp_lp.dynamic_programming.leaving import approach_leaving
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.processes.expectations import costless_pairs, successor_means
 from ssp_lp.processes.goal_reach import GoalReach
@@ -59,12 +59,12 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> Moment
         usable: pairs, [model pairs], such as those of greatest goal probability; None: all.
     """
     quotient = build_quotient(model, usable=usable, free=costless_pairs(model))
-    shrinking = _shrunk(quotient, rate)
+    shrinking = _shrunk_by_utility(quotient, rate)
     gain = quotient.at_pairs(_shrunk_arrivals(model, rate))
     hit = quotient.at_pairs(successor_means(model, model.goal_mask))
     plain, _ = quotient.dynamics(1.0, departing=False)
-    first = approach(plain, hit > 0)
-    settled = improve(shrinking, gain[:, None], -_ONE, first)
+    first = approach_leaving(plain, hit > 0)
+    settled = iterate_policy(shrinking, gain[:, None], -_ONE, first)
     moment = settled.totals[:, 0]
     bound = -sub_solution(shrinking, -gain, -moment, floor=-1.0 - 1e-9)
     reached = plain.chain(settled.choice).solve(hit[settled.choice])
@@ -80,7 +80,7 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> Moment
 def cost_horizon(
     model: SSP, greatest: GoalReach, tail: MomentReach, rate: float, bonus: float
 ) -> float:
-    """Accumulated cost from which the tail is optimal whatever comes: C_max of eGUBS.
+    """Accumulated cost from which a tail of exponential utility is optimal: C_max of eGUBS.
 
     At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
     * (Q_V(s, a) - V(s)) for all pairs, with P the greatest goal probability and V the tail's
@@ -110,13 +110,13 @@ def cost_horizon(
 
 
 def _shrunk_arrivals(model: SSP, rate: float, values: FloatArray | None = None) -> FloatArray:
-    """E[exp(rate * stage cost) * value of the successor], 1 at goals if none are given, [pairs]."""
+    """Exponential utility of stage cost and successor: E[exp(rate * cost) * value], [pairs]."""
     worth = model.goal_mask.astype(np.float64) if values is None else values
     terms = model.probabilities * np.exp(rate * model.costs) * worth[model.successors]
     return segment_sums(terms, model.outcome_offsets)
 
 
-def _shrunk(quotient: Quotient, rate: float) -> Dynamics:
+def _shrunk_by_utility(quotient: Quotient, rate: float) -> Dynamics:
     """The process whose transitions are weighted by exp(rate * stage cost)."""
     model = quotient.model
     node = quotient.node_of[model.successors]

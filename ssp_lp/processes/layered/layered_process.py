@@ -22,7 +22,7 @@ from ssp_lp.processes.totals.levels import Levels, Window
 
 
 @dataclass(frozen=True, eq=False)
-class Tails:
+class LayeredTails:
     """Stationary policies for accumulated costs beyond the cap, as values per node.
 
     Row 0 goes for the goal, where ``exact`` with the least failure; the last row fails most (the
@@ -74,7 +74,7 @@ class LayeredProcess:
 
     base: AccumulatedCost
     cap: int
-    tails: Tails
+    tails: LayeredTails
     charge: Charge = TOTAL_COST
     ladder: Ladder | None = None  # the totals, where they are no multiples of a unit
 
@@ -186,7 +186,7 @@ class LayeredProcess:
 
 
 def materialise(process: LayeredProcess) -> ExplicitProcess:
-    """Write all layers out: state = layer * nodes + node.
+    """Write all layers of the process out: state = layer * nodes + node.
 
     The layers beyond the cap that a step can reach follow, with one pair for each tail policy,
     so that the written-out process can do all that either tail can; the source state comes last.
@@ -240,7 +240,7 @@ def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -
 
 
 def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
-    """Transitions of the pairs of all layers, [cap * pairs, states]."""
+    """Transitions of the pairs of all layers of the process, [cap * pairs, states]."""
     base, n, cap = process.base, process.base.n_nodes, process.cap
     n_pairs, per_layer = len(base.gain), base.steps.nnz
     ahead, node = np.divmod(base.steps.indices.astype(np.int64), max(n, 1))
@@ -256,7 +256,7 @@ def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
 
 
 def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Charge, failure and goal mass of following each tail from beyond the cap.
+    """Charge, failure and goal mass of the tails beyond the layered process's cap.
 
     Returns:
         3 x [layers * nodes, tails].

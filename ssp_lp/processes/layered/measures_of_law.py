@@ -13,10 +13,10 @@ from typing import Protocol
 from ssp_lp.processes.layered.charges import (
     TOTAL_COST,
     Charge,
-    ExponentialReward,
-    Late,
+    ExponentialCharge,
+    LateCharge,
     Utility,
-    UtilityReward,
+    UtilityCharge,
 )
 
 
@@ -98,7 +98,7 @@ class WithinBound:
     @property
     def charge(self) -> Charge:
         """Less 1 for arriving in time."""
-        return Late(self.bound, rewarded=True)
+        return LateCharge(self.bound, rewarded=True)
 
     def of(self, law: Law) -> float:
         """The probability."""
@@ -127,7 +127,7 @@ class ExpectedUtility:
     @property
     def charge(self) -> Charge:
         """Less what arriving is worth more than failing."""
-        return UtilityReward(self.utility, self.at_infinity, self.bonus)
+        return UtilityCharge(self.utility, self.at_infinity, self.bonus)
 
     def of(self, law: Law) -> float:
         """The expected utility."""
@@ -152,7 +152,7 @@ class ExponentialUtility:
     @property
     def charge(self) -> Charge:
         """Less what arriving is worth."""
-        return ExponentialReward(self.rate, self.bonus)
+        return ExponentialCharge(self.rate, self.bonus)
 
     def of(self, law: Law) -> float:
         """The expected utility."""

@@ -175,7 +175,7 @@ class OpenEnded:
 def first_cap(
     base: AccumulatedCost, charge: Charge | None, typical: float, fixed: float | None
 ) -> int:
-    """As many layers as the charge needs to settle, and some more where it still grows.
+    """A cap of the open-ended table: as many layers as the charge needs to settle, or some more.
 
     Args:
         base: one layer of the process.
@@ -187,7 +187,7 @@ def first_cap(
         return 1
     if fixed is not None:
         return max(int(np.ceil(fixed / base.unit)), 1)
-    if (settled := _settled(charge)) is None:
+    if (settled := _settled_open_end(charge)) is None:
         return _FIRST_LAYERS + base.width
     needed = max(layers_within(settled, base.exact_unit), 1)
     if charge.slope == 0.0:
@@ -197,21 +197,21 @@ def first_cap(
 
 def first_total(charge: Charge, typical: float) -> float:
     """The same as a total, where layers are no multiples of a unit."""
-    settled = _settled(charge)
+    settled = _settled_open_end(charge)
     if settled is not None and charge.slope == 0.0:
         return settled * (1.0 + _BEYOND)
     return (settled or 0.0) + _TYPICAL * typical
 
 
 def truncates(charge: Charge | None, total: float) -> bool:
-    """Whether a cap at a total may lose something: the charge still changes beyond it."""
+    """Whether the open end may lose something: the charge still changes beyond it."""
     if charge is None or charge.slope > 0.0:
         return charge is not None
     settled = charge.settled
     return settled is None or total <= settled or not charge.is_affine_beyond(total)
 
 
-def _settled(charge: Charge) -> float | None:
+def _settled_open_end(charge: Charge) -> float | None:
     """Beyond which total the charge is its line; None: it only comes near it."""
     settled = charge.settled
     if settled is None or not charge.is_affine_beyond(settled * (1.0 + _BEYOND)):

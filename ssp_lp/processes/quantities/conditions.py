@@ -38,23 +38,23 @@ _ROOM = 1e-14  # of a bound and of what its complement is made from
 
 
 @dataclass(frozen=True, eq=False)
-class Steps:
+class StepTerm:
     """A cost of steps: that of a model which has it in place of its own."""
 
     model: SSP
 
     @property
     def free(self) -> BoolArray:
-        """Pairs that never cost anything, [pairs]."""
+        """Pairs that cost nothing in the condition, [pairs]."""
         return costless_pairs(self.model)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """The cost, [pairs], and at the source."""
+        """The cost that the condition counts, [pairs], and at the source."""
         return counting.cost(self.model)
 
 
 @dataclass(frozen=True, eq=False)
-class Arrivals:
+class ArrivalTerm:
     """Arrivals in some states, the start counted; or, as ``others``, endings anywhere else."""
 
     model: SSP
@@ -64,19 +64,19 @@ class Arrivals:
 
     @property
     def free(self) -> BoolArray:
-        """Pairs that never lead there, [pairs]; endings are no steps."""
+        """Pairs that never arrive where the condition counts, [pairs]; endings are no steps."""
         if self.final:
             return np.ones(self.model.n_pairs, dtype=np.bool_)
         return ~pairs_into(self.model, self.states)
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
-        """Their probability, [pairs], and at the source."""
+        """The probability of arriving where the condition counts, [pairs], and at the source."""
         if self.others:
             return counting.other_endings(self.states)
         return counting.arrivals(self.states)
 
 
-Term = Steps | Arrivals
+Term = StepTerm | ArrivalTerm
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ class UpperRow:
 
     @cached_property
     def free(self) -> BoolArray:
-        """Pairs of the model that add nothing to it, [pairs]."""
+        """Pairs of the model that add nothing to the condition's row, [pairs]."""
         result = np.ones(self.condition.model.n_pairs, dtype=np.bool_)
         for _, term in self.terms:
             result &= term.free
@@ -136,7 +136,7 @@ class Condition:
         """
         goal = self.model.goal_mask
         return any(
-            isinstance(term, Arrivals) and term.others and not (term.states == goal).all()
+            isinstance(term, ArrivalTerm) and term.others and not (term.states == goal).all()
             for row in self.rows or (self.minimised(),)
             for _, term in row.terms
         )
@@ -174,7 +174,7 @@ class Condition:
         for stated, term in self.terms:
             weight = sign * stated
             if weight < 0.0:
-                if not (isinstance(term, Arrivals) and term.final):
+                if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds a cost or visits from below, which takes "
                         "a policy that tosses coins on the way; without accumulated costs, add "
@@ -186,7 +186,11 @@ class Condition:
                 terms.append((weight, term))
         constant = sign * self.constant
         shift = max(-constant, 0.0)  # no coefficient may be negative
-        told = self.name if sign > 0.0 and offset == 0.0 else f"{_signed(offset, sign)}{self.name}"
+        told = (
+            self.name
+            if sign > 0.0 and offset == 0.0
+            else f"{_signed_in_condition(offset, sign)}{self.name}"
+        )
         return UpperRow(
             name=name,
             told=told,
@@ -199,5 +203,6 @@ class Condition:
         )
 
 
-def _signed(offset: float, sign: float) -> str:
+def _signed_in_condition(offset: float, sign: float) -> str:
+    """An offset and the sign that follows it, as a condition prints them."""
     return f"{offset:g} {'+' if sign > 0.0 else '-'} "

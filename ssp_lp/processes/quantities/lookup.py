@@ -15,9 +15,9 @@ from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.processes.quantities.conditions import (
     OBJECTIVE,
     RESERVED,
-    Arrivals,
+    ArrivalTerm,
     Condition,
-    Steps,
+    StepTerm,
     Term,
 )
 from ssp_lp.processes.quantities.quantity import (
@@ -47,7 +47,7 @@ def conditions(
     """
     if not isinstance(constraints, Mapping):
         raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
-    found = tuple(_condition(model, start, name, c) for name, c in constraints.items())
+    found = tuple(_looked_up_condition(model, start, name, c) for name, c in constraints.items())
     named = [row.name for condition in found for row in condition.rows]
     if len(set(named)) < len(named):
         twice = next(name for name in named if named.count(name) > 1)
@@ -64,35 +64,41 @@ def objective_of(model: SSP, start: FloatArray, quantity: Quantity) -> Condition
     """
     if not isinstance(quantity, Quantity):
         raise ModelError(f"the objective must be a quantity, such as visits(...), not {quantity!r}")
-    found = _looked_up(model, start, OBJECTIVE, Constraint(quantity))
+    found = _looked_up_terms(model, start, OBJECTIVE, Constraint(quantity))
     found.minimised()
     return found
 
 
-def _condition(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
+def _looked_up_condition(
+    model: SSP, start: FloatArray, name: str, constraint: Constraint
+) -> Condition:
+    """A constraint, checked and looked up in the model."""
     if not isinstance(name, str) or not name:
         raise ModelError(f"the name of a limit must be a word, not {name!r}")
     if name in RESERVED:
         raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
     if not isinstance(constraint, Constraint):
         raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
-    return _looked_up(model, start, name, constraint)
+    return _looked_up_terms(model, start, name, constraint)
 
 
-def _looked_up(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
+def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
+    """A constraint whose terms were looked up."""
     quantity = constraint.quantity
-    terms = tuple((weight, _term(model, name, c)) for weight, c in _merged(quantity))
+    terms = tuple(
+        (weight, _looked_up_term(model, name, c)) for weight, c in _merged_terms(quantity)
+    )
     live = end_marks(model) < 0
     begun = sum(
         weight * float(start[term.states & live].sum())
         for weight, term in terms
-        if isinstance(term, Arrivals) and not term.final
+        if isinstance(term, ArrivalTerm) and not term.final
     )
     stated = constraint.lower, constraint.upper
     return Condition(name, model, terms, quantity.constant + begun, *stated)
 
 
-def _merged(quantity: Quantity) -> list[tuple[float, Counted]]:
+def _merged_terms(quantity: Quantity) -> list[tuple[float, Counted]]:
     """The terms, those that count the same added up, without those that cancel."""
     weights: dict[object, float] = {}
     first: dict[object, Counted] = {}
@@ -103,21 +109,22 @@ def _merged(quantity: Quantity) -> list[tuple[float, Counted]]:
     return [(weight, first[key]) for key, weight in weights.items() if weight != 0.0]
 
 
-def _term(model: SSP, name: str, counted: Counted) -> Term:
+def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
+    """What one counted thing is in the model, looked up."""
     match counted:
         case StageCosts(cost):
             if cost is None:
-                return Steps(model)
+                return StepTerm(model)
             costs = outcome_costs(model, name, cost)
-            return Steps(replace(model, costs=costs, exact_costs={}))
+            return StepTerm(replace(model, costs=costs, exact_costs={}))
         case Visits(of):
-            return Arrivals(model, _members(model, name, of))
+            return ArrivalTerm(model, _looked_up_states(model, name, of))
         case Ends(ways, others):
-            return Arrivals(model, _final_states(model, name, ways), final=True, others=others)
+            return ArrivalTerm(model, _looked_up_ends(model, name, ways), final=True, others=others)
 
 
-def _members(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
-    """States by their own names or by that of a label, [states]."""
+def _looked_up_states(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
+    """States looked up by their own names or by that of a label, [states]."""
     mask = np.zeros(model.n_states, dtype=np.bool_)
     for one in of:
         if isinstance(one, str) and one in model.state_labels:
@@ -134,7 +141,7 @@ def _members(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
     return mask
 
 
-def _final_states(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArray:
+def _looked_up_ends(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArray:
     """States in which an episode ends in one of some ways, [states]."""
     marks = end_marks(model)
     named: list[Hashable] = ["goal", *model.state_labels, "dead_end"]

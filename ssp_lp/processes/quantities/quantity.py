@@ -70,11 +70,11 @@ class Quantity:
         """The sum."""
         if isinstance(other, Quantity):
             return Quantity(self.terms + other.terms, self.constant + other.constant)
-        return Quantity(self.terms, self.constant + _number(other))
+        return Quantity(self.terms, self.constant + _quantity_number(other))
 
     def __mul__(self, factor: float) -> Quantity:
         """The multiple."""
-        times = _number(factor)
+        times = _quantity_number(factor)
         terms = tuple((weight * times, counted) for weight, counted in self.terms)
         return Quantity(terms, self.constant * times)
 
@@ -95,15 +95,15 @@ class Quantity:
 
     def __le__(self, bound: float) -> Constraint:
         """At most a number."""
-        return Constraint(self, upper=_number(bound))
+        return Constraint(self, upper=_quantity_number(bound))
 
     def __ge__(self, bound: float) -> Constraint:
         """At least a number."""
-        return Constraint(self, lower=_number(bound))
+        return Constraint(self, lower=_quantity_number(bound))
 
     def __eq__(self, value: float) -> Constraint:  # type: ignore[override]
         """Exactly a number."""
-        return Constraint(self, lower=_number(value), upper=_number(value))
+        return Constraint(self, lower=_quantity_number(value), upper=_quantity_number(value))
 
     def __repr__(self) -> str:
         """The sum as it would be typed."""
@@ -161,7 +161,7 @@ def visits(*states: Hashable) -> Quantity:
     Raises:
         ModelError: none is given, or a list in place of a state.
     """
-    _check_names("visits", states)
+    _check_quantity_names("visits", states)
     return Quantity(((1.0, Visits(states)),))
 
 
@@ -172,7 +172,7 @@ def end_probability(*ways: Hashable) -> Quantity:
         ways: "goal", a label of dead-ends, "dead_end" (one without a label), as in the ``ends`` of
             reports; or a state at which episodes end.
     """
-    _check_names("end_probability", ways)
+    _check_quantity_names("end_probability", ways)
     return Quantity(((1.0, Ends(ways)),))
 
 
@@ -186,13 +186,15 @@ def failure_probability() -> Quantity:
     return Quantity(((1.0, Ends(("goal",), others=True)),))
 
 
-def _check_names(verb: str, names: tuple[object, ...]) -> None:
+def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:
+    """Raise :class:`ModelError` unless a quantity takes its names one by one."""
     for name in names:
         if not isinstance(name, Hashable):
             raise ModelError(f"{verb} takes names one by one, {verb}('a', 'b'), not {name!r}")
 
 
-def _number(value: object) -> float:
+def _quantity_number(value: object) -> float:
+    """A finite number that a quantity goes with."""
     if isinstance(value, Real):
         try:
             number = float(value)

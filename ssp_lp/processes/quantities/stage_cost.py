@@ -61,9 +61,9 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> F
             unknown state or action.
     """
     if isinstance(cost, Mapping):
-        given = np.repeat(_listed(model, name, cost), np.diff(model.outcome_offsets))
+        given = np.repeat(_listed_costs(model, name, cost), np.diff(model.outcome_offsets))
     else:
-        given = _spread(model, name, _array(name, cost))
+        given = _spread_costs(model, name, _cost_array(name, cost))
     costs = read_only(given, np.float64)
     wrong = ~(np.isfinite(costs) & (costs >= 0.0))
     if wrong.any():
@@ -87,7 +87,7 @@ def is_amount(value: object) -> bool:
     return 0.0 <= amount < float("inf")
 
 
-def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
+def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
     """Costs from nested dicts, 0 where nothing is listed, [pairs]."""
     result = np.zeros(model.n_pairs)
     for state, actions in cost.items():
@@ -99,11 +99,11 @@ def _listed(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
             raise ModelError(f"limit {name!r}, state {state!r}: not {{action: cost}}: {actions!r}")
         acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
         for place in acting or places[:1].tolist():
-            _list_pairs(model, name, place, actions, result)
+            _list_pair_costs(model, name, place, actions, result)
     return result
 
 
-def _list_pairs(
+def _list_pair_costs(
     model: SSP, name: str, state: int, actions: Mapping[Hashable, float], result: FloatArray
 ) -> None:
     """Write the costs of a state's actions into the costs of all pairs."""
@@ -120,19 +120,19 @@ def _list_pairs(
         result[pair_of[action]] = float(value)
 
 
-def _array(name: str, cost: npt.ArrayLike) -> FloatArray:
+def _cost_array(name: str, cost: npt.ArrayLike) -> FloatArray:
     """Costs as an array of numbers."""
     try:
-        return _numbers(cost)
+        return _cost_numbers(cost)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
 
 
-def _spread(model: SSP, name: str, given: FloatArray) -> FloatArray:
+def _spread_costs(model: SSP, name: str, given: FloatArray) -> FloatArray:
     """Costs from an array of pairs or of outcomes, also of a product's original, [outcomes]."""
-    own, theirs = _by_outcome(model, given), None
+    own, theirs = _costs_by_outcome(model, given), None
     if isinstance(model, ProductSSP):
-        theirs = _by_outcome(model.original, given)
+        theirs = _costs_by_outcome(model.original, given)
         theirs = None if theirs is None else theirs[model.original_outcome]
     if own is not None and theirs is not None and not np.array_equal(own, theirs):
         raise ModelError(
@@ -148,7 +148,7 @@ def _spread(model: SSP, name: str, given: FloatArray) -> FloatArray:
     return found
 
 
-def _by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
+def _costs_by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
     """Costs by pair or by outcome, [outcomes]; None if they are neither."""
     if given.shape == (model.n_outcomes,):
         return given
@@ -157,7 +157,7 @@ def _by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
     return None
 
 
-def _numbers(cost: npt.ArrayLike) -> FloatArray:
+def _cost_numbers(cost: npt.ArrayLike) -> FloatArray:
     """A copy as floats; complex numbers and texts, which numpy would convert, are refused."""
     given = np.array(cost)
     if given.dtype.kind not in "biufO":

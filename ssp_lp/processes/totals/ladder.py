@@ -21,7 +21,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph.kept import kept
 from ssp_lp.processes.expectations import uniform_cost
 from ssp_lp.processes.totals.lattice import common_unit, layers_of
-from ssp_lp.processes.totals.sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
 
 _SUMS_PER_RUNG = 5  # sums told apart rather than so many rungs of a grid
 _ULPS = 1e-15  # relative: the rounding of one sum
@@ -43,7 +43,7 @@ class Ladder:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether every sum of steps up to the last rung is a rung."""
+        """Whether every sum of steps up to the ladder's last rung is a rung."""
         if self.complete:
             return True
         below, share = self.leads
@@ -52,7 +52,7 @@ class Ladder:
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:
-        """Where each step leads from each rung.
+        """Where each step leads from each rung of the ladder.
 
         Returns:
             The rung below, and the share that goes to the one above that, [rungs, steps] each.
@@ -68,7 +68,7 @@ class Ladder:
 
     @property
     def _room(self) -> float:
-        """Totals that differ by so little are one."""
+        """Totals that differ by so little are one rung."""
         return room_of(self.steps, float(self.rungs[-1]))
 
 
@@ -123,7 +123,7 @@ class Rungs:
         return Ladder(read_only(np.linspace(0.0, cap, min(rungs, room) + 1)), steps)
 
     def up_to(self, total: float) -> Rungs:
-        """With a cap at which failing is best, where that is known to be about there."""
+        """A ladder with a cap at which failing is best, where that is known to be about there."""
         return replace(self, cap=_MARGIN * total) if self.cap is None and total > 0.0 else self
 
     def finer(self, ladder: Ladder, enough: float | None, most: int) -> Rungs | None:
@@ -171,23 +171,23 @@ def wanted_rungs(model: SSP) -> Rungs | None:
     Args:
         model: the model.
     """
-    return _wanted(model, step_lattice(model)[1][:1])
+    return _wanted_of_ladder(model, step_lattice(model)[1][:1])
 
 
 @kept
 def wanted_rungs_of_law(model: SSP) -> Rungs | None:
     """The same where the steps into the goal have to be told apart as well."""
-    return _wanted(model, last_steps(model)[1])
+    return _wanted_of_ladder(model, last_steps(model)[1])
 
 
-def _wanted(model: SSP, last: FloatArray) -> Rungs | None:
+def _wanted_of_ladder(model: SSP, last: FloatArray) -> Rungs | None:
     """What a ladder needs, beside steps that only end a run, [steps]."""
     if uniform_cost(model) is not None:
         return None
     steps = step_lattice(model)[1]
     every = np.union1d(steps, last)
     if len(every) <= 2:
-        return _far(model, every)
+        return _is_far_below_rungs(model, every)
     ahead = _STEPS_AHEAD * float(every[-1])
     try:
         unit = common_unit(every, model.exact_costs)
@@ -195,14 +195,14 @@ def _wanted(model: SSP, last: FloatArray) -> Rungs | None:
     except ModelError:
         return Rungs() if sums_in(model, ahead, MOST_SUMS) is None else Rungs(most=MOST_SUMS)
     if per_step <= _FEW:
-        return _far(model, every)
+        return _is_far_below_rungs(model, every)
     layers = _STEPS_AHEAD * per_step
     if sums_in(model, ahead, min(layers // _FEWER, MOST_SUMS)) is not None:
         return Rungs(most=MOST_SUMS)
     return Rungs() if layers * model.n_pairs > _MOST_ENTRIES else None
 
 
-def _far(model: SSP, steps: FloatArray) -> Rungs | None:
+def _is_far_below_rungs(model: SSP, steps: FloatArray) -> Rungs | None:
     """Where a unit is near the steps: sums only if a last step passes too many multiples of it."""
     ahead = _STEPS_AHEAD * float(last_steps(model)[1][-1])
     unit = float(common_unit(steps, model.exact_costs))

@@ -20,12 +20,12 @@ _MOST_LAYERS_PER_STEP = 1_000_000
 
 
 def exact_cost(cost: float | Fraction) -> Fraction:
-    """The number that a cost stands for: a float means its shortest decimal (0.1 is 1/10)."""
+    """The number that a cost on a lattice stands for: a float means its shortest decimal."""
     return Fraction(cost) if isinstance(cost, Rational) else Fraction(repr(float(cost)))
 
 
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
-    """The last layer whose cost is at most a finite bound; negative where there is none.
+    """The last layer of a lattice whose cost is at most a finite bound; negative: there is none.
 
     A float means its shortest decimal (three steps of 0.1 are within 0.3), or the whole number of
     layers of which it is the nearest float (2/3, where the unit is 1/3).
@@ -38,17 +38,17 @@ def last_layer(bound: float | Fraction, unit: Fraction) -> int:
 
 
 def layers_within(total: float | Fraction, unit: Fraction) -> int:
-    """How many layers cost at most so much: the first one beyond the total."""
+    """How many layers of a lattice cost at most so much: the first one beyond the total."""
     return max(last_layer(total, unit) + 1, 0)
 
 
 def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
-    """Total cost of whole layers, rounded once, like ``layers``."""
+    """Total cost of whole layers of a lattice, rounded once, like ``layers``."""
     return np.asarray(layers * float(unit.numerator) / float(unit.denominator))
 
 
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
-    """The greatest number of which every cost is a whole multiple, found exactly.
+    """The unit of a lattice: the greatest number of which every cost is a whole multiple.
 
     A float means its shortest decimal (0.1 is 1/10) unless ``exact`` says which fraction it is.
 
@@ -67,7 +67,7 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
 
 
 def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]) -> IntArray:
-    """Whole number of units of each cost, like ``costs``.
+    """Whole number of a lattice's units in each cost, like ``costs``.
 
     Raises:
         ModelError: a single step passes too many layers for a table over accumulated cost.

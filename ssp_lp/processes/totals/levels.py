@@ -16,7 +16,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray, read_only
 from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.lattice import totals_of
-from ssp_lp.processes.totals.sums import room_of
+from ssp_lp.processes.totals.step_sums import room_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class Levels:
 
     @classmethod
     def of_lattice(cls, unit: Fraction, cap: int, width: int) -> Levels:
-        """Every multiple of a unit.
+        """A level for every multiple of a unit.
 
         Args:
             unit: cost of one row.
@@ -40,7 +40,7 @@ class Levels:
 
     @classmethod
     def of_sums(cls, ladder: Ladder) -> Levels:
-        """The sums below the last rung, and where steps lead from them."""
+        """A level for each sum below the last rung, and where steps lead from them."""
         below, last = ladder.rungs[:-1], float(ladder.rungs[-1])
         room = room_of(ladder.steps, last)
         reached = below[:, None] + ladder.steps[1:]
@@ -52,7 +52,7 @@ class Levels:
         return cls(read_only(totals), len(below), read_only(ahead))
 
     def leads(self, kinds: int) -> IntArray:
-        """The row that each kind of step leads to from each row below the cap, [cap, kinds]."""
+        """The level that each kind of step leads to from each one below the cap, [cap, kinds]."""
         here = np.arange(self.cap)[:, None]
         if self.ahead is None:
             return here + np.arange(kinds)
@@ -60,7 +60,7 @@ class Levels:
 
     @property
     def span(self) -> int:
-        """Rows that must be at hand: the farthest that a step leads to, and all beyond the cap."""
+        """Levels that must be at hand: the farthest that steps lead to, and all beyond the cap."""
         beyond = len(self.totals) - self.cap
         return beyond if self.ahead is None else max(beyond, int(self.ahead.max(initial=-1)) + 1)
 
@@ -87,19 +87,19 @@ class Window:
 
     @property
     def ahead(self) -> FloatArray:
-        """The layers ahead, contiguous, [layers, ...]."""
+        """The levels ahead, contiguous, [layers, ...]."""
         return self._buffer[self._front : self._front + self._length]
 
     @property
     def flat(self) -> FloatArray:
-        """What steps lead to, one layer after the other, as their columns are, [layers * nodes]."""
+        """What steps lead to, one level after the other, as their columns are, [layers * nodes]."""
         ahead = self.ahead
         if self._leads is not None:
             ahead = ahead[self._leads[self._layer]]
         return ahead.reshape(-1, *ahead.shape[2:])
 
     def push(self, layer: FloatArray) -> None:
-        """Put a layer at the front and drop the farthest."""
+        """Put a level at the front of the window and drop the farthest."""
         self._layer -= 1
         if self._length == 0:
             return

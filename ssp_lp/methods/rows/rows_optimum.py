@@ -24,7 +24,7 @@ from ssp_lp.errors import SolverError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement
 from ssp_lp.methods.rows.lottery import Truth, best_lottery, true_lottery, truth_of
-from ssp_lp.methods.rows.phase_one import begun_at_duals, begun_at_guess, by_name, opening
+from ssp_lp.methods.rows.phase_one import begun_at_duals, begun_at_guess, by_name, phase_one_opening
 from ssp_lp.methods.rows.proof import bound_in_time
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -109,20 +109,20 @@ def rows_optimum(
     best: RowsOptimum | None = None
     guess: RowsOptimum | None = None
     if stated.rungs is not None:
-        guess = _coarse_guess(stated, options)
+        guess = _coarse_guess_for_rows(stated, options)
         stated = stated.up_to(guess.kappa)
     while True:
         try:
-            found = _attempt(stated, options.after(calls), truth, guess)
+            found = _rows_attempt(stated, options.after(calls), truth, guess)
         except STOPS as stop:
             heed(stop)
             if best is None:
                 raise Stop from stop
-            return _with_value(replace(best, note=best.note or CUT_SHORT))
+            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
         except SolverError:
             if best is None or not is_late():
                 raise
-            return _with_value(replace(best, note=best.note or CUT_SHORT))
+            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
         calls, work = calls + found.calls, work + found.work
         gaps.append(found.gap)
         best = found if best is None or found.gap < best.gap else best
@@ -130,19 +130,19 @@ def rows_optimum(
         if best.gap <= options.tolerance:
             return best
         if is_late():
-            return _with_value(replace(best, note=best.note or CUT_SHORT))
+            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
         finer = None if stuck else found.compiled.refined(found.kappa)
         if finer is None and not (stated.precise or found.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
-            return _with_value(best)
+            return _optimum_with_value(best)
         stated = finer
         if found.compiled.ladder is not None and np.isfinite(found.value):
             guess = found
 
 
-def _with_value(found: RowsOptimum) -> RowsOptimum:
+def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
     """The optimum with a remark on rounded totals, if some policy keeps to the rows.
 
     Raises:
@@ -162,23 +162,23 @@ def _with_value(found: RowsOptimum) -> RowsOptimum:
     return replace(found, note=told)
 
 
-def _coarse_guess(stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
+def _coarse_guess_for_rows(stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
     """Ratio and prices on a coarse grid of totals: from these the true ones are near."""
     coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
-    return _attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
+    return _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
 
 
-def _attempt(
+def _rows_attempt(
     stated: CompiledConstrained,
     options: SolveOptions,
     truth: Truth | None,
     guess: RowsOptimum | None,
 ) -> RowsOptimum:
-    """One search, on the process and in the precision that the compiled problem says."""
+    """One search for the rows' optimum, in the precision that the compiled problem says."""
     finer = 1.0 if stated.sense.constant is None else _FINER
     options = replace(options, tolerance=finer * options.tolerance)
     compiled = stated.settled()
-    opened, program = opening(compiled, stated, options), None
+    opened, program = phase_one_opening(compiled, stated, options), None
     if guess is not None:
         opened = begun_at_guess(compiled, opened, guess)
     if options.program is not None:
@@ -186,10 +186,10 @@ def _attempt(
             best_lottery(compiled, opened, replace(options, tolerance=_COARSE))
         program, opened = begun_at_duals(compiled, opened, options.program, options.deadline)
     found, ratio = best_lottery(compiled, opened, options)
-    return _concluded(compiled, stated, opened, found, ratio, truth, program)
+    return _concluded_for_rows(compiled, stated, opened, found, ratio, truth, program)
 
 
-def _concluded(
+def _concluded_for_rows(
     compiled: CompiledConstrained,
     stated: CompiledConstrained,
     opened: StabilisedMaster,
@@ -227,15 +227,15 @@ def _concluded(
         values=values,
         calls=pool.calls,
         work=pool.work,
-        note=_note(compiled, stated, rows, found.finished),
+        note=_note_on_rows(compiled, stated, rows, found.finished),
         program="" if program is None else program.report,
     )
 
 
-def _note(
+def _note_on_rows(
     compiled: CompiledConstrained, stated: CompiledConstrained, rows: Rows, finished: bool
 ) -> str:
-    """What a reader should know: bounds that were raised to what is attainable, a cut search."""
+    """What a reader should know of an optimum within rows: raised bounds, a cut search."""
     remarks = []
     if compiled.budget is None and stated.budget is not None:
         remarks.append("the failure budget counts as equal to the least failure")

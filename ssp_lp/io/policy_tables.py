@@ -59,7 +59,7 @@ def policy_table(policy: Policy | MixedPolicy) -> list[PolicyRow]:
         [PolicyRow(state='door', memory=None, action='open', probability=1.0, member=0)]
     """
     members = enumerate(as_lottery(policy).policies)
-    return [row for k, member in members for row in _rows(member, k)]
+    return [row for k, member in members for row in _table_rows(member, k)]
 
 
 @explained
@@ -74,10 +74,11 @@ def to_frame(policy: Policy | MixedPolicy) -> Any:
     return pandas.DataFrame(policy_table(policy), columns=list(PolicyRow._fields))
 
 
-def _rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
+def _table_rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
+    """The rows of a policy's table, a member's decisions."""
     model, names = policy.model, policy.model.states
     for code, told in memories_of(policy):
-        states = _states_with(policy, code)
+        states = _table_states(policy, code)
         found = policy.branches(states, np.full(len(states), code, dtype=np.int64))
         decided = np.flatnonzero((found.pair != UNDECIDED) & (found.probability > 0.0))
         here = states[found.situation[decided]].tolist()
@@ -87,8 +88,8 @@ def _rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
             yield PolicyRow(names[state], told, action, share, member)
 
 
-def _states_with(policy: Policy, memory: int) -> IntArray:
-    """The states that a memory may occur in, [states]."""
+def _table_states(policy: Policy, memory: int) -> IntArray:
+    """The states that a table lists for a memory, [states]."""
     if isinstance(policy, RememberingPolicy):
         number = memory % len(policy.product.memories)
         return np.flatnonzero(policy.product.table[:, number] >= 0)
@@ -99,7 +100,7 @@ def _states_with(policy: Policy, memory: int) -> IntArray:
 
 
 def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
-    """Every memory of a policy, and how it is told.
+    """Every memory of a policy, and how a table tells of it.
 
     Raises:
         ModelError: the policy is of a class whose memory is not known.
@@ -114,9 +115,9 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
             told = told if policy.levels is None else policy.levels[:-1].tolist()
             return list(enumerate([*told, *(f"tail {k}" for k in range(len(policy.tails)))]))
         case TimedPolicy():
-            return _joined(range(len(policy.stages)), memories_of(policy.stages[0]))
+            return _joined_in_table(range(len(policy.stages)), memories_of(policy.stages[0]))
         case RememberingPolicy():
-            return _joined(policy.product.memories, memories_of(policy.inner))
+            return _joined_in_table(policy.product.memories, memories_of(policy.inner))
         case JointMemory(keepers=(keeper,)):
             return memories_of(keeper)
         case JointMemory():
@@ -126,7 +127,7 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
     raise ModelError(f"what a {type(policy).__name__} remembers is not known")
 
 
-def _joined(
+def _joined_in_table(
     last: Sequence[Hashable], inner: list[tuple[int, Hashable]]
 ) -> list[tuple[int, Hashable]]:
     """Two memories in one number, the inner one its leading digit."""
@@ -138,6 +139,7 @@ def _joined(
 
 
 def _mixed_radix(digits: list[int], sizes: list[int]) -> int:
+    """The number of a memory in a table, from its digits."""
     number = 0
     for digit, size in zip(digits, sizes, strict=True):
         number = number * size + digit

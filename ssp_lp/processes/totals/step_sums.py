@@ -29,7 +29,7 @@ _SHARE = 1e-3  # of the cheapest step
 
 @kept
 def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
-    """The model's distinct step costs in place of layers: each outcome's position among them.
+    """The distinct step costs to be summed, in place of layers: each outcome's position among them.
 
     Args:
         model: the model.
@@ -37,16 +37,16 @@ def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
     Returns:
         A lattice of one layer per distinct cost, and the costs, the first of which is 0.
     """
-    return _kinds(model, ~(dead_ends(model) | model.goal_mask))
+    return _kinds_of_steps_to_sum(model, ~(dead_ends(model) | model.goal_mask))
 
 
 @kept
 def last_steps(model: SSP) -> tuple[Lattice, FloatArray]:
-    """The same of the steps into the goal, which no total below the cap has to be made of."""
-    return _kinds(model, model.goal_mask)
+    """The same of the last steps, which no sum below the cap has to be made of."""
+    return _kinds_of_steps_to_sum(model, model.goal_mask)
 
 
-def _kinds(model: SSP, counted: BoolArray) -> tuple[Lattice, FloatArray]:
+def _kinds_of_steps_to_sum(model: SSP, counted: BoolArray) -> tuple[Lattice, FloatArray]:
     """Distinct costs of the steps into some states, [states], and each outcome's place there."""
     same = uniform_cost(model)
     if same is not None and counted[model.successors].any():
@@ -66,7 +66,7 @@ def _kinds(model: SSP, counted: BoolArray) -> tuple[Lattice, FloatArray]:
 
 
 def room_of(steps: FloatArray, cap: float) -> float:
-    """Totals up to a cap that differ by so little are one.
+    """Sums up to a cap that differ by so little are one.
 
     Args:
         steps: distinct costs of a step, the first of which is 0, [steps].
@@ -104,15 +104,15 @@ def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
     """
     steps = step_lattice(model)[1]
     found = sums_of(steps, cap, most)
-    return _walked(model, steps, cap, most) if found is None else found
+    return _walked_sums(model, steps, cap, most) if found is None else found
 
 
-def _walked(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
+def _walked_sums(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
     """The sums that walks from any state make, by breadth."""
     n, room = model.n_states, room_of(steps, cap)
     if not cap / room * n < 2.0**62:
         return None
-    offsets, target, paid = _edges(model)
+    offsets, target, paid = _steps_to_sum(model)
     state, total = np.arange(n), np.zeros(n)
     known, sums = np.arange(n), np.zeros(1)  # places: number of the total, then the state
     for _ in range(_MOST_ROUNDS):
@@ -135,7 +135,7 @@ def _walked(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray 
     return None
 
 
-def _edges(model: SSP) -> tuple[IntArray, IntArray, FloatArray]:
+def _steps_to_sum(model: SSP) -> tuple[IntArray, IntArray, FloatArray]:
     """The distinct (successor, cost) of each state's steps that go on: offsets, both."""
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     ended = dead_ends(model) | model.goal_mask

@@ -21,7 +21,7 @@ Findings = dict[str, str]
 
 
 @dataclass(frozen=True)
-class Comparison:
+class MethodComparison:
     """Compares methods that lead to one problem's answer."""
 
     budget: float | None
@@ -121,6 +121,7 @@ class Comparison:
         return ["several prices are optimal"] if self._differ(weights) else []
 
     def _differ(self, weights: Sequence[float]) -> bool:
+        """Whether weights that are compared differ by more than the tolerance."""
         return len(weights) > 1 and max(weights) - min(weights) > self.weight_tolerance
 
     def _is_proved(self, method: MethodResult) -> bool:
