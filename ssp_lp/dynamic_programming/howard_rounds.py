@@ -117,9 +117,8 @@ def _howard_rounds(
             accuracy = _FINE
             if not system.is_solved_exactly:
                 continue
-            better, gain, scale = _gains_of_round(
-                backup, values, accuracy
-            )  # only noise was thought greater
+            # only noise was thought greater
+            better, gain, scale = _gains_of_round(backup, values, accuracy)
         above = values if accuracy <= _FINE else None
         if not better.any():
             return choice, system, totals, gain, work

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
 from typing import Any
 
@@ -225,11 +224,3 @@ def indexed_labels(
         )
         for name, members in labels.items()
     }
-
-
-def check_state_names(states: Sequence[Hashable]) -> None:
-    """Raise :class:`ModelError` if two states bear one label."""
-    if isinstance(states, range) or len(set(states)) == len(states):
-        return
-    twice = next(s for s, n in Counter(states).items() if n > 1)
-    raise ModelError(f"{twice!r} is the label of several states")

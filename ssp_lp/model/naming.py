@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Hashable, Mapping, Sequence
 from functools import cached_property
 from typing import TypeVar, cast
@@ -123,3 +124,11 @@ class Naming:
         """The sizes as a table, for notebooks."""
         rows = [(name, f"{count:,}") for name, count in self._sizes.items()]
         return html_table(type(self).__name__, rows)
+
+
+def check_state_names(states: Sequence[Hashable]) -> None:
+    """Raise :class:`ModelError` if two states bear one label."""
+    if isinstance(states, range) or len(set(states)) == len(states):
+        return
+    twice = next(s for s, n in Counter(states).items() if n > 1)
+    raise ModelError(f"{twice!r} is the label of several states")

@@ -24,7 +24,6 @@ from ssp_lp.model.checked_arrays import (
     check_idle_states,
     check_offsets,
     check_outcomes,
-    check_state_names,
     cost_array,
     goal_mask_of,
     indexed_labels,
@@ -32,7 +31,7 @@ from ssp_lp.model.checked_arrays import (
     unit_sums,
 )
 from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
-from ssp_lp.model.naming import Naming
+from ssp_lp.model.naming import Naming, check_state_names
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -30,7 +30,7 @@ def decimal_sum(
         return one if one.any() else other
     if not (np.isfinite(one).all() and np.isfinite(other).all()):
         return np.asarray(one + other)
-    first, second, place = distinct_pairs(one, other)
+    first, second, place = distinct_decimal_pairs(one, other)
     if first.size > _MOST_DISTINCT:
         return np.asarray(one + other)
     meant = exact or {}
@@ -41,7 +41,9 @@ def decimal_sum(
     return np.array(sums)[place]
 
 
-def distinct_pairs(one: FloatArray, other: FloatArray) -> tuple[FloatArray, FloatArray, IntArray]:
+def distinct_decimal_pairs(
+    one: FloatArray, other: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
     """The distinct pairs of finite numbers, sorted.
 
     Args:

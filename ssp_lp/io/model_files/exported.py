@@ -12,7 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.decimals import decimal_sum, distinct_pairs
+from ssp_lp.io.model_files.decimals import decimal_sum, distinct_decimal_pairs
 from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, PAY, PAYING
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
@@ -116,7 +116,7 @@ def _exported_costs(model: SSP) -> tuple[_Outcomes, _Payments]:
     late = np.flatnonzero(costs > least[pairs])
     meant = dict(model.exact_costs) | {-cost: -exact for cost, exact in model.exact_costs.items()}
     rest = decimal_sum(costs[late], -least[pairs[late]], meant)
-    following, rests, kind = distinct_pairs(successors[late].astype(np.float64), rest)
+    following, rests, kind = distinct_decimal_pairs(successors[late].astype(np.float64), rest)
     successors[late] = model.n_states + kind
     payments = _Payments(least, following.astype(np.int64), rests)
     return _Outcomes(pairs, successors, model.probabilities[occurs]), payments

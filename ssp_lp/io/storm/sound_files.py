@@ -85,7 +85,7 @@ def _broken_part(archive: tarfile.TarFile) -> str | None:
         return _INDEX
     for name, (counted, into) in _OFFSETS.items():
         ends = counts.get(counted), counts.get(into)
-        if name in parts and not _are_offsets(archive, parts[name], *ends):
+        if name in parts and not _are_sound_offsets(archive, parts[name], *ends):
             return name
     for name, member in parts.items():
         folder, found, _ = name.rpartition("string-mapping.bin")
@@ -93,7 +93,7 @@ def _broken_part(archive: tarfile.TarFile) -> str | None:
             continue
         named = counts.get(_ACTIONS.get(folder, ""), member.size // _OFFSET_BYTES - 1)
         words, values = parts.get(f"{folder}strings.bin"), parts.get(f"{folder}values.bin")
-        if words is None or not _are_offsets(archive, member, named, words.size):
+        if words is None or not _are_sound_offsets(archive, member, named, words.size):
             return name
         several = () if values is None else _numbers_of_part(archive, values, _POSITION_BYTES)
         if any((piece >= named).any() for piece in several):
@@ -118,7 +118,9 @@ def _numbers_of_part(
             yield np.frombuffer(piece[: len(piece) // width * width], dtype=f"<u{width}")
 
 
-def _are_offsets(archive: tarfile.TarFile, member: tarfile.TarInfo, count: Any, end: Any) -> bool:
+def _are_sound_offsets(
+    archive: tarfile.TarFile, member: tarfile.TarInfo, count: Any, end: Any
+) -> bool:
     """Whether a part is ``count + 1`` numbers that do not fall, from 0 to ``end``."""
     counted = type(count) is int and type(end) is int
     if not counted or member.size != _OFFSET_BYTES * (count + 1):

@@ -135,9 +135,8 @@ def accumulate_cost(
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0
     counted = going_on | model.goal_mask if arrivals else going_on
-    lattice, arriving, last = (
-        _kinds_of_costs(model) if by_steps else _multiples_of_unit(model, counted)
-    )
+    told_apart = _kinds_of_costs(model) if by_steps else _multiples_of_unit(model, counted)
+    lattice, arriving, last = told_apart
     instant, later = _steps_by_cost(quotient, lattice, survival)
     to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
     acting = quotient.pair_at >= 0
