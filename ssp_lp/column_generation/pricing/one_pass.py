@@ -21,7 +21,7 @@ from ssp_lp.processes.layered.layered_process import LayeredProcess
 _MOST_CELLS = 8_000_000
 """Nodes times layers held at once, with four numbers each; larger layers are swept one by one."""
 
-_MOST_ENTRIES = 60_000
+_MOST_ENTRIES = 30_000
 """Entries of a layer beyond which calling a loop for each is nothing beside what it does."""
 
 _MOST_CHARGES = 4_000_000
