@@ -104,7 +104,6 @@ __all__ = [
     "expected_cost",
     "failure_probability",
     "goal_probability",
-    "is_whole",
     "secondary_cost",
     "visits",
 ]
@@ -196,7 +195,7 @@ class Formulation(_Inherited):
         budget = given.get("failure_budget", 1.0 if share is None else None)
         check_failure_setting(given.get("_stated_budget", budget), given.get("discount"), share)
         if "give_up" in given:
-            given["give_up"] = parse_give_up(given["give_up"])
+            object.__setattr__(self, "give_up", parse_give_up(given["give_up"]))
         if not isinstance(self._asked.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
         _ = self._begun

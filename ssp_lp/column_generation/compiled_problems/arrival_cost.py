@@ -122,6 +122,8 @@ class CompiledArrivalCost(CompiledLayered):
         settled = self.charge.settled or 0.0
         if isinstance(self.charge, ExponentialCharge):
             return max(self._units(self.cost_horizon), self._least_units)
+        if self.base.width == 1 and not self.by_sums:
+            return 1  # no step costs anything: nothing is ever paid
         if not self.by_sums:
             return max(layers_within(settled, self.base.exact_unit), 1)
         return max(settled * (1.0 + _BEYOND), self._least_units)

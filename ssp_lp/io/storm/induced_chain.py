@@ -52,7 +52,7 @@ def induced_chain(
     firsts = offsets_of(np.array([chain.n_nodes for chain in chains]))
     n_states = int(firsts[-1]) + 2
     draw, end = n_states - 2, n_states - 1
-    parts = [_start_of_chain(chains, lottery.weights, firsts, draw)]
+    parts = [_start_of_chain(chains, lottery.weights, draw)]
     parts += [
         _rows_of_chain(chain, int(first), end) for chain, first in zip(chains, firsts, strict=False)
     ]
@@ -85,7 +85,7 @@ def induced_chain(
     return ModelFile(chain, (START,))
 
 
-def _start_of_chain(chains: list[Chain], weights: FloatArray, firsts: IntArray, draw: int) -> _Rows:
+def _start_of_chain(chains: list[Chain], weights: FloatArray, draw: int) -> _Rows:
     """The free step that draws the lottery and the first state."""
     chance = np.concatenate([w * chain.start for w, chain in zip(weights, chains, strict=True)])
     target = np.flatnonzero(chance > 0.0)

@@ -1,0 +1,99 @@
+"""Criteria of the law of real costs on rounded costs: both sides hold, and are proved alike."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
+from ssp_lp import SSP, MixedPolicy, ModelError, certify, evaluate, solve
+
+STEP = 2.0**0.5
+DEAR = [1e4, 1e8, 1e12]
+
+
+def corridor(costs: list[float], dear: float) -> SSP:
+    """Rooms in a row; a lift is quick, may fall, and may ask for a dear rescue."""
+    rooms = {
+        f"r{k}": {
+            "walk": [(0.8, f"r{k + 1}", costs[0]), (0.2, f"r{max(k - 1, 0)}", costs[1])],
+            "lift": [(0.93, f"r{k + 1}", costs[2]), (0.05, "shaft", 0.0), (0.02, "r0", dear)],
+        }
+        for k in range(5)
+    }
+    return SSP.from_transitions(
+        {**rooms, "shaft": {}}, goal={"r5"}, treat_actionless_as_dead_ends=True
+    )
+
+
+def questions(model: SSP, levels: int) -> list:
+    """One of each criterion, on few levels."""
+
+    def utility(total):
+        return 1.0 / (1.0 + total / 10.0)
+
+    return [
+        CVaR(model, "r0", 0.8, 0.2, cost_levels=levels),
+        CostQuantile(model, "r0", 0.8, 0.2, cost_levels=levels),
+        CostBoundedReach(model, "r0", 9.0, 0.2, cost_levels=levels),
+        GUBS(model, "r0", utility, 0.5, cost_levels=levels),
+        EGUBS(model, "r0", -0.1, 0.5, cost_levels=levels),
+    ]
+
+
+@pytest.mark.parametrize("number", range(5))
+def test_a_certificate_proves_the_gap_that_the_solution_states(number: int) -> None:
+    """Costs of one kind as well, whose rounded multiples have a unit of their own."""
+    for costs in ([STEP, STEP, STEP], [STEP, 3.0**0.5, np.pi / 3.0]):
+        solution = solve(questions(corridor(costs, 3.0 * STEP), 50)[number])
+        certificate = certify(solution)
+        assert certificate.accepted
+        assert certificate.gap <= 1.1 * solution.gap + 1e-9
+
+
+@pytest.mark.parametrize("dear", DEAR)
+def test_a_policy_beside_a_dear_step_can_be_evaluated(dear: float) -> None:
+    problem = CostBoundedReach(corridor([1.3, STEP, 0.4], dear), "r0", 9.0, 0.2, cost_levels=200)
+    solution = solve(problem)
+    assert certify(solution).accepted
+    attained = evaluate(solution.policy, problem).objective
+    assert solution.objective - 1e-9 <= attained <= solution.upper_bound + 1e-9
+
+
+def test_where_nothing_costs_anything_the_bound_may_be_far() -> None:
+    model = corridor([0.0, 0.0, 0.0], 0.0)
+    solution = solve(CostBoundedReach(model, "r0", 1e9, 0.2))
+    assert solution.objective == pytest.approx(1.0, abs=1e-9)
+    assert solve(CVaR(model, "r0", 0.8, 0.2)).objective == 0.0
+
+
+def test_a_bound_that_the_policy_exceeds_is_refused() -> None:
+    """From above as from below: one of the two is wrong."""
+    from ssp_lp.verification.certificate import certificate_of
+
+    model = corridor([1.3, STEP, 0.4], 2.0)
+    problem = questions(model, 50)[2]
+    found = evaluate(solve(problem).policy, problem)
+    assert not certificate_of(found, 0.9 * found.objective, 1.0, above=True).accepted
+    assert not certificate_of(found, 1.1 * found.objective, 1.0).accepted
+    assert certificate_of(found, 1.1 * found.objective, 1.0, above=True).accepted
+
+
+@pytest.mark.parametrize("unit", [0.0, -1.0, np.nan, np.inf])
+def test_a_unit_must_be_one(unit: float) -> None:
+    policy = solve(questions(corridor([1.3, STEP, 0.4], 2.0), 20)[0]).policy.policies[0]
+    with pytest.raises(ModelError, match="unit"):
+        replace(policy, unit=unit)
+
+
+def test_a_unit_too_small_proves_nothing_false() -> None:
+    """Steps that pass more layers than there are numbers overstate no success."""
+    problem = questions(corridor([1.3, STEP, 0.4], 2.0), 20)[0]
+    solution = solve(problem)
+    least = solution.lower_bound
+    members = tuple(replace(policy, unit=1e-300) for policy in solution.policy.policies)
+    forged = replace(solution, policy=MixedPolicy(members, solution.policy.weights))
+    assert evaluate(forged.policy, problem).objective >= least - 1e-9
+    assert certify(forged).objective >= least - 1e-9
