@@ -16,7 +16,6 @@ from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from ssp_lp.options import Status
 
@@ -35,11 +34,11 @@ class Stop(Exception):  # noqa: N818 (it steers, as StopIteration does)
     """A loop was told to end. It carries the policy that the loop had come to, if it had one.
 
     Args:
-        choice: the policy, in the terms of the loop, [states].
+        choice: the policy, in the terms of the loop, [states] or a column.
         told: what was known by then, in words.
     """
 
-    def __init__(self, choice: npt.NDArray[Any] | None = None, told: str = "") -> None:
+    def __init__(self, choice: Any = None, told: str = "") -> None:
         super().__init__(told)
         self.choice, self.told = choice, told
 

@@ -74,6 +74,8 @@ def costless_pairs(model: SSP, weights: FloatArray | BoolArray | None = None) ->
     cost = uniform_cost(model)
     if cost is not None and cost > 0.0 and weights is None:
         return np.zeros(model.n_pairs, dtype=np.bool_)
+    if cost is not None and cost > 0.0 and weights is not None:
+        return np.asarray(successor_means(model, weights > 0) == 0.0)
     result = np.zeros(model.n_pairs, dtype=np.bool_)
     for pairs in segment_chunks(model.outcome_offsets):
         check_time()

@@ -212,17 +212,18 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     rows = live_rows(RowChoice(model, node_of, live.size, taken, home), survival)
     chain, departs = System(rows.matrix, rows.exits), rows.departs
     hit = successor_means(model, model.goal_mask)[taken] / departs
-    early = np.zeros(model.n_states)
-    early[live] = chain.solve(hit)
-    goal = np.where(model.goal_mask, 1.0, survival * early)
     missing = successor_means(model, (node_of < 0) & ~model.goal_mask)[taken]
-    missed = chain.solve((1.0 - survival) + survival * missing / departs)
+    miss = (1.0 - survival) + survival * missing / departs
+    solved = chain.solve(np.stack([hit, miss], axis=1))
+    early = np.zeros(model.n_states)
+    early[live] = solved[:, 0]
+    goal = np.where(model.goal_mask, 1.0, survival * early)
     cost = np.zeros(model.n_states)
     cost[live] = chain.solve(cost_means(model, goal)[taken] / departs)
     return ReachPolicy(
         decision=np.where(decision >= 0, decision, UNDECIDED),
         goal=goal,
-        failure=_failing_to_reach(model, model.goal_mask, node_of, missed),
+        failure=_failing_to_reach(model, model.goal_mask, node_of, solved[:, 1]),
         early=early,
         cost=cost,
         cost_bound=np.zeros(model.n_states),

@@ -84,9 +84,9 @@ class ExplicitPricing:
         """[states]."""
         return (self.process.n_states,)
 
-    def incumbent(self, choice: IntArray | None) -> Column | None:
+    def incumbent(self, choice: IntArray | Column | None) -> Column | None:
         """The policy that policy iteration had come to."""
-        return None if choice is None else self.measure(choice)
+        return self.measure(choice) if isinstance(choice, np.ndarray) else None
 
     def first(self) -> Column:
         """A policy that comes nearer to the goal with every step it takes, where it can."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,19 +14,18 @@ from ssp_lp.column_generation.pricing.layer_bounds import (
     priced_layers,
     summed_layers,
 )
+from ssp_lp.column_generation.pricing.layer_choices import (
+    best_of_layer,
+    best_with_measures,
+    is_acyclic,
+    measures_of_layer,
+)
 from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.bellman import (
-    PairCost,
-    Work,
-    best_pairs,
-    chosen_product,
-    unsigned_parts,
-)
+from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.leaving import approach_leaving
-from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
@@ -39,8 +38,6 @@ _BELOW_EVERY_VALUE = 1e-6
 _KEPT_VALUES = 25_000_000
 """Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
 shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
-
-_ONE = np.ones(1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,9 +55,9 @@ class LayeredPricing:
         """[layers, nodes]."""
         return self.process.cap, self.process.base.n_nodes
 
-    def incumbent(self, choice: IntArray | None) -> Column | None:
-        """None: half a sweep is no policy."""
-        return None
+    def incumbent(self, choice: IntArray | Column | None) -> Column | None:
+        """What half a sweep is worth: see ``_cut_short``."""
+        return choice if isinstance(choice, Column) else None
 
     def first(self) -> Column:
         """The first tail, which goes for the goal, followed from the start."""
@@ -74,8 +71,7 @@ class LayeredPricing:
 
     def minimise(self, failure_price: float, *warm: Column | None) -> Column:
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
-        base, offsets = self.process.base, self.process.base.pair_offsets
-        choice = self._blank_choice()
+        base, choice = self.process.base, self._blank_choice()
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
         if self._one_pass is not None:
@@ -83,47 +79,64 @@ class LayeredPricing:
             measures = np.stack(self.process.beyond(failure_price), axis=-1)
             totals = self._one_pass.minimise(owed, beyond, measures, choice)
             return self._column(totals, choice, failure_price, self.process.cap)
-        priced = priced_layers(self.process, owed)
-        ahead = self.process.window(self._tail_values(failure_price, failing))
-        measured = self._measures_beyond(failure_price)
-        totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
-        for layer in reversed(range(self.process.cap)):
-            check_time()
-            cost, charge = priced(layer), self.process.charged(layer)
-            if self._acyclic and accelerated(base.later.nnz):
-                values, totals = self._fused(cost, charge, ahead, measured, choice[layer])
-            else:
-                inner, values = self._best(cost, ahead, inner)
-                choice[layer] = inner - offsets[:-1]
-                totals = self._measured(inner, charge, measured)
-            ahead.push(values)
-            measured.push(totals)
+        totals = self._swept_down(failure_price, failing, owed, choice)
         return self._column(totals, choice, failure_price, self.process.cap)
 
-    def _best(self, cost: PairCost, ahead: Window, inner: IntArray) -> tuple[IntArray, FloatArray]:
-        """The pairs of least value in a layer and their values, [nodes] each."""
-        base, offsets = self.process.base, self.process.base.pair_offsets
-        if self._acyclic:
-            backup = best_pairs(offsets, base.later, cost, ahead.flat)
-            return backup.choice, backup.minima
-        onward = (cost.total + base.later @ ahead.flat)[:, None]
-        settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
-        return settled.choice, settled.values
+    def _swept_down(
+        self, price: float, failing: float, owed: FloatArray, choice: IntArray
+    ) -> FloatArray:
+        """Layer by layer the best choice, which is written, and its measures from the first.
 
-    def _fused(
-        self, cost: PairCost, charge: PairCost, ahead: Window, measured: Window, position: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """The same and its measures in one compiled pass, which writes the choice to position."""
-        from ssp_lp.compiled.backups import back_up_layer
+        Raises:
+            Stop: with what had been swept by then, as a column.
+        """
+        base, priced = self.process.base, priced_layers(self.process, owed)
+        ahead = self.process.window(self._tail_values(price, failing))
+        measured = self._measures_beyond(price)
+        totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
+        reached = self.process.cap
+        try:
+            for layer in reversed(range(self.process.cap)):
+                check_time()
+                cost, charge = priced(layer), self.process.charged(layer)
+                if self._acyclic and accelerated(base.later.nnz):
+                    windows, position = (ahead.flat, measured.flat), choice[layer]
+                    values, found = best_with_measures(base, cost, charge, windows, position)
+                else:
+                    inner, values = best_of_layer(base, cost, ahead.flat, inner)
+                    choice[layer] = inner - base.pair_offsets[:-1]
+                    found = measures_of_layer(base, inner, charge, measured.flat)
+                ahead.push(values)
+                measured.push(found)
+                reached, totals = layer, found
+        except STOPS as stop:
+            heed(stop)
+            raise Stop(self._cut_short(totals, choice, price, reached)) from stop
+        return totals
 
-        base, matrix = self.process.base, self.process.base.later
-        values, totals = np.empty(base.n_nodes), np.empty((base.n_nodes, 3))
-        back_up_layer(matrix.nnz)(
-            *unsigned_parts(base.pair_offsets, matrix), *cost.parts,
-            *charge.parts[:2], base.gain, base.failure, base.survival,
-            ahead.flat, measured.flat, values, position, totals,
-        )  # fmt: skip
-        return values, totals
+    def _cut_short(
+        self, totals: FloatArray, choice: IntArray, price: float, reached: int
+    ) -> Column | None:
+        """What a sweep that got down to a layer found: the best policy at a lower price of failure.
+
+        Whoever begins in that layer as if nothing had been paid does what is best at the price
+        less what the layer stands for. None where the charge is another one than the cost itself.
+
+        Args:
+            totals: measures from that layer on, [nodes, 3].
+            choice: [cap, nodes], of which the layers from that one on are written.
+            price: of failure.
+            reached: the layer.
+        """
+        process = self.process
+        if not process.grows_evenly or process.ladder is not None or reached == process.cap:
+            return None
+        paid = float(process.levels.totals[reached]) / process.base.survival
+        begun = replace(process, cap=process.cap - reached)
+        found = replace(self, process=begun)._column(totals, choice[:0], price - paid, 0)
+        cost = found.cost - paid * (found.goal - process.base.start_goal)
+        policy = begun.policy(choice[reached:], price - paid)
+        return replace(found, cost=cost, choice=None, policy=policy)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
         """Exact E[cost; goal] and failure of a choice, by a backward sweep.
@@ -140,23 +153,10 @@ class LayeredPricing:
         for layer in reversed(range(self.process.cap)):
             check_time()
             chosen = base.pair_offsets[:-1] + choice[layer]
-            totals = self._measured(chosen, self.process.charged(layer), measured)
+            charge = self.process.charged(layer)
+            totals = measures_of_layer(base, chosen, charge, measured.flat)
             measured.push(totals)
         return self._column(totals, choice, tail_price, 0)
-
-    def _measured(self, chosen: IntArray, charge: PairCost, ahead: Window) -> FloatArray:
-        """(charge, failure, goal) of a layer's choice, [nodes, 3]."""
-        base = self.process.base
-        totals = np.empty((base.n_nodes, 3))
-        totals[:, 0] = charge.fixed[chosen]
-        if charge.slope is not None:
-            totals[:, 0] += charge.factor * charge.slope[chosen]
-        totals[:, 1] = base.failure[chosen]
-        totals[:, 2] = base.survival * base.gain[chosen]
-        totals += chosen_product(base.later, chosen, ahead.flat)
-        if not self._acyclic:
-            totals = base.instant_dynamics.chain(chosen).solve(totals)
-        return totals
 
     def _measures_beyond(self, tail_price: float) -> Window:
         """The measures of the tails beyond the layers."""
@@ -278,7 +278,7 @@ class LayeredPricing:
     @cached_property
     def _acyclic(self) -> bool:
         """Whether every step between states costs something, so that layers need no solving."""
-        return self.process.base.instant.nnz == 0
+        return is_acyclic(self.process.base)
 
     @cached_property
     def _likely(self) -> bool:

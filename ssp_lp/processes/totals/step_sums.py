@@ -49,7 +49,8 @@ def last_steps(model: SSP) -> tuple[Lattice, FloatArray]:
 def _kinds_of_steps_to_sum(model: SSP, counted: BoolArray) -> tuple[Lattice, FloatArray]:
     """Distinct costs of the steps into some states, [states], and each outcome's place there."""
     same = uniform_cost(model)
-    if same is not None and counted[model.successors].any():
+    chunk = chunks(model.n_outcomes)
+    if same is not None and any(counted[model.successors[some]].any() for some in chunk):
         place = np.int32(same > 0.0)
         steps = read_only(np.unique([0.0, same]))
         return Lattice(Fraction(1), np.broadcast_to(place, (model.n_outcomes,)), len(steps)), steps

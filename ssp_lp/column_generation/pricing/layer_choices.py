@@ -1,0 +1,91 @@
+"""The choice in one layer of accumulated cost: the best one, and what a choice is worth there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.dynamic_programming.bellman import (
+    PairCost,
+    best_pairs,
+    chosen_product,
+    unsigned_parts,
+)
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
+
+_ONE = np.ones(1)
+
+
+def is_acyclic(base: AccumulatedCost) -> bool:
+    """Whether every step between states costs something, so that layers need no solving."""
+    return base.instant.nnz == 0
+
+
+def best_of_layer(
+    base: AccumulatedCost, cost: PairCost, ahead: FloatArray, inner: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """The pairs of least value in a layer and their values, [nodes] each.
+
+    Args:
+        base: one layer of the process.
+        cost: of the pairs, priced.
+        ahead: values of what steps lead to, [layers * nodes].
+        inner: pairs to begin with where the layer has free steps, [nodes].
+    """
+    if is_acyclic(base):
+        backup = best_pairs(base.pair_offsets, base.later, cost, ahead)
+        return backup.choice, backup.minima
+    onward = (cost.total + base.later @ ahead)[:, None]
+    settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
+    return settled.choice, settled.values
+
+
+def best_with_measures(
+    base: AccumulatedCost,
+    cost: PairCost,
+    charge: PairCost,
+    ahead: tuple[FloatArray, FloatArray],
+    position: IntArray,
+) -> tuple[FloatArray, FloatArray]:
+    """The least values of an acyclic layer, [nodes], and their measures, in one compiled pass.
+
+    Args:
+        base: one layer of the process.
+        cost: of the pairs, priced.
+        charge: of arriving by the pairs.
+        ahead: values and measures of what steps lead to, [layers * nodes] and with 3 columns.
+        position: written: the choice among the pairs of each node, [nodes].
+    """
+    from ssp_lp.compiled.backups import back_up_layer
+
+    matrix, values, totals = base.later, np.empty(base.n_nodes), np.empty((base.n_nodes, 3))
+    back_up_layer(matrix.nnz)(
+        *unsigned_parts(base.pair_offsets, matrix), *cost.parts,
+        *charge.parts[:2], base.gain, base.failure, base.survival,
+        *ahead, values, position, totals,
+    )  # fmt: skip
+    return values, totals
+
+
+def measures_of_layer(
+    base: AccumulatedCost, chosen: IntArray, charge: PairCost, ahead: FloatArray
+) -> FloatArray:
+    """(charge, failure, goal) of a layer's choice, [nodes, 3].
+
+    Args:
+        base: one layer of the process.
+        chosen: a pair of each node, [nodes].
+        charge: of arriving by the pairs.
+        ahead: measures of what steps lead to, [layers * nodes, 3].
+    """
+    totals = np.empty((base.n_nodes, 3))
+    totals[:, 0] = charge.fixed[chosen]
+    if charge.slope is not None:
+        totals[:, 0] += charge.factor * charge.slope[chosen]
+    totals[:, 1] = base.failure[chosen]
+    totals[:, 2] = base.survival * base.gain[chosen]
+    totals += chosen_product(base.later, chosen, ahead)
+    if not is_acyclic(base):
+        totals = base.instant_dynamics.chain(chosen).solve(totals)
+    return totals
