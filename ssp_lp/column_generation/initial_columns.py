@@ -8,6 +8,7 @@ is near the least failure or below it, is the least failure itself worked out.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,11 +72,12 @@ def columns_by_pricing(
     one_sided = price == 0.0 or (guess is not None and guess.slack)
     inside: Column | None = None
     outside: Column | None = None
-    work = Work()
-    calls = 0
+    work, calls, began, took = Work(), 0, time.perf_counter(), 0.0
     try:
         for step in (*steps, None):
+            began = time.perf_counter()
             last, calls = pricing.minimise(price, last, inside, outside), calls + 1
+            took = max(took, time.perf_counter() - began)
             work, value = work + last.work, row.objective(last.cost, last.goal)
             if row.breaks(last):
                 outside = last
@@ -91,10 +93,11 @@ def columns_by_pricing(
             )
     except STOPS as stop:
         heed(stop)
+        took = max(took, time.perf_counter() - began)
         inside = last = _initial_column_within(pricing, row, stop, inside, last)
     if inside is None or last is None:
         return None
-    return Secant(pricing, row, inside, outside, last, calls, work)
+    return Secant(pricing, row, inside, outside, last, calls, work, took=took)
 
 
 def _begun_with_columns(
@@ -132,15 +135,21 @@ def _initial_column_within(
     columns = [column for column in known if column is not None]
     try:
         with closing():
-            reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
-            columns += [pricing.first() if reached is None else reached]
+            if not _columns_within(row, columns):
+                reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
+                columns += [pricing.first() if reached is None else reached]
     except STOPS as again:
         heed(again)
-    kept = [c for c in columns if not row.breaks(c) and row.objective(c.cost, c.goal) < np.inf]
+    kept = _columns_within(row, columns)
     if not kept:
         least = min((column.failure for column in columns), default=1.0)
         raise Stop(told=f"the safest policy known by then fails with {least:.6g}") from stop
     return min(kept, key=lambda column: row.objective(column.cost, column.goal))
+
+
+def _columns_within(row: FailureRow, columns: list[Column]) -> list[Column]:
+    """The columns that keep to the budget and have a worth."""
+    return [c for c in columns if not row.breaks(c) and row.objective(c.cost, c.goal) < np.inf]
 
 
 def _initial_price(

@@ -23,7 +23,7 @@ from ssp_lp.column_generation.pricing.pricing_problem import (
     Proof,
     excess_failure,
 )
-from ssp_lp.compiled.deadline import STOPS, closing, heed, is_limited
+from ssp_lp.compiled.deadline import STOPS, closing, has_time_for, heed, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
 
 _SHARE = 0.25  # of a search that its bounds on the way may take
@@ -45,6 +45,7 @@ class Secant:
     calls: int = 0
     work: Work = field(default_factory=Work)
     proof: Proof | None = None  # the best one so far
+    took: float = 0.0  # seconds of the longest pricing call; a proof needs about as many
     _spent: float = 0.0  # seconds on proofs
     _since: float = field(default_factory=time.perf_counter)
 
@@ -87,6 +88,7 @@ class Secant:
         if last.found_at != price:
             known = last, self.inside, self.outside
             began, last = time.perf_counter(), self.pricing.minimise(price, *known)
+            self.took = max(self.took, time.perf_counter() - began)
             self.calls, self.work = self.calls + 1, self.work + last.work
             self._prove_on_the_way(price, last, began)
         self.last = last
@@ -169,8 +171,9 @@ class Secant:
         The values of a trivial bound ask a certificate for the best that can be had.
         """
         try:
-            with closing():
-                return self.pricing.prove(price, best, slack=slack)
+            if has_time_for(self.took):
+                with closing():
+                    return self.pricing.prove(price, best, slack=slack)
         except STOPS as stop:
             heed(stop)
         anything = np.broadcast_to(np.inf, self.pricing.value_shape)
@@ -178,7 +181,7 @@ class Secant:
 
     def _align(self, price: float) -> None:
         """Let both columns fix what a price fixes by the same one, if they still bracket."""
-        if self.outside is None:
+        if self.outside is None or not has_time_for(self.took):
             return
         try:
             with closing():

@@ -34,7 +34,7 @@ class Stop(Exception):  # noqa: N818 (it steers, as StopIteration does)
     """A loop was told to end. It carries the policy that the loop had come to, if it had one.
 
     Args:
-        choice: the policy, in the terms of the loop, [states] or a column.
+        choice: the policy, in the terms of the loop.
         told: what was known by then, in words.
     """
 
@@ -104,6 +104,14 @@ def closing() -> Iterator[None]:
         return
     with until(max(outer.closes, time.perf_counter() + _LEAST), is_closing=True):
         yield
+
+
+def has_time_for(seconds: float) -> bool:
+    """Whether what takes so long can be done, the little time to prove what was found included."""
+    outer, now = _running.get(), time.perf_counter()
+    if outer is None or not (outer.is_interrupted or now > outer.at):
+        return True
+    return seconds <= max(outer.closes - now, _LEAST)
 
 
 def check_time() -> None:

@@ -72,12 +72,9 @@ class CostAwarePolicy(Policy):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         if self.tail_table is not None:
             object.__setattr__(self, "tail_table", read_only(self.tail_table))
-        everywhere = np.arange(self.model.n_states)
-        several = max(_CHECKED // max(self.model.n_states, 1), 1)
+        several, positions = max(_CHECKED // max(self.model.n_states, 1), 1), self.decision
         for first in range(0, self.cap, several):
-            check_decisions(
-                self.model, self._pairs(self.decision[first : first + several], everywhere)
-            )
+            check_decisions(self.model, positions[first : first + several], as_positions=True)
         check_decisions(self.model, self.tails)
 
     @property

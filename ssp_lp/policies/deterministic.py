@@ -87,13 +87,16 @@ def find_pair(model: SSP, state: int, action: Hashable) -> int:
     raise ModelError(model.no_such_action(state, action))
 
 
-def check_decisions(model: SSP, decision: IntArray) -> None:
+def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = False) -> None:
     """Raise :class:`ModelError` where a deterministic policy's decision is no pair of its state.
 
     Args:
+        model: the model.
         decision: [..., states].
+        as_positions: a decision is a position among the state's pairs.
     """
     low, high = model.pair_offsets[:-1], model.pair_offsets[1:]
+    low, high = (np.zeros_like(low), high - low) if as_positions else (low, high)
     wrong = (decision < UNDECIDED) | ((decision >= 0) & ((decision < low) | (decision >= high)))
     if wrong.any():
         name = model.states[int(np.argwhere(wrong)[0][-1])]

@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -84,9 +85,9 @@ class ExplicitPricing:
         """[states]."""
         return (self.process.n_states,)
 
-    def incumbent(self, choice: IntArray | Column | None) -> Column | None:
+    def incumbent(self, reached: Any) -> Column | None:
         """The policy that policy iteration had come to."""
-        return self.measure(choice) if isinstance(choice, np.ndarray) else None
+        return None if reached is None else self.measure(reached)
 
     def first(self) -> Column:
         """A policy that comes nearer to the goal with every step it takes, where it can."""

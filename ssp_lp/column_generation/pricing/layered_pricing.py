@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -55,9 +56,9 @@ class LayeredPricing:
         """[layers, nodes]."""
         return self.process.cap, self.process.base.n_nodes
 
-    def incumbent(self, choice: IntArray | Column | None) -> Column | None:
+    def incumbent(self, reached: Any) -> Column | None:
         """What half a sweep is worth: see ``_cut_short``."""
-        return choice if isinstance(choice, Column) else None
+        return reached() if callable(reached) else None
 
     def first(self) -> Column:
         """The first tail, which goes for the goal, followed from the start."""
@@ -88,7 +89,7 @@ class LayeredPricing:
         """Layer by layer the best choice, which is written, and its measures from the first.
 
         Raises:
-            Stop: with what had been swept by then, as a column.
+            Stop: with a function that gives what had been swept by then as a column.
         """
         base, priced = self.process.base, priced_layers(self.process, owed)
         ahead = self.process.window(self._tail_values(price, failing))
@@ -111,7 +112,7 @@ class LayeredPricing:
                 reached, totals = layer, found
         except STOPS as stop:
             heed(stop)
-            raise Stop(self._cut_short(totals, choice, price, reached)) from stop
+            raise Stop(partial(self._cut_short, totals, choice, price, reached)) from stop
         return totals
 
     def _cut_short(

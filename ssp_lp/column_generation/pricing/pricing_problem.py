@@ -87,8 +87,8 @@ class PricingProblem(Protocol):
         """The shape of the value functions that ``check`` takes."""
         ...
 
-    def incumbent(self, choice: IntArray | Column | None) -> Column | None:
-        """What a stopped ``minimise`` had come to, as a column; None: that is no policy."""
+    def incumbent(self, reached: Any) -> Column | None:
+        """What a stopped ``minimise`` had come to, as its Stop says; None: that is no policy."""
         ...
 
     def first(self) -> Column:
