@@ -10,7 +10,7 @@ optima enclose the truth, whatever the unit, and approach each other as that get
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from time import perf_counter
@@ -21,17 +21,18 @@ from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import SAME_TOTAL, read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.failure_row import relative_gap
-from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late, is_limited
+from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.methods.one_row import solve_for_worth
 from ssp_lp.methods.risk.least_risk import least_risk
 from ssp_lp.methods.risk.question import Near, question_of_compiled
+from ssp_lp.methods.rounding_units import rounding_units, span_of_totals
 from ssp_lp.model import SSP
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, compiled_constrained, has_rows
+from ssp_lp.problem import Problem, has_rows
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.layered.measures_of_law import (
     CostQuantileOf,
@@ -42,13 +43,6 @@ from ssp_lp.processes.layered.measures_of_law import (
 from ssp_lp.processes.totals.lattice import totals_of
 from ssp_lp.solution import Solution
 
-_FIRST = 128  # units in the totals that matter, at first
-_FINER = 4.0  # times as many next
-_MOST = 8_192  # unless more are asked for
-_ROOM = 6_000_000  # states times units, if there is a time limit that ends it before
-_WORTH_WHILE = 1.5  # times as many units: no reason to search again for fewer
-_TYPICAL = 2.0  # costs given success of the safest policy: beyond them few totals matter
-_RARE = 20.0  # times as dear as all that matters may a single step be
 _SHARE = 0.1  # of the gap that rounding leaves: as exactly are rounded problems solved next
 
 
@@ -100,8 +94,8 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
     """
     best: Solution | None = None
     sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
-    bound, span, began = _no_worse(problem), _rounded_span(problem), perf_counter()
-    for unit in _rounding_units(problem, span):
+    bound, span, began = _no_worse(problem), span_of_totals(problem), perf_counter()
+    for unit in rounding_units(problem, span):
         spent, began = perf_counter() - began, perf_counter()
         if best is not None and options.deadline - began < spent:
             heed(Stop())
@@ -146,7 +140,7 @@ def proved_on_rounded_costs(
     sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
     bound, allowed, enough = _no_worse(problem), np.inf, (1.0 + _SHARE) * solution.gap
-    for unit in _rounding_units(problem, _rounded_span(problem), finest=True):
+    for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         try:
             proved, allowed = lattice_bound(problem, unit, rough)
         except ModelError:  # a table of so many layers is too large
@@ -230,32 +224,6 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> OnRoun
     rounded = replace(model, costs=read_only(costs), exact_costs={})
     asked = problem.start, problem.ratio, problem.failure_budget, problem.semantics
     return OnRoundedCosts(rounded, *asked)
-
-
-def _rounding_units(problem: Problem, span: float, *, finest: bool = False) -> Iterator[Fraction]:
-    """Smaller and smaller units, as far as is asked for; ``finest``: as far as there is room."""
-    asked: int | None = getattr(problem, "cost_levels", None)
-    room, ends = max(_MOST, _ROOM // problem.model.n_states), finest or is_limited()
-    most = asked or (room if ends else _MOST)
-    many = float(min(_FIRST, most))
-    while many <= most:
-        yield _short_decimal(span / many)
-        many = min(_FINER * many, float(most)) if _WORTH_WHILE * many <= most else _FINER * many
-
-
-def _short_decimal(size: float) -> Fraction:
-    """The least number of two digits that is no smaller: its multiples are short decimals."""
-    power = Fraction(10) ** (int(np.floor(np.log10(size))) - 1)
-    return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
-
-
-def _rounded_span(problem: Problem) -> float:
-    """The totals that matter: up to the bound, or some typical costs."""
-    measure, dearest = problem.semantics.measure, float(problem.model.costs.max(initial=0.0))
-    if isinstance(measure, WithinBound) and measure.bound > 0.0:
-        return float(measure.bound)
-    typical = _TYPICAL * compiled_constrained(problem).typical_cost
-    return max(typical, dearest / _RARE) or 1.0
 
 
 def _is_maximised_on_rounded(problem: Problem) -> bool:

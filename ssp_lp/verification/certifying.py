@@ -18,6 +18,8 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.least_risk import risk_bound
 from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
+from ssp_lp.methods.split_costs import proved_on_split_costs
+from ssp_lp.methods.split_model import has_split_costs
 from ssp_lp.options import CERTIFYING, Game, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
@@ -79,6 +81,11 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
         bound, allowed = proved_on_rounded_costs(solution, found.objective, CERTIFYING)
         above = measure is not None and measure.maximised
         return certificate_of(found, bound, allowed, above=above)
+    if has_split_costs(problem):
+        if not np.isfinite(found.objective):
+            return certificate_of(found, 0.0, 1.0, "the goal is never reached")
+        bound, allowed = proved_on_split_costs(solution, found.objective, CERTIFYING)
+        return certificate_of(found, bound, allowed)
     if by_rows(problem):
         risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate

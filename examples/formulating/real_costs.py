@@ -1,0 +1,95 @@
+"""Case S where costs share no unit: what the sums of steps that can occur cost, and what a grid.
+
+A windy field is crossed with a diagonal step of 1.4, 1.41 or sqrt(2), or with prices drawn between
+0.5 and 2. Where the sums of costs that can occur are few, all of them are told apart, and the
+answer is exact. Where they are too many, every cost is split between two multiples of a unit, and
+the answer lies between two bounds that finer units bring together.
+
+    python examples/formulating/real_costs.py --sizes 12 24 --time-limit 10
+
+Takes half a minute; `--sizes 12 24 48` some two minutes.
+"""
+
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
+from collections.abc import Sequence
+from random import Random
+from time import perf_counter
+
+from examples.domains.domain import Domain
+from examples.domains.windy_field import windy_field
+from formulations import S3P
+from ssp_lp import CostAwarePolicy, Solution, SSPError, solve
+
+BUDGET = 0.3
+LEVELS = (100, 200, 400, 800, 1600, 3200)
+LAWS: dict[str, dict[str, float] | int] = {
+    "1.4": {"diagonal": 1.4},
+    "1.41": {"diagonal": 1.41},
+    "sqrt(2)": {"diagonal": 2**0.5},
+    "3 prices": 3,
+    "10 prices": 10,
+    "1000 prices": 1000,
+}
+"""Cost of a diagonal step, or how many prices are drawn."""
+
+
+def field(size: int, law: str) -> Domain:
+    """The field with costs of a law."""
+    how = LAWS[law]
+    if isinstance(how, int):
+        rng = Random(5)
+        return windy_field(size, prices=[rng.uniform(0.5, 2.0) for _ in range(how)])
+    return windy_field(size, diagonal=how["diagonal"])
+
+
+def told_apart(solution: Solution) -> int:
+    """How many totals the policies of a solution tell apart at most."""
+    members = solution.policy.policies
+    return max((p.cap for p in members if isinstance(p, CostAwarePolicy)), default=0)
+
+
+def report(sizes: Sequence[int], time_limit: float) -> None:
+    """Print a line for each size and law of costs."""
+    print(f"S3P, failure budget {BUDGET}, at most {time_limit:g} s")
+    print(f"{'size':>4} {'costs':>12} {'outcomes':>9} {'objective':>12} {'levels':>7}"
+          f" {'gap':>8} {'seconds':>8}")  # fmt: skip
+    for size in sizes:
+        for law in LAWS:
+            model, start = field(size, law)
+            began = perf_counter()
+            try:
+                found = solve(S3P(model, start, BUDGET), time_limit=time_limit)
+            except SSPError as error:
+                print(f"{size:4} {law:>12} {model.n_outcomes:9,} {type(error).__name__}")
+                continue
+            seconds = perf_counter() - began
+            print(f"{size:4} {law:>12} {model.n_outcomes:9,} {found.objective:12.8f}"
+                  f" {told_apart(found):7,} {found.gap:8.1e} {seconds:8.2f}")  # fmt: skip
+
+
+def report_levels(size: int) -> None:
+    """Print the gap for a thousand prices by the number of levels."""
+    model, start = field(size, "1000 prices")
+    print(f"\nsize {size}, 1000 prices: the gap by the levels that may be told apart")
+    print(f"{'levels':>7} {'lower bound':>12} {'objective':>12} {'gap':>8} {'seconds':>8}")
+    for levels in LEVELS:
+        began = perf_counter()
+        found = solve(S3P(model, start, BUDGET, cost_levels=levels))
+        seconds = perf_counter() - began
+        print(f"{levels:7,} {found.lower_bound:12.8f} {found.objective:12.8f} {found.gap:8.1e}"
+              f" {seconds:8.2f}")  # fmt: skip
+
+
+def main(argv: Sequence[str] | None = None) -> None:
+    """Run the study."""
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("--sizes", type=int, nargs="+", default=[12, 24], help="of the field")
+    parser.add_argument("--time-limit", type=float, default=10.0, help="seconds of each solve")
+    asked = parser.parse_args(argv)
+    solve(S3P(*field(4, "sqrt(2)"), BUDGET))  # loads what is compiled
+    report(asked.sizes, asked.time_limit)
+    report_levels(min(asked.sizes))
+
+
+if __name__ == "__main__":
+    main()

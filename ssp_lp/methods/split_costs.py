@@ -1,0 +1,237 @@
+"""Case S where the sums of costs are too many to tell apart: both bounds by split costs.
+
+The optimum of the model with split costs bounds that of the true one from below
+(``split_model.py``). The policies found there remember the nearest multiple of what they paid.
+What they cost and how they fail on the true model is evaluated exactly, and the lottery is chosen
+by that, which bounds the optimum from above. Both miss it by about the square of the unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+
+import numpy as np
+
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.arrays import read_only
+from ssp_lp.column_generation.failure_row import relative_gap
+from ssp_lp.column_generation.initial_columns import DualGuess
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.errors import ModelError
+from ssp_lp.methods.assembling import Found, assembled
+from ssp_lp.methods.refinement import RefinedOutcome
+from ssp_lp.methods.split_model import layers_of_split, split_optimum, split_units
+from ssp_lp.options import SolveOptions
+from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem
+from ssp_lp.processes.totals.lattice import totals_of
+from ssp_lp.solution import CUT_SHORT, Run, Solution
+
+_ROUGH = 1e-4  # how exactly the first model of split costs is solved
+_SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one solved
+_SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
+_BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
+_SLOWER = 4.0  # times as long as the last one the next unit may take
+_ROUNDING = 1e-12  # by which a policy may seem to break the budget
+
+
+@dataclass(frozen=True, eq=False)
+class _Point:
+    """A policy of the true model by what it attains there, discounted where the problem is."""
+
+    policy: Policy
+    cost: float  # E[cost; goal]
+    failure: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Split:
+    """The best that is known: a lottery of the true model, and a bound of all others."""
+
+    lottery: MixedPolicy | None = None
+    value: float = np.inf  # cost given success
+    failure: float = 1.0
+    bound: float = 0.0
+    price: float = 0.0  # kappa
+    layers: int = 0
+    end: float = 0.0  # the total that they reach up to
+    calls: int = 0
+    work: Work = field(default_factory=Work)
+    note: str = ""
+
+    @property
+    def gap(self) -> float:
+        """Relative gap between both sides."""
+        return relative_gap(self.value, self.bound) if np.isfinite(self.value) else np.inf
+
+
+def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
+    """The best lottery and the best lower bound that finer and finer units give.
+
+    Args:
+        problem: of case S, failure alone limited.
+        options: tolerance and limits.
+
+    Raises:
+        InfeasibleError: no policy keeps to the budget.
+        Stop: the time ended before one that does was found.
+    """
+    best, spent = _Split(), 0.0
+    for unit in split_units(problem):
+        began = perf_counter()
+        if best.lottery is not None and options.deadline - began < _SLOWER * spent:
+            heed(Stop())
+            break
+        rough = _SHARE * best.gap if best.lottery is not None else _ROUGH
+        finer = replace(options.after(best.calls), tolerance=max(options.tolerance, rough))
+        guess = DualGuess(best.price, _SPREAD) if best.lottery is not None else None
+        try:
+            outcome = split_optimum(problem, unit, finer, guess)
+            with closing():
+                best = _improved_split(problem, best, outcome)
+        except STOPS as stop:
+            if best.lottery is None:
+                raise
+            heed(stop)
+        except ModelError:  # a table of so many layers is too large
+            if best.lottery is None:
+                raise
+            break
+        if is_late() or best.gap <= options.tolerance:
+            break
+        spent = perf_counter() - began
+    return _concluded_on_split(problem, best, options)
+
+
+def proved_on_split_costs(
+    solution: Solution, attained: float, options: SolveOptions
+) -> tuple[float, float]:
+    """A bound worked out afresh, and the failure that is allowed.
+
+    Units get smaller until the gap is what the solution says, which is taken for no more than that.
+
+    Args:
+        solution: of a problem with split costs.
+        attained: what its policy attains.
+        options: tolerance and limits.
+    """
+    problem, bound, guess = solution.problem, 0.0, None
+    rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
+    allowed, enough = problem.failure_budget or 0.0, (1.0 + _SHARE) * solution.gap
+    for unit in split_units(problem, finest=True):
+        try:
+            outcome = split_optimum(problem, unit, rough, guess)
+        except ModelError:  # a table of so many layers is too large
+            if guess is None:
+                raise
+            break
+        bound, allowed = max(bound, outcome.found.lower_bound), max(allowed, outcome.row.budget)
+        guess = DualGuess(outcome.found.price, _SPREAD)
+        if relative_gap(attained, bound) <= enough:
+            break
+    return bound, allowed
+
+
+def _improved_split(problem: Problem, best: _Split, outcome: RefinedOutcome) -> _Split:
+    """The best that is known with one unit's outcome; its policies are evaluated truly."""
+    process, found = layers_of_split(outcome).process, outcome.found
+    calls, work = best.calls + outcome.calls, best.work + outcome.work
+    note = "" if found.finished else CUT_SHORT
+    known = replace(best, bound=max(best.bound, found.lower_bound), calls=calls, work=work)
+    known = replace(known, price=found.price, note=note)
+    allowed = max(problem.failure_budget or 0.0, outcome.row.budget)
+    points = _true_points(problem, outcome, allowed)
+    chosen = _best_of_points(points, allowed)
+    if chosen is None:
+        return known
+    members, weights = [points[k] for k, _ in chosen], np.array([weight for _, weight in chosen])
+    failure = float(weights @ [point.failure for point in members])
+    value = float(weights @ [point.cost for point in members]) / (1.0 - failure)
+    if value >= best.value:
+        return known
+    lottery = MixedPolicy(tuple(point.policy for point in members), weights)
+    end = process.cap * process.base.unit
+    return replace(
+        known, lottery=lottery, value=value, failure=failure, layers=process.cap, end=end
+    )
+
+
+def _true_points(problem: Problem, outcome: RefinedOutcome, allowed: float) -> list[_Point]:
+    """Policies that split costs found, evaluated on the true model, on both sides of the budget.
+
+    What keeps to the budget with split costs may break it by rounding, and the other way round:
+    then prices beside the optimal one are tried, and at last the least failure.
+    """
+    compiled, found = layers_of_split(outcome), outcome.found
+    pricing, one_sided = compiled.pricing(), len(outcome.found.columns) == 1
+    points = [_true_point(problem, outcome, pricing.policy(c)) for c in found.columns]
+    last = found.columns[0]
+    for factor in _BESIDE:
+        within = [point.failure <= allowed + _ROUNDING for point in points]
+        if is_late() or (any(within) and (one_sided or not all(within))):
+            break
+        price = found.price * factor if not any(within) else found.price / factor
+        last = pricing.minimise(price, last)
+        points.append(_true_point(problem, outcome, pricing.policy(last)))
+    if all(point.failure > allowed + _ROUNDING for point in points):
+        points.append(_true_point(problem, outcome, compiled.least_failure().policy))
+    return points
+
+
+def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> _Point:
+    """A policy of the model with split costs on the true one, where memory is the nearest level."""
+    unit = layers_of_split(outcome).base.exact_unit
+    if isinstance(policy, CostAwarePolicy):
+        levels = read_only(totals_of(np.arange(policy.cap + 1), unit))
+        threshold = policy.tail_threshold * float(unit)
+        policy = replace(policy, model=problem.model, levels=levels, tail_threshold=threshold)
+    elif isinstance(policy, DeterministicPolicy):
+        policy = replace(policy, model=problem.model)
+    found = evaluate(policy, problem)
+    failure = found.discounted_failure
+    failure = found.failure_probability if failure is None else failure
+    return _Point(policy, found.objective * (1.0 - failure) if failure < 1.0 else 0.0, failure)
+
+
+def _best_of_points(points: list[_Point], allowed: float) -> list[tuple[int, float]] | None:
+    """Numbers and weights of the points whose lottery is cheapest given success; None: none is.
+
+    A ratio is least at a vertex: a point within the budget, or two between which it lies.
+    """
+    best, chosen = np.inf, None
+    for i, inside in enumerate(points):
+        room = allowed - inside.failure
+        if room < -_ROUNDING or inside.failure >= 1.0:
+            continue
+        if inside.cost / (1.0 - inside.failure) < best:
+            best, chosen = inside.cost / (1.0 - inside.failure), [(i, 1.0)]
+        for j, outside in enumerate(points):
+            if not outside.failure > allowed or room <= 0.0:
+                continue
+            weight = room / (outside.failure - inside.failure)
+            cost = (1.0 - weight) * inside.cost + weight * outside.cost
+            if cost / (1.0 - allowed) < best:
+                best, chosen = cost / (1.0 - allowed), [(i, 1.0 - weight), (j, weight)]
+    return chosen
+
+
+def _concluded_on_split(problem: Problem, best: _Split, options: SolveOptions) -> Solution:
+    """The solution that the best that is known makes.
+
+    Raises:
+        Stop: no policy within the budget is known.
+    """
+    if best.lottery is None:
+        raise Stop
+    note = best.note
+    if best.gap > options.tolerance and not is_late() and not note:
+        levels = f"{best.layers:,} levels up to {best.end:.6g}"
+        note = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
+    price = max(best.price - best.value, 0.0)
+    reason = f"costs split between {best.layers:,} layers, {best.calls} pricing calls"
+    run = Run(options.method, reason, best.calls, 0.0, best.work)
+    found = Found(best.lottery, best.value, best.bound, best.failure, price, note=note)
+    return assembled(problem, found, run)

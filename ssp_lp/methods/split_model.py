@@ -1,0 +1,122 @@
+"""A model whose costs are split between multiples of a unit, which bounds case S from below.
+
+A step of cost c that goes on becomes two, whose costs are the multiples of a unit next to c, with
+probabilities that keep the mean. At a price of failure the value as a function of the cost already
+paid is a minimum of affine functions, hence concave, so that no policy of the true model does
+better than the best one of this (mathematics, section 8): its optimum is a lower bound, and its
+totals are layers of a lattice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from fractions import Fraction
+
+import numpy as np
+
+from ssp_lp.arrays import SAME_TOTAL, read_only
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
+from ssp_lp.column_generation.initial_columns import DualGuess
+from ssp_lp.compiled.deadline import is_late
+from ssp_lp.errors import ModelError
+from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
+from ssp_lp.methods.rounding_units import rounding_units, short_decimal, span_of_totals
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.options import SolveOptions
+from ssp_lp.problem import Problem, by_rows, has_rows
+from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.totals.lattice import totals_of
+from ssp_lp.processes.totals.step_sums import step_lattice, sums_in
+
+_WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
+_FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
+_TRIES = 6  # units, until levels are as few as is asked for
+
+
+def has_split_costs(problem: Problem) -> bool:
+    """Whether a problem is one of case S whose totals need a grid, with costs not too unlike."""
+    if not problem.ratio or has_rows(problem) or problem.failure_budget is None:
+        return False
+    if problem.semantics.measure is not None or getattr(problem, "cost_cap", None) is not None:
+        return False
+    steps, asked = step_lattice(problem.model)[1], getattr(problem, "cost_levels", None)
+    if not by_rows(problem) or len(steps) < 2 or steps[-1] > _WIDEST * steps[1]:
+        return False
+    many = _FEW_SUMS if asked is None else int(asked)
+    return sums_in(problem.model, span_of_totals(problem), many) is None
+
+
+def with_split_costs(model: SSP, unit: Fraction) -> SSP:
+    """The model with each step that goes on split between two multiples of a unit.
+
+    The last step of an episode is left as it is: whatever it costs, nothing has to remember it.
+
+    Args:
+        model: the model.
+        unit: of which costs become multiples.
+    """
+    ended = dead_ends(model) | model.goal_mask
+    units = np.where(ended[model.successors], 0.0, model.costs / float(unit))
+    whole = np.floor(units * (1.0 + SAME_TOTAL))
+    share = np.clip(units - whole, 0.0, 1.0)  # of the multiple above
+    share[share <= SAME_TOTAL * units] = 0.0
+    copies = 1 + (share > 0.0)
+    outcome = np.repeat(np.arange(model.n_outcomes), copies)
+    is_above = np.append(False, outcome[1:] == outcome[:-1])
+    part = np.where(is_above, share[outcome], 1.0 - share[outcome])
+    cost = totals_of((whole[outcome] + is_above).astype(np.int64), unit)
+    return replace(
+        model,
+        outcome_offsets=read_only(np.append(0, np.cumsum(copies))[model.outcome_offsets]),
+        successors=read_only(model.successors[outcome]),
+        probabilities=read_only(model.probabilities[outcome] * part),
+        costs=read_only(np.where(ended[model.successors[outcome]], model.costs[outcome], cost)),
+        exact_costs={},
+    )
+
+
+def split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
+    """Smaller and smaller units, none of which splits a step into nothing, if these are few."""
+    cheapest = float(step_lattice(problem.model)[1][1])
+    return rounding_units(problem, span_of_totals(problem), cheapest=cheapest, finest=finest)
+
+
+def split_optimum(
+    problem: Problem, unit: Fraction, options: SolveOptions, guess: DualGuess | None
+) -> RefinedOutcome:
+    """The optimum with split costs, of a larger unit where levels are more than asked for.
+
+    Args:
+        problem: of case S.
+        unit: of which costs become multiples.
+        options: tolerance and limits.
+        guess: of the price of failure; None: nothing is known.
+
+    Raises:
+        InfeasibleError: no policy keeps to the budget.
+        ModelError: a table of so many layers is too large.
+        Stop: the time ended before a policy that keeps to the budget was found.
+    """
+    asked: int | None = getattr(problem, "cost_levels", None)
+    budget = 1.0 if problem.failure_budget is None else problem.failure_budget
+    for _ in range(_TRIES):
+        model = with_split_costs(problem.model, unit)
+        start = start_distribution(model, problem.start)
+        compiled = CompiledAccumulatedCost(model, start, problem.discount)
+        outcome = refined_optimum(compiled, budget, options, guess)
+        layers = layers_of_split(outcome).process.cap
+        if asked is None or layers <= asked or is_late():
+            break
+        unit = short_decimal(1.02 * float(unit) * layers / asked)
+    return outcome
+
+
+def layers_of_split(outcome: RefinedOutcome) -> CompiledAccumulatedCost:
+    """The process that a search on split costs ended with."""
+    if not isinstance(outcome.compiled, CompiledAccumulatedCost):
+        raise ModelError("split costs need the accumulated-cost process")
+    return outcome.compiled
