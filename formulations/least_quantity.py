@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
-    FailureSemantics,
     Formulation,
     GiveUp,
     Quantity,
@@ -77,8 +75,3 @@ class LeastQuantity(Formulation):
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = False
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """What a failing episode counts."""
-        return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
@@ -26,6 +25,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_failure_label import Co
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import InfeasibleError, ModelError, in_short
 from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import attention_labels, dead_end_labels
 from ssp_lp.model.within_steps import check_steps, unroll_steps
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
@@ -112,7 +112,6 @@ Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 _COMPILING = logging.getLogger("ssp_lp.compiling")
-_FREE = FailureSemantics()
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
@@ -122,6 +121,8 @@ class _Inherited:
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
     failure_budget: float | FailureBudget | None = 1.0
+    give_up: str | GiveUp | None = GiveUp.ATTENTION
+    charge_failing_step: bool | None = False
     discount: float | None = None
     ratio = False
     cost_cap: float | None = None  # of accumulated cost, where it is told apart
@@ -250,10 +251,10 @@ class Formulation(_Inherited):
             return ()
         return conditions(self._asked.model, self._begun, every)
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
-        """Failing is free and happens where the goal can be avoided for sure."""
-        return _FREE
+        """Failing is free but for a step that is charged, and happens where one may give up."""
+        return FailureSemantics(GiveUp(str(self.give_up)), bool(self.charge_failing_step))
 
     @cached_property
     def _begun(self) -> FloatArray:

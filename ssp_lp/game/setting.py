@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ssp_lp.analysis.goal_probability import max_goal_probability
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.game.label_player import LabelModels, label_models
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.goal_reach import max_goal_probability
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.totals.ladder import wanted_rungs
 

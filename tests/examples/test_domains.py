@@ -13,7 +13,7 @@ from examples.domains.river import river
 from examples.domains.triangle_tireworld import Car, triangle_tireworld
 from formulations import MCMP, S3P
 from ssp_lp import ModelError, solve
-from ssp_lp.analysis.goal_probability import max_goal_probability, min_goal_probability
+from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
 
 CLOSE = {"rel": 1e-9, "abs": 1e-12}
 TABLE = {"give_up": "anywhere", "charge_failing_step": False}

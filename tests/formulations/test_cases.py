@@ -10,7 +10,7 @@ import pytest
 from cases import NAMES, ROBOT_VALUES, expected, load_case
 from formulations import MCMP, S3P
 from ssp_lp import SSP, InfeasibleError, solve
-from ssp_lp.analysis import goal_probability
+from ssp_lp.processes import goal_reach
 
 CLOSE = {"rel": 1e-6, "abs": 1e-9}
 GAP = 1e-8
@@ -53,8 +53,8 @@ def test_goal_probabilities(row):
     """Columns maxprob and minprob."""
     model, start = load_row(row)
     position = model.index_of(start)
-    greatest = goal_probability.max_goal_probability(model)
-    least = goal_probability.min_goal_probability(model)
+    greatest = goal_reach.max_goal_probability(model)
+    least = goal_reach.min_goal_probability(model)
     assert greatest[position] == pytest.approx(row["maxprob"], **CLOSE)
     assert least[position] == pytest.approx(row["minprob"], **CLOSE)
     assert np.all((least >= 0) & (least <= greatest + 1e-12) & (greatest <= 1 + 1e-12))
@@ -166,7 +166,7 @@ UNLISTED = {
 def test_models_whose_value_is_not_given_away(name):
     """Column generation proves its own gap, and the full program agrees where it is small."""
     model, start = load(name, UNLISTED[name])
-    greatest = goal_probability.max_goal_probability(model)[model.index_of(start)]
+    greatest = goal_reach.max_goal_probability(model)[model.index_of(start)]
     least = solved(MCMP(model, start=start, failure_budget=None, **TABLE))
     assert least.goal_probability == pytest.approx(greatest, rel=1e-9)
     problem = at_least_goal_probability(model, start, 0.9 * greatest)

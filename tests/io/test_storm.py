@@ -24,7 +24,6 @@ from ssp_lp import (
     evaluate,
     solve,
 )
-from ssp_lp.analysis.goal_probability import dead_end_labels
 from ssp_lp.io import (
     from_stormpy,
     induced_chain,
@@ -34,6 +33,7 @@ from ssp_lp.io import (
     write_scheduler,
     write_umb,
 )
+from ssp_lp.model.graph.reachability import dead_end_labels
 
 # "time" is paid by states and actions, "coins" by actions
 PROGRAM = """mdp

@@ -9,9 +9,9 @@ import pytest
 
 from formulations import MCMP, S3P
 from ssp_lp import SSP, certify, evaluate, solve
-from ssp_lp.analysis.goal_probability import max_goal_probability, min_goal_probability
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
 from ssp_lp.processes.totals.levels import Window
 
 

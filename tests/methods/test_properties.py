@@ -20,7 +20,7 @@ from references import mcmp, s3p, s3p_program
 from references.chain import start_distribution
 from references.frontier import constrained_optimum, least_failure, price_interval
 from ssp_lp import InfeasibleError, solve
-from ssp_lp.analysis import goal_probability
+from ssp_lp.processes import goal_reach
 from strategies import acyclic_problems, budgets, discounts, problems
 
 METHODS = ("lp", "columns")
@@ -92,8 +92,8 @@ def test_mcmp_at_least_failure(drawn, meaning):
 def test_goal_probabilities(drawn, discount):
     """MAXPROB and MINPROB of every state, by enumeration."""
     model = library_model(drawn)
-    greatest = goal_probability.max_goal_probability(model)
-    least = goal_probability.min_goal_probability(model)
+    greatest = goal_reach.max_goal_probability(model)
+    least = goal_reach.min_goal_probability(model)
     for state in drawn.choices:
         low, high = s3p.goal_probability_range(plain(drawn), state)
         position = model.index_of(state)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
@@ -10,19 +12,8 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces_of_chunks
 from ssp_lp.model.graph.kept import kept
-from ssp_lp.model.graph.predecessors import Predecessors, narrow, possible_steps
+from ssp_lp.model.graph.predecessors import Predecessors, narrow
 from ssp_lp.model.ssp import SSP
-
-
-def reachable_states(model: SSP, start: IntArray) -> BoolArray:
-    """States that some policy visits with positive probability from the start states, [states]."""
-    arrays = model.outcome_offsets, model.successors, model.probabilities
-    if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graph_searches import reached
-
-        return reached(model.pair_offsets, *arrays, start)
-    ends, columns = possible_steps(*arrays)
-    return reached_along(columns, ends[model.pair_offsets], start)
 
 
 @kept
@@ -267,3 +258,18 @@ def end_marks(model: SSP) -> IntArray:
         mark[members[dead[members]]] = number
     mark[model.goal_mask] = 0
     return mark
+
+
+def dead_end_labels(model: SSP) -> frozenset[Hashable]:
+    """The states from which no policy reaches the goal, X_{d,all} of the paper, by their labels."""
+    return _labels_of_states(model, dead_ends(model))
+
+
+def attention_labels(model: SSP) -> frozenset[Hashable]:
+    """The states from which some policy surely avoids the goal, X_{d,or}, by their labels."""
+    return _labels_of_states(model, attention_states(model))
+
+
+def _labels_of_states(model: SSP, states: BoolArray) -> frozenset[Hashable]:
+    """The labels of states."""
+    return frozenset(model.states[i] for i in np.flatnonzero(states).tolist())
