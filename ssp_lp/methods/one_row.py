@@ -10,7 +10,6 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
-    ObjectiveSense,
     checked_least_failure,
 )
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
@@ -22,7 +21,7 @@ from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.solution import Run, Solution, remarks
 

@@ -382,7 +382,7 @@ def test_a_file_is_solved_by_highs_alone(ending: str, tmp_path) -> None:
             solver.setOptionValue(name, value)
         assert solver.readModel(str(path)) == highspy.HighsStatus.kOk
         solver.run()
-        found = program.worth(solver.getInfo().objective_function_value)
+        found = program.sense.worth(solver.getInfo().objective_function_value)
         assert found == pytest.approx(known, rel=1e-7, abs=1e-7)
     with pytest.raises(ModelError, match="is written as"):
         program.write(tmp_path / "program.txt")
