@@ -108,15 +108,10 @@ def rungs_of(problem: Problem) -> Rungs | None:
 
 def by_sums(problem: Problem) -> bool:
     """Whether a problem's totals are the sums that can occur, each a layer of backward sweeps."""
-    of_law = problem.semantics.measure is not None
-    if has_rows(problem) or (not of_law and _is_cut_problem(problem)):
+    is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
+    if has_rows(problem) or (is_cut and problem.semantics.measure is None):
         return False
     return (rungs := rungs_of(problem)) is not None and rungs.most == MOST_SUMS
-
-
-def _is_cut_problem(problem: Problem) -> bool:
-    """Whether case S is discounted, or its costs are told apart up to a cap of the user's."""
-    return problem.discount is not None or getattr(problem, "cost_cap", None) is not None
 
 
 def by_rows(problem: Problem) -> bool:

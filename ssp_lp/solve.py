@@ -90,14 +90,16 @@ def solve(
     _check_method(problem, chosen)
     with progress_shown(verbose):
         solution, status = _solved_with_proof(problem, chosen, options)
-    reason = solution.run.reason
+    note, reason = solution.note, solution.run.reason
+    if not note and solution.gap > tolerance:
+        note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")
     return replace(
         solution,
         problem=problem,
         policy=pulled_back(solution.policy, problem),
-        note=_with_gap(solution, tolerance),
+        note=note,
         status=status,
         run=replace(solution.run, reason=reason, seconds=time.perf_counter() - began),
     )
@@ -171,13 +173,6 @@ def _check_method(problem: Problem, method: Method) -> None:
     warm = isinstance(method, LinearProgramming) and method.backend == "highs-warm"
     if warm and by_rows(problem):
         raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
-
-
-def _with_gap(solution: Solution, tolerance: float) -> str:
-    """The solution's note, which says so where the tolerance is missed and nothing else does."""
-    if solution.note or solution.gap <= tolerance:
-        return solution.note
-    return f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
 
 
 def _check_solution(solution: Solution) -> None:

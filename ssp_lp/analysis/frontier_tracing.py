@@ -270,7 +270,10 @@ class _WaitingSegments:
             self.below[inside.failure] = 0.0 if price == 0.0 else at_most
             return
         try:
-            found = self.priced.get(price) or self._best_at(price, outside)
+            found = self.priced.get(price)
+            if found is None:
+                found = replace(self._pricing.minimise(price, outside), found_at=price)
+                self.calls, self.work = self.calls + 1, self.work + found.work
         except STOPS as stop:
             heed(stop)
             self.below[inside.failure] = at_most
@@ -285,11 +288,6 @@ class _WaitingSegments:
                 self._limits.progress(self.calls, points)
         except STOPS as stop:
             heed(stop)
-
-    def _best_at(self, price: float, warm: Column) -> Column:
-        found = self._pricing.minimise(price, warm)
-        self.calls, self.work = self.calls + 1, self.work + found.work
-        return replace(found, found_at=price)
 
 
 def _share_below_segment(inside: Column, outside: Column, found: Column, price: float) -> float:

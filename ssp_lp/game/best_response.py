@@ -121,7 +121,6 @@ def iterate_values(
     watched: FloatArray,
     *,
     accuracy: float,
-    guess: IntArray | None = None,
 ) -> Iterated:
     """Minimise ``weights @ costs`` by value iteration.
 
@@ -137,13 +136,12 @@ def iterate_values(
         weights: of the costs, non-negative, [costs].
         watched: how much each node counts when bounds are compared, [nodes].
         accuracy: relative distance of the two bounds to reach.
-        guess: a policy to improve before the first sweep, [nodes].
     """
     dynamics, pair_cost = process.dynamics, process.costs @ weights
     values = np.zeros(dynamics.n_states)
     best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
     rounding = _ROUNDED / (1.0 - process.discount)
-    choice = guess
+    choice: IntArray | None = None
     while True:
         if choice is None:
             values, choice = _swept_to_response(process, pair_cost, values, block)

@@ -50,17 +50,11 @@ def write_archive(
         header: values that JSON knows.
         arrays: by name.
     """
-    told = json.dumps(
-        {"format": f"ssp-lp {kind}", "version": version, **header}, default=_plain_in_archive
-    )
+    whole = {"format": f"ssp-lp {kind}", "version": version, **header}
+    told = json.dumps(whole, default=np.generic.item)
     with Path(path).open("wb") as file:
         named: dict[str, Any] = {_HEADER: np.frombuffer(told.encode(), dtype=np.uint8), **arrays}
         np.savez_compressed(file, **named)
-
-
-def _plain_in_archive(value: np.generic) -> Any:
-    """A numpy number as the archive's header writes it."""
-    return value.item()
 
 
 def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str, Array]]:

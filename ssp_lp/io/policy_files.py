@@ -87,7 +87,7 @@ def policy_in(
     kept, remedy = f"the file was made for {header['sizes']}", ""
     if horizon := header.get("horizon"):
         remedy = f"; its policy counts {horizon['steps']:,} steps: give it that horizon"
-    elif carries_a_memory(records):
+    elif any(record["kind"] == "remembering" for record in records):
         remedy = "; its policy carries a memory: load it beside product(model, memory)"
     if pair_print(model) != header["pairs"]:
         raise ModelError(f"{kept}, which has other pairs than {model!r}{remedy}")
@@ -227,8 +227,3 @@ def policies_in_file(
 def _found_in_file(kept: Any, key: str | int | None) -> Any:
     """What a policy's file keeps under a key."""
     return None if key is None else kept[key]
-
-
-def carries_a_memory(records: list[dict[str, Any]]) -> bool:
-    """Whether a policy of a file lives on a product and acts on its original model."""
-    return any(record["kind"] == "remembering" for record in records)

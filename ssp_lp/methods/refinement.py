@@ -132,7 +132,8 @@ def _refined_outcome(
         outcome = _refined_at_the_edge(outcome, options)
         if outcome.found is not found:
             return outcome
-    if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
+    is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
+    if is_stagnant and here.tail_loss(found.price) == 0.0:
         return outcome
     finer = here.refined(found.price)
     if finer is None:
@@ -219,8 +220,3 @@ def _begun_refinement(
             return rule, least
     least = checked_least_failure(compiled, row.budget) if least is None else least
     return columns_at(compiled.pricing(), least, row), least
-
-
-def _is_stagnant(gaps: list[float]) -> bool:
-    """Whether the last refinements did not even halve the gap: perhaps it is rounding."""
-    return len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]

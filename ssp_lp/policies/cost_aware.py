@@ -22,11 +22,6 @@ _CHECKED = 1_000_000  # decisions looked at together
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
 
-def _is_uniform_cost(model: SSP) -> bool:
-    """Whether every outcome costs the same."""
-    return model.costs.strides == (0,)
-
-
 @explained_class
 @dataclass(frozen=True, eq=False, repr=False)
 class CostAwarePolicy(Policy):
@@ -91,9 +86,8 @@ class CostAwarePolicy(Policy):
         """Decisions by layer; None where a cost is no whole number of layers, or of very many."""
         if self.levels is not None:
             return self._level_layers(self.levels)
-        costs = np.unique(
-            self.model.costs[:1] if _is_uniform_cost(self.model) else self.model.costs
-        )
+        given = self.model.costs
+        costs = np.unique(given[:1] if given.strides == (0,) else given)  # one for all outcomes
         steps, off = self._passed(costs / self.unit)
         if off.any() or self.cap == 0:
             return None

@@ -15,6 +15,7 @@ from ssp_lp.options import BACKENDS, LinearProgramming, parse_method
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
+from ssp_lp.verification.certificate import failure_of
 
 METHODS = ("lp", "columns", "game")
 
@@ -136,9 +137,7 @@ def _members_of_result(solution: Solution, each: list[Evaluation]) -> tuple[Memb
     """Each member of a lottery by itself."""
     members = []
     for found, weight in zip(each, solution.policy.weights, strict=True):
-        surrogate = found.discounted_failure
-        failure = found.failure_probability if surrogate is None else surrogate
-        cost = found.objective
+        failure, cost = failure_of(found), found.objective
         if solution.problem.ratio:
             cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
         members.append(Member(float(weight), cost, failure))

@@ -110,5 +110,5 @@ def test_a_wrong_basis_is_refuted(robot: Any) -> None:
     answer = solve_with_highs(program, "highs-warm", np.inf, basis)
     assert answer.iterations is not None
     assert answer.iterations > 0
-    assert program_residuals(program, answer).worst < 1e-8
+    assert max(program_residuals(program, answer)) < 1e-8
     assert program.cost @ answer.x == pytest.approx(solve(problem).objective, rel=1e-6)

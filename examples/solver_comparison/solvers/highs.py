@@ -52,11 +52,11 @@ def _answer(solver: highspy.Highs, program: LinearProgram) -> Answer:
     if status != highspy.HighsModelStatus.kOptimal:
         in_time = status != highspy.HighsModelStatus.kTimeLimit
         return Answer(math.nan, unsolved=f"HiGHS: {words}" if in_time else "", in_time=in_time)
-    check = program_residuals(program, LPAnswer("", x, dual, words, 0.0))
+    primal, dual, gap = program_residuals(program, LPAnswer("", x, dual, words, 0.0))
     return Answer(
         objective=float(program.cost @ x),
-        gap=check.gap,
-        note=f"residuals: primal {check.primal:.0e}, dual {check.dual:.0e}",
+        gap=gap,
+        note=f"residuals: primal {primal:.0e}, dual {dual:.0e}",
         excess=lambda: excess_failure(program, x),
     )
 

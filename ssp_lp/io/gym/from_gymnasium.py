@@ -250,7 +250,8 @@ class _GymListing:
         """The environment's states that are goals, or end in one."""
         if self.goal is None:
             return frozenset(_rewarded(self.steps))
-        return frozenset(s for s in self._states if self.goal(s))
+        every = {*self.table, *(to for _, to, _, _ in self.steps)}
+        return frozenset(s for s in every if self.goal(s))
 
     def label(self, state: Hashable, over: bool) -> Hashable:
         """The model's state for one of the environment's: an end of its own where it needs one."""
@@ -264,10 +265,6 @@ class _GymListing:
     @cached_property
     def _only_ends(self) -> frozenset[Hashable]:
         return frozenset(to for _, to, _, over in _gym_steps(self.table) if over) - self._goes_on
-
-    @cached_property
-    def _states(self) -> list[Hashable]:
-        return list(dict.fromkeys([*self.table, *(to for _, to, _, _ in self.steps)]))
 
 
 def _gym_steps(table: Table) -> list[Outcome]:

@@ -109,7 +109,8 @@ def rows_optimum(
     best: RowsOptimum | None = None
     guess: RowsOptimum | None = None
     if stated.rungs is not None:
-        guess = _coarse_guess_for_rows(stated, options)
+        coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
+        guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
         stated = stated.up_to(guess.kappa)
     while True:
         try:
@@ -160,12 +161,6 @@ def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
         )
     told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
     return replace(found, note=told)
-
-
-def _coarse_guess_for_rows(stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
-    """Ratio and prices on a coarse grid of totals: from these the true ones are near."""
-    coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
-    return _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
 
 
 def _rows_attempt(
