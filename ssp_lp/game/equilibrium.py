@@ -155,30 +155,7 @@ def play(
         responses.append(plus)
         if game.rises(plus):
             return _pure_equilibrium(game, 1.0, plus, responses)
-    return _narrow_to_equilibrium(player, game, minus, plus, responses, accuracy)
-
-
-def unplayed_game(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
-    """What policies met before say of a game that there is no time to play: nothing from below."""
-    minus, plus = _closest_to_equilibrium(game, known)
-    if minus is None or plus is None:
-        only = known[0] if minus is None and plus is None else minus or plus
-        minus = plus = known[0] if only is None else only
-    alpha = crossing(game, minus, plus) if minus is not plus else 1.0
-    upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
-    return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(known))
-
-
-def _narrow_to_equilibrium(
-    player: Player,
-    game: Game,
-    minus: BestResponse,
-    plus: BestResponse,
-    responses: list[BestResponse],
-    accuracy: float,
-) -> Equilibrium:
-    """Cut off the peak between two lines until no response lies below it."""
-    while True:
+    while True:  # cut off the peak between two lines until no response lies below it
         alpha = crossing(game, minus, plus)
         upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
         size = min(game.size(alpha, minus), game.size(alpha, plus))
@@ -195,6 +172,17 @@ def _narrow_to_equilibrium(
             minus = response
         else:
             plus = response
+
+
+def unplayed_game(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
+    """What policies met before say of a game that there is no time to play: nothing from below."""
+    minus, plus = _closest_to_equilibrium(game, known)
+    if minus is None or plus is None:
+        only = known[0] if minus is None and plus is None else minus or plus
+        minus = plus = known[0] if only is None else only
+    alpha = crossing(game, minus, plus) if minus is not plus else 1.0
+    upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
+    return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(known))
 
 
 def _pure_equilibrium(

@@ -163,35 +163,17 @@ def nearer_pairs(
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
     free = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
-    choice = np.full(len(pair_offsets) - 1, -1, dtype=np.int64)
+    n = len(pair_offsets) - 1
+    choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = np.flatnonzero(leaving & free)
     if accelerated(len(before.pairs)):
         from ssp_lp.compiled.graph_searches import approach
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice)
         return choice
-    return _reachable_by_distance(before, pair_offsets, pair_state, useful, free)
-
-
-def _reachable_by_distance(
-    before: Predecessors,
-    pair_offsets: IntArray,
-    pair_state: IntArray,
-    useful: IntArray,
-    usable: BoolArray,
-) -> IntArray:
-    """The same from the distance of each state, found by scipy from a node added behind all ends.
-
-    Args:
-        before: the graph turned round.
-        pair_offsets: [states + 1].
-        pair_state: [pairs].
-        useful: usable pairs that leave.
-        usable: [pairs].
-    """
-    n = len(pair_offsets) - 1
+    # by the distance of each state, found by scipy from a node added behind all ends
     reached = np.repeat(np.arange(n), np.diff(before.offsets))
-    kept = usable[before.pairs]
+    kept = free[before.pairs]
     pairs, reached = before.pairs[kept], reached[kept]
     source = np.concatenate([reached, np.full(useful.size, n)])
     target = np.concatenate([pair_state[pairs], pair_state[useful]])
@@ -202,7 +184,6 @@ def _reachable_by_distance(
     near = np.full(len(pair_state), np.inf)
     np.minimum.at(near, pairs, distance[reached] + 1.0)
     near[useful] = 1.0
-    choice = np.full(n, -1, dtype=np.int64)
     best = np.flatnonzero((near == distance[pair_state]) & np.isfinite(near))
     first = np.flatnonzero(np.diff(pair_state[best], prepend=-1))
     choice[pair_state[best[first]]] = best[first]
