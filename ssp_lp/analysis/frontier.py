@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, FloatArray
 from ssp_lp.column_generation.failure_row import FailureRow, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.bellman import Work
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _SHOWN = 5  # points that a repr lists
-
-_BELOW = 1.0 - 2.5e-10
-"""The share of the best ratio at which it is proved: there it is strictly best to fail."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -171,7 +168,7 @@ class Frontier:
         column = self._columns[segment]
         if segment < len(self._columns) - 1:
             return self._proof(float(self.price[segment]), column)
-        price = float(self.objective[-1]) * _BELOW if self.ratio else 0.0
+        price = float(self.objective[-1]) * BELOW_RATIO if self.ratio else 0.0
         return self._proof(price, column, slack=self.ratio)
 
     def _proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:

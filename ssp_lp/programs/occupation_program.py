@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray
+from ssp_lp.arrays import BELOW_RATIO, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import cold_attempts, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 _ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
 _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
-_BELOW = 2.5e-10  # relative step below a ratio
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
 
 
@@ -224,7 +223,7 @@ class OccupationProgram:
             left = found.bound - paid
             least = 1.0 if left >= 0.0 else self._least_goal
             if least <= 0.0:  # then failing is free: strictly best where success earns less
-                ratio *= 1.0 - _BELOW
+                ratio *= BELOW_RATIO
             else:
                 if ratio + left / least <= value:
                     break

@@ -122,11 +122,9 @@ def result_by(
         solution = solve(problem, method, time_limit=time_limit)
     except InfeasibleError as error:
         result = MethodResult(name, note=f"infeasible: {error}", failed=True, infeasible=error)
-    except SolverError as error:
-        result = MethodResult(name, note=f"failed: {error}", failed=True)
-    except ModelError as error:
-        if name != "game":  # the model is at fault, not the size of this method's table
-            raise
+    except (SolverError, ModelError) as error:
+        if isinstance(error, ModelError) and name != "game":
+            raise  # the model is at fault, not the size of this method's table
         result = MethodResult(name, note=f"failed: {error}", failed=True)
     else:
         result = result_of(name, solution)

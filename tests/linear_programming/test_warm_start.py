@@ -17,7 +17,7 @@ from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.linear_programming.highs import solve_with_highs
 from ssp_lp.linear_programming.linear_program import program_residuals
 from ssp_lp.methods.policy_basis import policy_basis
-from ssp_lp.programs.program_rows import occupation_program
+from ssp_lp.programs.program_rows import rows_program
 
 TIGHT, SLACK = 0.4, 1.0
 
@@ -105,7 +105,7 @@ def test_a_wrong_basis_is_refuted(robot: Any) -> None:
     problem = MCMP(model, start=start, failure_budget=TIGHT)
     instance = problem.compile()
     process = instance.explicit()
-    program = occupation_program(process, TIGHT, ratio=False)
+    program = rows_program(process, {"failure": (process.failure, TIGHT)}, ratio=False)
     basis = policy_basis(instance, process, FailureRow(SLACK, ratio=False), np.inf)
     answer = solve_with_highs(program, "highs-warm", np.inf, basis)
     assert answer.iterations is not None

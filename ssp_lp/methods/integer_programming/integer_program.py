@@ -23,7 +23,8 @@ from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.methods.integer_programming.process_view import steps_between, within_reach
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.program_rows import occupation_program
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.programs.program_rows import rows_program
 
 _LEAST_GAP = 1e-10
 _POLL = 0.1  # seconds between two looks at whether HiGHS has ended
@@ -93,7 +94,7 @@ class IntegerProgram:
     def _stated(self, budget: float, visits: FloatArray) -> LinearProgram:
         """The occupation-measure program with the rows of y below it."""
         process, n_y = self.process, self.pairs.size
-        base = occupation_program(process, budget, ratio=False)
+        base = rows_program(process, {FAILURE_ROW: (process.failure, budget)}, ratio=False)
         state = process.pair_state[self.pairs]
         picks, group = np.unique(state, return_inverse=True)
         each, one = np.arange(n_y), np.ones(n_y)
@@ -212,7 +213,8 @@ def _prepared_integer_program(
     process: ExplicitProcess, budget: float, most: float, ratio: float
 ) -> highspy.Highs:
     """The policies within the limit, as a program whose objective is still to be said."""
-    program = occupation_program(process, budget + _ROOM, ratio=False)
+    limits = {FAILURE_ROW: (process.failure, budget + _ROOM)}
+    program = rows_program(process, limits, ratio=False)
     lp = highs_lp(program)
     lp.sense_ = highspy.ObjSense.kMaximize
     solver = highs_solver(lp, {})
