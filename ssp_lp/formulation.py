@@ -24,9 +24,9 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import InfeasibleError, ModelError, in_short
+from ssp_lp.errors import InfeasibleError, ModelError, check_whole, in_short, wrong_argument
 from ssp_lp.model import SSP
-from ssp_lp.model.within_steps import check_steps, unroll_steps
+from ssp_lp.model.within_steps import unroll_steps
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
@@ -34,7 +34,6 @@ from ssp_lp.problem import (
     as_stated,
     by_sums,
     check_numbers,
-    is_whole,
     stated_budget,
 )
 from ssp_lp.processes.failure_semantics import (
@@ -106,6 +105,7 @@ __all__ = [
     "goal_probability",
     "secondary_cost",
     "visits",
+    "wrong_argument",
 ]
 
 Start = Hashable | Mapping[Hashable, float]
@@ -200,10 +200,10 @@ class Formulation(_Inherited):
             raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
         _ = self._begun
         if self.horizon is not None:
-            check_steps(self.horizon, "horizon")
+            check_whole("horizon", self.horizon)
         levels = getattr(self, "cost_levels", None)
-        if levels is not None and not (is_whole(levels) and levels >= 1):
-            raise ModelError(f"cost_levels must be a number >= 1 or None, not {levels!r}")
+        if levels is not None:
+            check_whole("cost_levels", levels)
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition

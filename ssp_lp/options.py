@@ -13,7 +13,7 @@ from numbers import Real
 from typing import ClassVar, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, check_between_0_and_1, wrong_argument
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
 """Solvers of linear programs."""
@@ -69,7 +69,7 @@ class LinearProgramming:
     def __post_init__(self) -> None:
         if self.backend is not None and self.backend not in BACKENDS:
             known = ", ".join(BACKENDS)
-            raise ModelError(f"backend must be one of {known}, not {self.backend!r}")
+            raise wrong_argument("backend", f"be one of {known}", self.backend)
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def parse_method(method: Method | str | None) -> Method:
     if isinstance(method, str) and method in _BY_NAME:
         return _BY_NAME[method]
     known = ", ".join(repr(name) for name in _BY_NAME)
-    raise ModelError(f"method must be one of {known}, or a value such as LinearProgramming(), not "
-                     f"{method!r}")  # fmt: skip
+    wanted = f"be one of {known}, or a value such as LinearProgramming()"
+    raise wrong_argument("method", wanted, method)
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,7 @@ def options_of(
     Raises:
         ModelError: a tolerance outside (0, 1), or a time limit that is no number of seconds.
     """
-    if not (isinstance(tolerance, Real) and 0.0 < tolerance < 1.0):
-        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
+    check_between_0_and_1("tolerance", tolerance)
     if progress is not None and not callable(progress):
         raise ModelError(f"progress must be a function or None, not {progress!r}; verbose=True "
                          "shows how far work has come")  # fmt: skip
@@ -185,7 +184,7 @@ def deadline_of(time_limit: float | None, began: float) -> float:
         ModelError: a limit that is no number of seconds.
     """
     if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0.0):
-        raise ModelError(f"time_limit must be a number of seconds or None, not {time_limit!r}")
+        raise wrong_argument("time_limit", "be a number of seconds", time_limit)
     return float("inf") if time_limit is None else began + float(time_limit)
 
 

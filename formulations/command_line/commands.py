@@ -45,7 +45,7 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     if write is not None:
         write(solution, found, asked.policy_out)
     if figure is not None:
-        level = {} if asked.level is None else {"level": asked.level}
+        level = {"level": asked.level} if "level" in asked else {}
         plot_cost_law(success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
     return json_answer(_told_by_command(solution)) if asked.json else [solution.summary()]
@@ -99,9 +99,11 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
     figure = figure_for(asked.plot)
     gap = {} if asked.gap is None else {"gap": asked.gap}
     problem = problem_of(asked, command_model(asked))
-    traced = trace_frontier(problem, point_limit=asked.points, time_limit=asked.time_limit, **gap)
+    traced = trace_frontier(
+        problem, point_limit=asked.point_limit, time_limit=asked.time_limit, **gap
+    )
     if figure is not None:
-        plot_frontier(traced, asked.failure_budget, ax=figure.subplots())
+        plot_frontier(traced, getattr(asked, "failure_budget", None), ax=figure.subplots())
         figure.savefig(asked.plot)
     prices = [*traced.price.tolist(), None]
     numbers = (traced.failure, traced.goal, traced.cost, traced.objective)
@@ -138,7 +140,7 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
     """The command ``simulate``."""
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
-    policy = load_policy(asked.policy, problem.unrolled.model)
+    policy = load_policy(asked.policy, problem.unrolled.model, check=asked.check)
     settings = {name: getattr(asked, name) for name in ("episodes", "max_steps", "confidence")}
     told: dict[str, Any] = {"episodes": asked.episodes}
     if found.environment is not None:

@@ -12,11 +12,12 @@ from __future__ import annotations
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import check_between_0_and_1
 from ssp_lp.game.bayes_cost_player import BayesCostPlayer
 from ssp_lp.game.bayes_label_player import BayesLabelPlayer
 from ssp_lp.game.label_player import LabelModels
 from ssp_lp.game.optimum import GameSolution, find_optimum
-from ssp_lp.game.setting import check_tolerance, construct
+from ssp_lp.game.setting import construct
 from ssp_lp.options import Progress
 from ssp_lp.problem import Problem
 
@@ -50,7 +51,7 @@ def bayes_adaptive(
             decisions that would be too large; it grows with the length of runs.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
-    check_tolerance(tolerance)
+    check_between_0_and_1("tolerance", tolerance)
     player = bayes_player(problem)
     return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 

@@ -98,7 +98,7 @@ def damage_named(path: FilePath) -> Iterator[None]:
     try:
         yield
     except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
+        raise ModelError(f"{path}: ", *error.args) from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise ModelError(f"{path} is damaged: {error!r}") from error
 

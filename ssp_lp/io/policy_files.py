@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archive import Array, damage_named, read_archive, write_archive
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
@@ -94,8 +94,9 @@ def policy_in(
     if check and fingerprint(model) != header["model"]:
         raise ModelError(
             f"{kept} with fingerprint {header['model'][:12]}..., this model has "
-            f"{fingerprint(model)[:12]}...: build the same model, or give check=False if it "
-            f"differs on purpose{remedy}"
+            f"{fingerprint(model)[:12]}...: build the same model, or give ",
+            Argument("check", False),
+            f" if it differs on purpose{remedy}",
         )
     return policies_in_file(records, arrays, model)[-1]
 

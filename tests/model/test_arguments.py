@@ -83,7 +83,10 @@ SLIPS = [
     ("from_matrices([np.eye(2)], 1, costs='x')", "costs or rewards are no numbers: 'x'"),
     ("from_gymnasium('FrozenLake-v1')", "an environment is needed, such as"),
     ("rollout(None, S.policy, episodes=3, seed=0)", "of no environment"),
-    ("rollout(None, S.policy, episodes='x', seed=0)", "episodes must be a whole number, not 'x'"),
+    (
+        "rollout(None, S.policy, episodes='x', seed=0)",
+        "episodes must be a whole number >= 1, not 'x'",
+    ),
     ("load_solution('s.npz', M)", "No such file|problem must be a Problem"),
     ("plot_frontier(S)", "frontier must be a"),
     ("plot_cost_law(S)", "law must be a CostLaw"),

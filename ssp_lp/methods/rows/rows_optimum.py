@@ -20,7 +20,7 @@ from ssp_lp.column_generation.pool import Rows
 from ssp_lp.column_generation.stabilised_master import StabilisedMaster, without_trifles
 from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import SolverError
+from ssp_lp.errors import Argument, SolverError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement
 from ssp_lp.methods.rows.lottery import Truth, best_lottery, true_lottery, truth_of
@@ -155,10 +155,11 @@ def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
         levels = f"{levels} up to {found.compiled.ladder.rungs[-1]:.6g}"
     if not np.isfinite(found.value):
         raise SolverError(
-            f"no policy on {levels} of accumulated cost keeps to the limits: more cost_levels, or "
-            "more time, make them finer"
+            f"no policy on {levels} of accumulated cost keeps to the limits: more ",
+            Argument("cost_levels"),
+            ", or more time, make them finer",
         )
-    told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
+    told = f"totals are rounded to {levels}: more of them leave a smaller gap"
     return replace(found, note=told)
 
 

@@ -177,8 +177,8 @@ class Condition:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds a cost or visits from below, which takes "
-                        "a policy that tosses coins on the way; without accumulated costs, add "
-                        "such a row to program().to_cvxpy()"
+                        "a policy that tosses coins on the way; without accumulated costs, a row "
+                        "added to the linear program says so"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight
