@@ -131,6 +131,12 @@ def check_whole(name: str, value: object, least: int = 1) -> None:
         raise wrong_argument(name, f"be a whole number >= {least}", value)
 
 
+def check_flag(name: str, value: object) -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it is a truth value, or numpy's."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise wrong_argument(name, "be True or False", value)
+
+
 def in_short(value: Any) -> str:
     """For an error: the value's repr where it is short; else what it is and how large."""
     if isinstance(value, enum.Enum):

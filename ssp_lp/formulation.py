@@ -193,17 +193,17 @@ class Formulation(_Inherited):
         given = vars(self)
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
-        check_failure_setting(given.get("_stated_budget", budget), given.get("discount"), share)
+        budget = given.get("_stated_budget", budget)
+        charged = getattr(self, "charge_failing_step", True)
+        check_failure_setting(budget, given.get("discount"), share, charged)
         if "give_up" in given:
             object.__setattr__(self, "give_up", parse_give_up(given["give_up"]))
         if not isinstance(self._asked.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
         _ = self._begun
-        if self.horizon is not None:
-            check_whole("horizon", self.horizon)
-        levels = getattr(self, "cost_levels", None)
-        if levels is not None:
-            check_whole("cost_levels", levels)
+        for name in ("horizon", "cost_levels"):
+            if (number := getattr(self, name, None)) is not None:
+                check_whole(name, number)
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition

@@ -13,7 +13,7 @@ from numbers import Real
 from typing import ClassVar, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
-from ssp_lp.errors import ModelError, check_between_0_and_1, wrong_argument
+from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, wrong_argument
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
 """Solvers of linear programs."""
@@ -32,9 +32,9 @@ Progress = Callable[[int, float, float], None]
 """Called after each pricing call with (calls, failure price, objective)."""
 
 LOGGER = "ssp_lp"
-"""All that is told of work goes to this logger's children, one for each phase: "ssp_lp.building",
-"ssp_lp.search", ...; what is done at level INFO, how far it has come at DEBUG, with the ``share``
-of it that is done as a field of the record where that is known."""
+"""All that is told of work goes to this logger's children, one for each phase: "ssp_lp.search"
+and what docs/solving.md lists; what is done at level INFO, how far it has come at DEBUG, with the
+``share`` of it that is done as a field of the record where that is known."""
 
 _SEARCH = logging.getLogger(f"{LOGGER}.search")
 _BETWEEN = 0.1  # seconds between two tellings of how far work has come
@@ -200,21 +200,25 @@ def _logged_progress(progress: Progress | None) -> Progress:
 
 
 @contextmanager
-def progress_shown(asked: bool = True) -> Iterator[None]:
+def progress_shown(verbose: bool = True) -> Iterator[None]:
     """Show what the library is doing, on the standard error: each phase as it is done.
 
     In a terminal or a notebook a line at the bottom says besides how far the work has come. Without
     it nothing is shown; ``logging`` has the same under the name "ssp_lp".
 
     Args:
-        asked: False: show nothing.
+        verbose: False: show nothing.
+
+    Raises:
+        ModelError: it is neither True nor False.
 
     Example:
         >>> with progress_shown():
         ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
     """
+    check_flag("verbose", verbose)
     logger = logging.getLogger(LOGGER)
-    if not asked or any(isinstance(known, _ProgressLines) for known in logger.handlers):
+    if not verbose or any(isinstance(known, _ProgressLines) for known in logger.handlers):
         yield  # nothing, or it is shown already
         return
     shown = _ProgressLines(sys.stderr)

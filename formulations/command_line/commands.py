@@ -27,6 +27,7 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.analysis.estimate import Estimate
+from ssp_lp.errors import check_whole
 from ssp_lp.formulation import attention_labels, dead_end_labels
 from ssp_lp.io import load_policy, rollout, write_any
 from ssp_lp.io.model_files.json_model import model_in_json
@@ -138,6 +139,7 @@ def _info_command(asked: Namespace) -> Iterable[str]:
 
 def _simulate_command(asked: Namespace) -> Iterable[str]:
     """The command ``simulate``."""
+    check_whole("seed", asked.seed, 0)
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
     policy = load_policy(asked.policy, problem.unrolled.model, check=asked.check)
@@ -198,7 +200,11 @@ _COLUMNS = ("objective", "expected_cost", "conditional_cost", "failure_probabili
 def _compare_command(asked: Namespace) -> Iterable[str]:
     """The command ``compare``."""
     found = command_model(asked)
-    several = {_PLURAL[one]: given for one in _PLURAL if (given := getattr(asked, one)) is not None}
+    several: dict[str, Any] = {  # least failure, which none asks for, is always among them
+        _PLURAL[one]: [value for value in given if value is not None]
+        for one in _PLURAL
+        if (given := getattr(asked, one)) is not None
+    }
     compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
     if not asked.json:
         return [compared.summary()]

@@ -10,7 +10,7 @@ from numbers import Real
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, segment_minima
-from ssp_lp.errors import Argument, ModelError, check_between_0_and_1, wrong_argument
+from ssp_lp.errors import Argument, ModelError, check_between_0_and_1, check_flag, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_pairs
 from ssp_lp.processes.expectations import cost_means
@@ -52,6 +52,9 @@ class FailureSemantics:
     penalty: float = 0.0
     aim: Aim = Aim.LEAST_COST
     measure: Measure | None = None
+
+    def __post_init__(self) -> None:
+        check_flag("charge_failing_step", self.charge_failing_step)
 
     @property
     def forbids_failing(self) -> bool:
@@ -167,14 +170,18 @@ def check_penalty(penalty: float) -> None:
 
 
 def check_failure_setting(
-    failure_budget: float | None, discount: float | None, reach_fraction: float | None = None
+    failure_budget: float | None,
+    discount: float | None,
+    reach_fraction: float | None = None,
+    charge_failing_step: object = False,
 ) -> None:
-    """Check budget, discount and share.
+    """Check budget, discount, share, and whether the step that fails is paid.
 
     Raises:
-        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1), or
-            least failure together with a discount.
+        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1),
+            least failure together with a discount, or a charge that is no truth value.
     """
+    check_flag("charge_failing_step", charge_failing_step)
     named = {
         "failure_budget": failure_budget,
         "discount": discount,

@@ -123,7 +123,7 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> Table:
     listed = getattr(env.unwrapped, "P", None)
     if listed is None:
         name = name_of_environment(env)
-        raise ModelError(f"{name} has no table of transitions, env.unwrapped.P")
+        raise ModelError(f"{name} is not tabular: it has no table of transitions, env.unwrapped.P")
     return {
         state: {action: _gym_outcomes(state, action, rows) for action, rows in _entries(actions)}
         for state, actions in _entries(listed)

@@ -176,9 +176,8 @@ def stated_model(
         ModelError: see :func:`named_model`.
     """
     if not goal:
-        raise ModelError(
-            f"{source} does not say which states are goals: name them by ", Argument("goal")
-        )
+        told = f"{source} does not say which states are goals: name them by "
+        raise ModelError(told, Argument("goal"))
     transitions: dict[Hashable, Any] = {
         state: _json_actions(state, actions, cost) for state, actions in table.items()
     }
