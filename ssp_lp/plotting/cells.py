@@ -46,6 +46,7 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
 
     @explained
     def place(number: int) -> Point:
+        """Where the cell of a number lies."""
         row, column = divmod(number, columns)
         return column, rows - 1 - row
 

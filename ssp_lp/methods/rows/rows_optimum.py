@@ -52,7 +52,7 @@ class RowsOptimum(Found):
 
     @property
     def kappa(self) -> float:
-        """What failing is worth."""
+        """What a failure may cost: the failure row's price, in case S with the ratio."""
         ratio = self.value if self.compiled.ratio else 0.0
         return ratio + self.prices.get(FAILURE_ROW, 0.0)
 

@@ -78,7 +78,7 @@ class Measure(Protocol):
         ...
 
     def of(self, law: Law) -> float:
-        """The number."""
+        """The measure of a law of costs."""
         ...
 
 
@@ -97,7 +97,7 @@ class WithinBound:
 
     @property
     def charge(self) -> Charge:
-        """Less 1 for arriving in time."""
+        """Minus 1 for arriving in time."""
         return LateCharge(self.bound, rewarded=True)
 
     def of(self, law: Law) -> float:
@@ -126,7 +126,7 @@ class ExpectedUtility:
 
     @property
     def charge(self) -> Charge:
-        """Less what arriving is worth more than failing."""
+        """Minus what arriving is worth beyond failing."""
         return UtilityCharge(self.utility, self.at_infinity, self.bonus)
 
     def of(self, law: Law) -> float:
@@ -151,7 +151,7 @@ class ExponentialUtility:
 
     @property
     def charge(self) -> Charge:
-        """Less what arriving is worth."""
+        """Minus what arriving is worth."""
         return ExponentialCharge(self.rate, self.bonus)
 
     def of(self, law: Law) -> float:
