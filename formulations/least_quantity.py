@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from ssp_lp.formulation import (
     SSP,
@@ -70,7 +70,7 @@ class LeastQuantity(Formulation):
 
     model: SSP
     start: Start
-    quantity: Quantity
+    quantity: Quantity = field()  # needed, though every criterion has one of this name, None
     failure_budget: float | None = 1.0
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION

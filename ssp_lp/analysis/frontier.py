@@ -13,7 +13,7 @@ from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, FloatArray
 from ssp_lp.column_generation.failure_row import FailureRow, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
+from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError, optional_module
 from ssp_lp.model.html_table import html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
@@ -120,7 +120,11 @@ class Frontier:
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
                 f"between {_apart_on_curve(low, high)} (bounds_at); policy_at attains the latter. "
-                "trace_frontier with a higher point_limit or time_limit settles more"
+                "A higher ",
+                Argument("point_limit"),
+                " or ",
+                Argument("time_limit"),
+                " of trace_frontier settles more",
             )
         return self._attained(number, weight, FailureRow(budget, self.ratio))
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archive import Array, damage_named, read_archive, write_archive
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
@@ -94,8 +94,9 @@ def policy_in(
     if check and fingerprint(model) != header["model"]:
         raise ModelError(
             f"{kept} with fingerprint {header['model'][:12]}..., this model has "
-            f"{fingerprint(model)[:12]}...: build the same model, or give check=False if it "
-            f"differs on purpose{remedy}"
+            f"{fingerprint(model)[:12]}...: build the same model, or give ",
+            Argument("check", False),
+            f" if it differs on purpose{remedy}",
         )
     return policies_in_file(records, arrays, model)[-1]
 
@@ -110,6 +111,7 @@ class _Kind:
     made: type[AnyPolicy]
     on_model: bool = False  # whether the model is a field
     numbers: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
     arrays: tuple[str, ...] = ()  # or None
     policies: tuple[str, ...] = ()  # or None
     lists: tuple[str, ...] = ()  # of policies
@@ -126,7 +128,8 @@ _KINDS: Mapping[str, _Kind] = {
     "cost aware": _Kind(
         CostAwarePolicy,
         on_model=True,
-        numbers=("unit", "rounds_up"),
+        numbers=("unit",),
+        flags=("rounds_up",),
         arrays=("decision", "tails", "tail_threshold", "tail_table", "levels"),
     ),
     "timed": _Kind(TimedPolicy, lists=("stages",)),
@@ -189,6 +192,8 @@ class PolicyRecords:
         kind, record = _KINDS[name], dict[str, Any](kind=name)
         for part in kind.numbers:
             record[part] = float(getattr(policy, part))
+        for part in kind.flags:
+            record[part] = bool(getattr(policy, part))
         for part in kind.arrays:
             array = getattr(policy, part)
             record[part] = None if array is None else self.add_array(array)
@@ -217,6 +222,7 @@ def policies_in_file(
         kind = _KINDS[record["kind"]]
         parts: dict[str, Any] = {"model": model} if kind.on_model else {}
         parts |= {part: record[part] for part in kind.numbers}
+        parts |= {part: bool(record[part]) for part in kind.flags}
         parts |= {part: _found_in_file(arrays, record[part]) for part in kind.arrays}
         parts |= {part: _found_in_file(made, record[part]) for part in kind.policies}
         parts |= {part: tuple(made[k] for k in record[part]) for part in kind.lists}

@@ -14,7 +14,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 )
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
@@ -175,7 +175,8 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
 
     compiled = problem.compile()
     if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
-        raise ModelError("method='game' chooses its own cap M: leave cost_cap out")
+        asked, cap = Argument("method", "game"), Argument("cost_cap")
+        raise ModelError(asked, " chooses its own cap M: leave ", cap, " out")
     found = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
     replies = found.threshold.responses
     reason = f"the paper's game, {found.threshold.games} values of c"

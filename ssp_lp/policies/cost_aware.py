@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, check_flag
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
 from ssp_lp.model.chunks import chunks
@@ -54,6 +54,7 @@ class CostAwarePolicy(Policy):
     rounds_up: bool = False  # costs that are no whole number of layers
 
     def __post_init__(self) -> None:
+        check_flag("rounds_up", self.rounds_up)
         if self.levels is not None:
             object.__setattr__(self, "levels", read_only(self.levels))
             rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())

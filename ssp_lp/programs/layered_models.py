@@ -132,7 +132,7 @@ class LayeredModel(Augmented):
 
     @property
     def _tails(self) -> IntArray:
-        """What the tails of the layered model do."""
+        """The decisions of the tail policies, [tails, states]."""
         return self.layered.tails.decisions
 
 

@@ -267,7 +267,7 @@ class OccupationProgram:
         write_program(self.linear, Path(path), names + ["t"] * self.ratio)
 
     def _repr_html_(self) -> str:
-        """The same, for notebooks."""
+        """The same page as ``repr``, for notebooks."""
         return html_text(repr(self))
 
     def __repr__(self) -> str:

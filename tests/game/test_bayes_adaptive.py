@@ -13,8 +13,8 @@ from games import RETRY, drawn_problem, hand_problem, without_dead_choices
 from references import mcmp, s3p
 from references.chain import start_distribution
 from references.frontier import Point, constrained_optimum, constrained_ratio
-from ssp_lp import evaluate, solve
-from ssp_lp.game import bayes_adaptive, belief_at, posterior, stationary_game
+from ssp_lp import ModelError, evaluate, solve
+from ssp_lp.game import Game, bayes_adaptive, belief_at, play, posterior, stationary_game
 from strategies import Draw, acyclic_problems, problems
 
 few = settings(max_examples=30, deadline=None, derandomize=True)
@@ -36,6 +36,21 @@ def test_the_belief_follows_one_trajectory(alpha, gamma, time):
         assert after >= belief * (1 - 1e-12)  # a run that goes on speaks for M_o
         belief = after
     assert belief_at(alpha, gamma, np.array([time]))[0] == pytest.approx(belief, rel=1e-9)
+
+
+def test_beliefs_out_of_range_are_refused() -> None:
+    assert belief_at(0.0, 0.5, np.array([0, 5000])).tolist() == [0.0, 0.0]
+    for alpha, gamma, time in ((1.1, 0.9, 1), ("x", 0.9, 1), (0.5, 1.0, 1), (0.5, 0.9, -1)):
+        with pytest.raises(ModelError, match="must"):
+            belief_at(alpha, gamma, np.array(time))
+    with pytest.raises(ModelError, match="discount must"):
+        posterior(0.5, 0.0)
+    with pytest.raises(ModelError, match="a budget above 0"):
+        Game(1.0, 0.0)
+    with pytest.raises(ModelError, match="accuracy must"):
+        play(None, Game(1.0, 0.1), accuracy=0.0)
+    with pytest.raises(ModelError, match="play: player must"):
+        play(None, Game(1.0, 0.1))
 
 
 def _real_cost(problem, policy):

@@ -79,7 +79,7 @@ def test_a_published_model_goes_through_storm(name: str, tmp_path: Path) -> None
 def test_what_a_format_does_not_have_is_refused(tmp_path: Path) -> None:
     write_any(ALONE, tmp_path / "m.npz")
     write_any(ALONE, tmp_path / "m.drn", "g")
-    with pytest.raises(ModelError, match=r"m\.drn leaves no constants open"):
+    with pytest.raises(ModelError, match=r"m\.drn has no constants: leave constants out"):
         read_any(tmp_path / "m.drn", ["goal"], constants="N=3")
     with pytest.raises(ModelError, match=r"say in which state m\.umb begins"):
         write_any(ALONE, tmp_path / "m.umb")

@@ -168,7 +168,7 @@ def test_a_goal_may_be_a_condition(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "options", "message"),
     [
-        ("", "", {"cost": None}, "choose one of the reward models, cost=.*'coins', 'time'"),
+        ("", "", {"cost": None}, "choose one of the reward models .cost.: .*'coins', 'time'"),
         ("", "", {"cost": "fuel"}, "unknown reward model 'fuel'"),
         ("", "", {"goal": "doen"}, r"goal 'doen' \(labels: 'done'\)"),
         ("", "", {"goal": '"doen"'}, "unknown label 'doen'"),

@@ -93,5 +93,5 @@ def test_what_cannot_be_played_is_named() -> None:
     batch.actions(["depot", "home"])
     with pytest.raises(ModelError, match="1 costs given for 2 episodes"):
         batch.observe(["home", "home"], [1.0])
-    with pytest.raises(ModelError, match="episodes must be at least 1"):
+    with pytest.raises(ModelError, match="episodes must be a whole number >= 1"):
         lottery.start_many(0, 0)

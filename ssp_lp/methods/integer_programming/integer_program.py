@@ -66,7 +66,7 @@ class IntegerAnswer:
 
 
 class IntegerProgram:
-    """The program of a process, to which policies that must not come again are told."""
+    """The mixed-integer program of a process, from which policies can be excluded one by one."""
 
     def __init__(
         self, process: ExplicitProcess, budget: float, visits: FloatArray, free: BoolArray

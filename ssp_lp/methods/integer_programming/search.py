@@ -121,7 +121,7 @@ def best_single_policy(
 
 
 def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
-    """The walk and the programs; the best policy so far is kept by the search."""
+    """Walk between two policies, then solve the programs; the search keeps the best policy."""
     view, tolerance = search.view, search.tolerance
     _search_between(search, found.price)
     if relative_gap(search.best.value, found.lower_bound) <= tolerance:
@@ -134,7 +134,7 @@ def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bo
 
 
 def _allowed_in_search(row: FailureRow) -> float:
-    """The budget with its rounding."""
+    """The budget, with room for rounding."""
     return row.budget + min(_ROUNDING, _SMALL * row.budget)
 
 
