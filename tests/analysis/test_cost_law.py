@@ -6,7 +6,7 @@ from math import exp, inf, isnan, log, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from checks import library_model, plain
@@ -16,6 +16,7 @@ from ledger import Ledger
 from plain_policies import memory_chain
 from references import cost_law as reference
 from references.chain import STOP, start_distribution
+from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -45,15 +46,10 @@ from ssp_lp.processes.layered.measures_of_law import (
     TailMeanOf,
     WithinBound,
 )
-from strategies import DEAD_ENDS, Draw, problems
+from strategies import DEAD_ENDS, Draw, often, problems
 
 LEVELS = (0.0, 0.25, 0.5, 0.9, 0.95, 0.99)
 SHARES = ((1.0,), (0.5, 0.5), (0.25, 0.75))
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 @st.composite
@@ -217,13 +213,13 @@ def test_larger_chains_against_powers_of_their_matrix(kind):
 
 def test_free_cycles_stay_in_their_layer_and_free_wandering_fails():
     """From a one goes in free circles by b before one pays; c is free and never left."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {"go": [(0.5, "b", 0), (0.2, "a", 0), (0.2, "G", 2), (0.1, "c", 0)]},
             "b": {"go": [(1.0, "a", 0)]},
             "c": {"go": [(1.0, "c", 0)]},
         },
-        goal={"G"},
+        "G",
     )
     law = law_of(model, dict.fromkeys("abc", "go"))
     assert law.goal == pytest.approx(2 / 3)
@@ -244,11 +240,8 @@ def test_a_free_loop_that_is_hardly_ever_left():
 
 
 def test_paid_wandering_fails_and_ends_the_sweep():
-    model = SSP.from_transitions(
-        {"a": {"go": [(0.5, "c", 1), (0.5, "G", 1)]}, "c": {"on": [(1.0, "c", 3)],
-                                                            "out": [(1.0, "G", 1)]}},
-        goal={"G"},
-    )  # fmt: skip
+    wander = {"on": [(1.0, "c", 3)], "out": [(1.0, "G", 1)]}
+    model = model_of({"a": {"go": [(0.5, "c", 1), (0.5, "G", 1)]}, "c": wander}, "G")
     law = law_of(model, {"a": "go", "c": "on"})
     assert law.within(1e12) == pytest.approx(0.5)
     assert law.quantile(0.999) == 1.0
@@ -257,11 +250,7 @@ def test_paid_wandering_fails_and_ends_the_sweep():
 
 def test_starts_at_goals_and_dead_ends_and_giving_up():
     """A goal is reached at cost 0; a dead-end and giving up are missing mass."""
-    model = SSP.from_transitions(
-        {"a": {"go": [(1.0, "G", 4)]}, "b": {"go": [(1.0, "G", 1)]}, "pit": {}},
-        goal={"G"},
-        treat_actionless_as_dead_ends=True,
-    )
+    model = model_of({"a": {"go": [(1.0, "G", 4)]}, "b": {"go": [(1.0, "G", 1)]}, "pit": {}}, "G")
     start = {"G": 0.25, "pit": 0.25, "a": 0.25, "b": 0.25}
     law = law_of(model, {"a": "go", "b": GIVE_UP}, start)
     assert law.goal == pytest.approx(0.5)

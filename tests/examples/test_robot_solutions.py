@@ -9,16 +9,9 @@ import pytest
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
-from ssp_lp import SSP, LinearProgramming, certify, evaluate, simulate, solve
+from ssp_lp import LinearProgramming, certify, evaluate, simulate, solve
 
 BUDGET = 0.05
-
-
-@pytest.fixture(scope="module")
-def small_robot() -> tuple[SSP, int]:
-    """A coarse grid, whose accumulated-cost process a linear program can still take."""
-    grid = RobotGrid(segments=6, headings=6, quadrature=2)
-    return grid_model(grid), start_state(grid)
 
 
 @pytest.mark.parametrize("discount", [None, 0.999])

@@ -6,7 +6,7 @@ program where it is small.
 
 import pytest
 
-from cases import NAMES, expected, load_case
+from cases import NAMES, expected, published
 from formulations import (
     ISSPUDE,
     MCMP,
@@ -18,7 +18,7 @@ from formulations import (
     MinCost,
     MinProb,
 )
-from ssp_lp import SSP, InfeasibleError, certify, evaluate, solve
+from ssp_lp import InfeasibleError, certify, evaluate, solve
 
 CLOSE = {"rel": 1e-6, "abs": 1e-9}
 GAP = 1e-8
@@ -66,9 +66,7 @@ each_model = pytest.mark.parametrize("name", WITH_GOALS)
 
 def load(name):
     """One case as a library model, with its start state."""
-    case = load_case(name, COSTS.get(name, "unit"))
-    model = SSP.from_transitions(case.choices, goal=case.goal, treat_actionless_as_dead_ends=True)
-    return model, case.start
+    return published(name, COSTS.get(name, "unit"))
 
 
 def solutions(model, problem):

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import stormpy
 
-from cases import load_case
+from cases import load_case, published
+from checks import optima
 from formulations import MCMP, S3P, MaxProb
-from small_models import FIRST
+from small_models import ALONE, AWKWARD, FIRST, model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -125,14 +126,6 @@ def value(model: Any, formula: str) -> float:
     environment.modelchecker().multi().precision = stormpy.Rational("1/100000000")
     found = stormpy.model_checking(model, asked, environment=environment)
     return float(found.get_value(model.initial_states[0]))
-
-
-def optima(model: SSP, start: object, budget: float) -> list[float]:
-    return [
-        solve(MCMP(model, start, failure_budget=budget)).objective,
-        solve(S3P(model, start, failure_budget=budget)).objective,
-        solve(MaxProb(model, start)).objective,
-    ]
 
 
 def test_a_program_of_prism(tmp_path: Path) -> None:
@@ -284,27 +277,8 @@ def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path: P
         from_stormpy(stormpy.build_model(ready), goal="doen", cost="time")
 
 
-AWKWARD = SSP.from_transitions(
-    {
-        "s": {
-            'say "hi"': [(0.5, "t", 0.0), (0.25, "pit", 0.25), (0.25, "g", 1.0)],
-            "é b": [(0.5, "t", 0.0), (0.5, "lost", 0.0)],
-            "say_hi": [(1.0, "s", 0.0)],
-        },
-        "t": {"é b": [(0.5, "g", 0.1), (0.5, "g", 0.3)], "": [(1.0, "cliff", 0.0)]},
-        "pit": {},
-        "cliff": {},
-        "lost": {},
-    },
-    goal={"g"},
-    state_labels={"the pit": ["pit"], "high": ["cliff", "t"]},
-    treat_actionless_as_dead_ends=True,
-)
-ALONE = SSP.from_transitions({}, goal={"g"})
-
-
 @pytest.mark.parametrize("way", ["memory", "umb", "drn"])
-@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, "s"), (ALONE, "g")])
+@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1)), (ALONE, "g")])
 def test_a_round_trip_through_storm_keeps_the_optimum(
     way: str, model: SSP, start: str, tmp_path: Path
 ) -> None:
@@ -370,7 +344,7 @@ def checked(policy: Any, start: object) -> tuple[float, float]:
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("kind", ["policy", "randomised_policy"])
-@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, "s")])
+@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1))])
 def test_storm_finds_what_we_say_of_a_policy(
     criterion: Any, kind: str, model: SSP, start: str
 ) -> None:
@@ -382,21 +356,13 @@ def test_storm_finds_what_we_say_of_a_policy(
     assert cost == pytest.approx(told.expected_cost, abs=1e-8)
 
 
-def robot() -> tuple[SSP, int]:
-    case = load_case("prism_robot_goal1", "time")
-    return SSP.from_transitions(
-        case.floats(), case.goal, treat_actionless_as_dead_ends=True
-    ), case.start
-
-
 def test_a_chain_ends_where_failure_is_certain() -> None:
     """Waiting for ever costs without end, but the policy had failed before."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "s": {"go": [(0.5, "g", 3.0), (0.5, "t", 1.0)]},
             "t": {"wait": [(1.0, "t", 1.0)], "back": [(1.0, "s", 1.0)]},
-        },
-        goal={"g"},
+        }
     )
     policy = DeterministicPolicy.from_actions(model, {"s": "go", "t": "wait"})
     told = evaluate(policy, MCMP(model, "s", failure_budget=0.5, charge_failing_step=False))
@@ -405,7 +371,7 @@ def test_a_chain_ends_where_failure_is_certain() -> None:
 
 
 def test_a_start_may_be_drawn() -> None:
-    model, _ = robot()
+    model, _ = published("prism_robot_goal1", "time")
     first = {0: 0.25, 1: 0.75}
     solution = solve(MCMP(model, first, failure_budget=0.6))
     failure, _ = checked(solution.policy, first)
@@ -419,7 +385,7 @@ def scheduler(policy: Any, start: object, tmp_path: Path) -> list[dict[str, Any]
 
 def test_a_scheduler_is_written_as_storm_writes_it(tmp_path: Path) -> None:
     """Storm's own scheduler, made a policy of ours, comes out as it came in."""
-    model, start = robot()
+    model, start = published("prism_robot_goal1", "time")
     theirs = to_stormpy(model, start=start)
     asked = stormpy.parse_properties('Pmax=? [F "goal"]')[0]
     found = stormpy.model_checking(theirs, asked, extract_scheduler=True).get_scheduler()
@@ -480,7 +446,7 @@ def followed(entries: list[dict[str, Any]], theirs: Any) -> tuple[float, float]:
     return 1.0 - reached[first], paid[first]
 
 
-@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, "s")])
+@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1))])
 def test_a_scheduler_with_memory_says_what_the_policy_does(
     model: SSP, start: str, tmp_path: Path
 ) -> None:
@@ -495,7 +461,7 @@ def test_a_scheduler_with_memory_says_what_the_policy_does(
 
 
 def test_the_robots_memory_of_costs_is_a_scheduler(tmp_path: Path) -> None:
-    model, start = robot()
+    model, start = published("prism_robot_goal1", "time")
     solution = solve(S3P(model, start, failure_budget=0.75))
     told = solution.evaluation
     entries = scheduler(solution.randomised_policy, start, tmp_path)
@@ -506,7 +472,7 @@ def test_the_robots_memory_of_costs_is_a_scheduler(tmp_path: Path) -> None:
 
 def test_giving_up_is_an_action_that_avoids_the_goal(tmp_path: Path) -> None:
     """A policy that by chance gives up or goes on from its start."""
-    model, start = robot()
+    model, start = published("prism_robot_goal1", "time")
     solution = solve(MCMP(model, start, failure_budget=0.75))
     assert solution.evaluation.ends["gave_up"] > 0.0
     entries = scheduler(solution.randomised_policy, start, tmp_path)
@@ -524,7 +490,7 @@ def test_memory_stands_in_a_scheduler_as_storm_writes_it(tmp_path: Path) -> None
     theirs = stormpy.build_model(program, options=options)
     own = stormpy.model_checking(theirs, asked[0], extract_scheduler=True).get_scheduler()
     assert not own.memoryless
-    model, start = robot()
+    model, start = published("prism_robot_goal1", "time")
     entries = scheduler(
         solve(S3P(model, start, failure_budget=0.75)).randomised_policy, start, tmp_path
     )
@@ -550,6 +516,6 @@ def test_what_a_scheduler_cannot_say_is_named(tmp_path: Path) -> None:
         scheduler(undecided, "stop", tmp_path)
     failure, cost = checked(quits, "depot")
     assert (failure, cost) == (1.0, 0.0)
-    stays = DeterministicPolicy.from_actions(AWKWARD, {"s": "é b", "t": GIVE_UP})
-    entries = scheduler(stays, "s", tmp_path)
-    assert followed(entries, to_stormpy(AWKWARD, start="s"))[0] == 1.0
+    stays = DeterministicPolicy.from_actions(AWKWARD, {("s", 1): "é b", "t": GIVE_UP})
+    entries = scheduler(stays, ("s", 1), tmp_path)
+    assert followed(entries, to_stormpy(AWKWARD, start=("s", 1)))[0] == 1.0

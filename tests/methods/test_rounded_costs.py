@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
+from small_models import model_of
 from ssp_lp import SSP, MixedPolicy, ModelError, certify, evaluate, solve
 
 STEP = 2.0**0.5
@@ -23,9 +24,7 @@ def corridor(costs: list[float], dear: float) -> SSP:
         }
         for k in range(5)
     }
-    return SSP.from_transitions(
-        {**rooms, "shaft": {}}, goal={"r5"}, treat_actionless_as_dead_ends=True
-    )
+    return model_of({**rooms, "shaft": {}}, "r5")
 
 
 def questions(model: SSP, levels: int) -> list:

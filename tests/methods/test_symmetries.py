@@ -3,17 +3,16 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import CLOSE, budget_of, plain
 from formulations import MCMP, S3P
 from references import mcmp
 from ssp_lp import SSP, InfeasibleError, solve
-from strategies import Draw, budgets, discounts, problems
+from strategies import Draw, budgets, discounts, meanings, often, problems
 
-meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-drawn_settings = settings(max_examples=50, deadline=None, derandomize=True)
+drawn_settings = often(50)
 
 
 def answers(drawn, budget, discount, give_up):

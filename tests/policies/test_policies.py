@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
+from small_models import TRIES
 from ssp_lp import (
     GIVE_UP,
-    SSP,
     CostAwarePolicy,
     DeterministicPolicy,
     MixedPolicy,
@@ -19,16 +19,6 @@ from ssp_lp import (
     evaluate,
     simulate,
     solve,
-)
-
-TRIES = SSP.from_transitions(
-    {
-        "door": {
-            "try": [(0.5, "out", 1.0), (0.5, "door", 1.0)],
-            "wait": [(1.0, "door", 3.0)],
-        },
-    },
-    goal={"out"},
 )
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
+from small_models import model_of
 from ssp_lp import (
     SSP,
     InfeasibleError,
@@ -47,7 +48,7 @@ def drawn_model(rng: np.random.Generator) -> SSP:
             ]
     choices["s0"]["go"] = [(0.7, "home", palette[0]), (0.3, "wall", palette[1])]
     choices |= {"home": {}, "wall": {}}
-    return SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+    return model_of(choices, "home")
 
 
 @pytest.mark.parametrize("block", range(4))
@@ -85,11 +86,7 @@ def ferry(diagonal: float) -> SSP:
         "straight": [(1.0, "home", 2.0)],
         "across": [(0.8, "home", diagonal), (0.2, "sea", 1.0)],
     }
-    return SSP.from_transitions(
-        {"quay": hop, "mid": land, "sea": {}, "home": {}},
-        goal={"home"},
-        treat_actionless_as_dead_ends=True,
-    )
+    return model_of({"quay": hop, "mid": land, "sea": {}, "home": {}}, "home")
 
 
 def test_irrational_costs_in_closed_form() -> None:
@@ -131,9 +128,7 @@ def test_many_real_costs_are_solved_on_a_grid() -> None:
             "run": [(0.85, after, run), (0.1, back, run), (0.05, "sea", run)],
             "walk": [(0.7, after, 2.0 * walk), (0.29, back, walk), (0.01, "sea", walk)],
         }
-    model = SSP.from_transitions(
-        {**choices, "sea": {}, "home": {}}, goal={"home"}, treat_actionless_as_dead_ends=True
-    )
+    model = model_of({**choices, "sea": {}, "home": {}}, "home")
     problem = S3P(model, 0, failure_budget=0.3)
     solution = solve(problem, tolerance=1e-5)
     assert 0.0 <= solution.gap < 1e-4
@@ -205,7 +200,7 @@ def test_a_certificate_finds_the_table_where_more_cost_has_fewer_sums(budget: fl
             "a": [(0.5, following, cost), (0.4, "g", cost + 0.3), (0.1, "d", 1.0)],
             "b": [(0.9, following, 3.0 * cost), (0.08, "g", cost), (0.02, "d", 1.0)],
         }
-    model = SSP.from_transitions(choices, goal={"g"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices)
     solution = solve(S3P(model, 0, failure_budget=budget))
     assert solution.gap < 1e-9
     assert certify(solution).gap < 1e-9
@@ -225,7 +220,7 @@ def test_a_table_that_cannot_grow_is_searched_to_the_end(last: float) -> None:
         },
         "x": {},
     }
-    model = SSP.from_transitions(choices, goal={"g"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices)
     solution = solve(S3P(model, "a", failure_budget=0.2))
     share = 0.25  # of e: 0.1 + 0.4 * share = 0.2
     mixed = (1 - share) * 0.9 * last + share * 0.5 + 0.8 * (1.0 + ROOT)
