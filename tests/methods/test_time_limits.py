@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import _thread
+import os
+import signal
+import sys
 import threading
 from typing import Any
 
@@ -64,6 +67,26 @@ def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far() -> None:
         pass
     finally:
         timer.cancel()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process sends itself this signal there")
+def test_a_signal_in_the_middle_of_a_long_loop_is_ctrl_c(robot: tuple[SSP, int]) -> None:
+    """It comes a moment after the second pricing call, in whatever runs then."""
+    signals: list[threading.Timer] = []
+
+    def progress(calls: int, *_: float) -> None:
+        if calls >= 2 and not signals:
+            signals.append(threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)))
+            signals[0].start()
+
+    problem = S3P(*robot, failure_budget=0.05)
+    solution = solve(problem, progress=progress, tolerance=1e-15)
+    assert solution.status is Status.INTERRUPTED
+    assert "interrupted" in solution.summary()
+    assert solution.budget_used <= 0.05 + 1e-12
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.lower_bound <= solve(problem).objective * (1.0 + 1e-9)
 
 
 @pytest.fixture(name="hasty")
