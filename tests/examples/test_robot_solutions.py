@@ -56,7 +56,7 @@ def test_every_backend_agrees_on_a_coarse_robot(
     least = solve(criterion(model, start=start))
     budget = least.failure_probability + 0.1
     for discount in (None, 0.999):
-        extra = {"cost_cap": 12.0} if criterion is S3P else {}
+        extra = {"cost_cap": 6.0} if criterion is S3P else {}
         problem = criterion(model, start=start, failure_budget=budget, discount=discount, **extra)
         by_columns = solve(problem, "columns")
         by_program = solve(problem, LinearProgramming(backend))

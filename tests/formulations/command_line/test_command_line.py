@@ -154,7 +154,7 @@ def test_numbers_may_name_states(tmp_path: Path) -> None:
 
 
 def test_the_entry_point_is_there() -> None:
-    project = Path(__file__).parents[2] / "pyproject.toml"
+    project = Path(__file__).parents[3] / "pyproject.toml"
     entry = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["scripts"]["ssp-lp"]
     module, _, name = entry.partition(":")
     assert getattr(import_module(module), name) is main
