@@ -7,14 +7,11 @@ fSSPUDE and C-SSP belong to other criteria and are not read here (see test_crite
 import numpy as np
 import pytest
 
-from cases import NAMES, ROBOT_VALUES, expected, published
+from cases import CLOSE, NAMES, PUBLISHED, ROBOT_VALUES, expected, published
+from checks import GAP
 from formulations import MCMP, S3P
 from ssp_lp import InfeasibleError, solve
 from ssp_lp.analysis import goal_probability
-
-CLOSE = {"rel": 1e-6, "abs": 1e-9}
-GAP = 1e-8
-TABLE = {"give_up": "anywhere", "charge_failing_step": False}
 
 each_row = pytest.mark.parametrize(
     "row", expected()["cases"], ids=[row["model"] for row in expected()["cases"]]
@@ -38,7 +35,7 @@ def solved(problem, method=None):
 def at_least_goal_probability(model, start, probability, **semantics):
     """MCMP subject to P(goal) >= probability."""
     budget = 1 - probability
-    return MCMP(model, start=start, failure_budget=budget, **(TABLE | semantics))
+    return MCMP(model, start=start, failure_budget=budget, **(PUBLISHED | semantics))
 
 
 @each_row
@@ -59,7 +56,7 @@ def test_goal_probabilities(row):
 def test_least_cost_at_maximal_probability(row, method):
     """Columns mcmp_at_maxprob and s3p_at_maxprob."""
     model, start = load_row(row)
-    mcmp = solved(MCMP(model, start=start, failure_budget=None, **TABLE), method)
+    mcmp = solved(MCMP(model, start=start, failure_budget=None, **PUBLISHED), method)
     assert mcmp.objective == pytest.approx(row["mcmp_at_maxprob"], **CLOSE)
     assert mcmp.goal_probability == pytest.approx(row["maxprob"], rel=1e-9)
     s3p = solved(S3P(model, start=start, failure_budget=None), method)
@@ -86,7 +83,7 @@ def test_least_cost_within_a_budget(row, method):
     """Column min_cost s.t. P >= 1 - eps, infeasible rows included."""
     model, start = load_row(row)
     for budget, value in row["min_cost_s.t._P>=1-eps"].items():
-        problem = MCMP(model, start=start, failure_budget=float(budget), **TABLE)
+        problem = MCMP(model, start=start, failure_budget=float(budget), **PUBLISHED)
         if value == "infeasible":
             with pytest.raises(InfeasibleError) as caught:
                 solve(problem, method=method)
@@ -101,7 +98,7 @@ def test_hand_cases_of_the_two_move_domain(method):
     model, start = published("gubs_test_domain", "unit")
     s3p = solved(S3P(model, start=start, failure_budget=0.02), method)
     assert s3p.objective == pytest.approx(79 / 49, rel=1e-9)
-    mcmp = solved(MCMP(model, start=start, failure_budget=0.02, **TABLE), method)
+    mcmp = solved(MCMP(model, start=start, failure_budget=0.02, **PUBLISHED), method)
     assert mcmp.objective == pytest.approx(8 / 5, rel=1e-9)
     for solution in (s3p, mcmp):
         assert sorted(solution.policy.weights) == pytest.approx([0.4, 0.6], rel=1e-9)
@@ -124,7 +121,7 @@ def test_attack_tree(method):
     assert solved(S3P(model, start=start, failure_budget=None), method).objective == pytest.approx(
         15, rel=1e-9
     )
-    mcmp = MCMP(model, start=start, failure_budget=None, **TABLE)
+    mcmp = MCMP(model, start=start, failure_budget=None, **PUBLISHED)
     assert solved(mcmp, method).objective == pytest.approx(11.02, rel=1e-9)
 
 
@@ -160,7 +157,7 @@ def test_models_whose_value_is_not_given_away(name):
     """Column generation proves its own gap, and the full program agrees where it is small."""
     model, start = published(name, UNLISTED[name])
     greatest = goal_probability.max_goal_probability(model)[model.index_of(start)]
-    least = solved(MCMP(model, start=start, failure_budget=None, **TABLE))
+    least = solved(MCMP(model, start=start, failure_budget=None, **PUBLISHED))
     assert least.goal_probability == pytest.approx(greatest, rel=1e-9)
     problem = at_least_goal_probability(model, start, 0.9 * greatest)
     columns = solved(problem, "columns")

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cases import PUBLISHED
 from checks import CLOSE, GAP, check_certificate, check_evaluation, library_model, plain
 from formulations import ISSPUDE, MCMP, S3P, AlphaMCMP, FinitePenalty, MaxProb, MinCost, MinProb
 from references import mcmp, s3p
@@ -19,7 +20,6 @@ from ssp_lp import (
 from strategies import discounts, often, problems, semantics
 
 METHODS = ("lp", "columns")
-PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
 penalties = st.sampled_from([0.1, 1.0, 3.0, 10.0, 1000.0])
 shares = st.sampled_from([0.0, 0.1, 0.5, 0.9, 0.999, 1.0])
 

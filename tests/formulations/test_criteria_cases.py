@@ -6,7 +6,8 @@ program where it is small.
 
 import pytest
 
-from cases import NAMES, expected, published
+from cases import CLOSE, NAMES, PUBLISHED, expected, published
+from checks import GAP
 from formulations import (
     ISSPUDE,
     MCMP,
@@ -20,13 +21,10 @@ from formulations import (
 )
 from ssp_lp import InfeasibleError, certify, evaluate, solve
 
-CLOSE = {"rel": 1e-6, "abs": 1e-9}
-GAP = 1e-8
 MOST_PAIRS = 1_000
 """Largest model whose full program is solved as well, and whose answers are proved again."""
 
 PENALTIES, SHARES = ("1", "10", "100", "1000"), ("0.1", "0.5", "0.9", "0.999")
-PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
 
 
 def least_cost_at_maxprob(model, start):

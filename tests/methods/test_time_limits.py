@@ -7,13 +7,24 @@ import os
 import signal
 import sys
 import threading
+from functools import cache
 from typing import Any
 
 import pytest
 
 from examples.solver_comparison.instances.models import random_model
 from formulations import MCMP, S3P
-from ssp_lp import SSP, OutOfTimeError, Solution, Status, certify, solve, trace_frontier, visits
+from ssp_lp import (
+    SSP,
+    Frontier,
+    OutOfTimeError,
+    Solution,
+    Status,
+    certify,
+    solve,
+    trace_frontier,
+    visits,
+)
 from ssp_lp.compiled import deadline
 
 COARSE = 1e-3
@@ -127,13 +138,19 @@ def test_before_the_search_has_a_policy_the_safest_one_comes_back(
     assert certify(solution).accepted
 
 
+@cache
+def whole_frontier(criterion: Any, model: SSP, start: int) -> Frontier:
+    """What every interrupted part is held against."""
+    return trace_frontier(criterion(model, start, failure_budget=0.3), gap=COARSE)
+
+
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("after", [0, 3, 6])
 def test_an_interrupted_frontier_keeps_its_points(
     coarse_robot: tuple[SSP, int], criterion: Any, after: int
 ) -> None:
     problem = criterion(*coarse_robot, failure_budget=0.3)
-    whole = trace_frontier(problem, gap=COARSE)
+    whole = whole_frontier(criterion, *coarse_robot)
     part = trace_frontier(problem, gap=COARSE, progress=interrupting(after))
     assert part.status is Status.INTERRUPTED
     assert part.open_segments

@@ -12,6 +12,12 @@ from ssp_lp import SSP
 
 FOLDER = Path(__file__).parents[2] / "data"
 
+PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
+"""What the published values count."""
+
+CLOSE = {"rel": 1e-6, "abs": 1e-9}
+"""How exactly they are published."""
+
 NAMES = sorted(path.name.removesuffix(".json.gz") for path in (FOLDER / "models").iterdir())
 
 Transitions = dict[int, dict[str, list[tuple[Fraction, int, Fraction]]]]
