@@ -1,7 +1,7 @@
 """Drawn problems, solved by every method and by enumeration: one answer."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import (
@@ -21,18 +21,11 @@ from references.chain import start_distribution
 from references.frontier import constrained_optimum, least_failure, price_interval
 from ssp_lp import InfeasibleError, solve
 from ssp_lp.processes import goal_reach
-from strategies import acyclic_problems, budgets, discounts, problems
+from strategies import acyclic_problems, budgets, discounts, often, problems, semantics
 
 METHODS = ("lp", "columns")
-meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-semantics = st.fixed_dictionaries({"give_up": meanings, "charge_failing_step": st.booleans()})
 NEAR_LEAST = 1e-9
 """Nearer to the least failure than this, the price is without bound and the program too tight."""
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def check_infeasible(problem, method, least, discount):

@@ -28,7 +28,7 @@ from small_models import FREE_PAIR, model_of
 from ssp_lp import GIVE_UP, SSP, InfeasibleError, ModelError, evaluate, solve
 from ssp_lp.problem import Problem
 
-DEPOT = SSP.from_transitions(
+DEPOT = model_of(
     {
         "depot": {
             "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
@@ -36,8 +36,7 @@ DEPOT = SSP.from_transitions(
         },
         "wreck": {},
     },
-    goal={"home"},
-    treat_actionless_as_dead_ends=True,
+    "home",
 )
 
 

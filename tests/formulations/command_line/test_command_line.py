@@ -14,7 +14,8 @@ import formulations
 from formulations import MCMP, S3P
 from formulations.command_line import main
 from formulations.command_line.arguments import CRITERIA
-from ssp_lp import SSP, ModelError, evaluate, solve
+from small_models import model_of
+from ssp_lp import ModelError, evaluate, solve
 from ssp_lp.io import Controller, load_policy, save_model, write_drn, write_prism
 from ssp_lp.io.any_format import read_any
 
@@ -153,7 +154,7 @@ def test_numbers_may_name_states(tmp_path: Path) -> None:
 
 
 def test_the_entry_point_is_there() -> None:
-    project = Path(__file__).parents[2] / "pyproject.toml"
+    project = Path(__file__).parents[3] / "pyproject.toml"
     entry = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["scripts"]["ssp-lp"]
     module, _, name = entry.partition(":")
     assert getattr(import_module(module), name) is main
@@ -162,10 +163,8 @@ def test_the_entry_point_is_there() -> None:
 def test_other_formats_and_the_policy_in_a_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model = SSP.from_transitions(
-        {0: {"a": [(0.9, 1, 1.0), (0.1, 2, 1.0)], "b": [(1.0, 1, 3.0)]}, 1: {}, 2: {}},
-        goal={1},
-        treat_actionless_as_dead_ends=True,
+    model = model_of(
+        {0: {"a": [(0.9, 1, 1.0), (0.1, 2, 1.0)], "b": [(1.0, 1, 3.0)]}, 1: {}, 2: {}}, 1
     )
     write_drn(model, tmp_path / "m.drn", start=0)
     write_prism(model, tmp_path / "m", start=0)
