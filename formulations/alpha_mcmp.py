@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 from ssp_lp.formulation import (
     BUDGET_OR_SHARE,
     SSP,
-    FailureSemantics,
     Formulation,
     GiveUp,
     Start,
@@ -73,8 +71,3 @@ class AlphaMCMP(Formulation):
     charge_failing_step: bool = False
 
     failure_budget = BUDGET_OR_SHARE  # worked out when first asked for, so no field
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """What a failing episode costs."""
-        return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

@@ -29,7 +29,7 @@ from ssp_lp.model.html_table import html_table
 from ssp_lp.problem import as_stated
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
-_LOG = logging.getLogger("ssp_lp.comparing")
+_LOG = logging.getLogger("ssp_lp.comparison")
 
 
 @dataclass(frozen=True)
@@ -241,4 +241,4 @@ def _criterion_row(name: str, problem: Any, horizon: int | None) -> CriterionRow
     try:
         return CriterionRow(name, solve(problem))
     except InfeasibleError as error:
-        return CriterionRow(name, None, str(error))
+        return CriterionRow(name, None, str(error.args[0]))  # the rest is a remedy

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 
 from ssp_lp.formulation import (
     SSP,
     Constraint,
     CostLimit,
-    FailureSemantics,
     Formulation,
     GiveUp,
     Start,
@@ -92,8 +90,3 @@ class ConstrainedCost(Formulation):
     def own_constraints(self) -> Mapping[str, Constraint]:
         """The limits."""
         return constraints_of(self.limits)
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """What a failing episode costs."""
-        return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

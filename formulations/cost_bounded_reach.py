@@ -10,10 +10,10 @@ from ssp_lp.formulation import (
     SSP,
     FailureSemantics,
     Formulation,
-    ModelError,
     Start,
     WithinBound,
     check_numbers,
+    wrong_argument,
 )
 
 
@@ -83,7 +83,7 @@ class CostBoundedReach(Formulation):
     def __post_init__(self) -> None:
         check_numbers(cost_bound=self.cost_bound)
         if not 0 <= self.cost_bound < float("inf"):
-            raise ModelError(f"cost_bound must be a cost, not {self.cost_bound!r}")
+            raise wrong_argument("cost_bound", "be a cost", self.cost_bound)
         super().__post_init__()
 
     @cached_property

@@ -13,10 +13,10 @@ from ssp_lp.formulation import (
     FailureSemantics,
     Formulation,
     GiveUp,
-    ModelError,
     Start,
     check_numbers,
     expected_cost,
+    wrong_argument,
 )
 
 COST_BUDGET = "cost budget"
@@ -83,7 +83,7 @@ class CostBudgetedMaxProb(Formulation):
     def __post_init__(self) -> None:
         check_numbers(cost_budget=self.cost_budget)
         if not 0 <= self.cost_budget < float("inf"):
-            raise ModelError(f"cost_budget must be a cost, not {self.cost_budget!r}")
+            raise wrong_argument("cost_budget", "be a cost", self.cost_budget)
         super().__post_init__()
 
     @property

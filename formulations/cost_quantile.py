@@ -10,10 +10,10 @@ from ssp_lp.formulation import (
     CostQuantileOf,
     FailureSemantics,
     Formulation,
-    ModelError,
     Start,
     as_percentage,
     check_numbers,
+    wrong_argument,
 )
 
 
@@ -84,7 +84,7 @@ class CostQuantile(Formulation):
         check_numbers(level=self.level)
         if not 0.0 < self.level < 1.0:
             hint = as_percentage(self.level)
-            raise ModelError(f"level must lie strictly between 0 and 1, not {self.level!r}{hint}")
+            raise wrong_argument("level", "lie strictly between 0 and 1", self.level, hint)
         super().__post_init__()
 
     @cached_property

@@ -9,11 +9,11 @@ from ssp_lp.formulation import (
     SSP,
     FailureSemantics,
     Formulation,
-    ModelError,
     Start,
     TailMeanOf,
     as_percentage,
     check_numbers,
+    wrong_argument,
 )
 
 
@@ -84,7 +84,7 @@ class CVaR(Formulation):
         check_numbers(level=self.level)
         if not 0.0 <= self.level < 1.0:
             hint = as_percentage(self.level)
-            raise ModelError(f"level must be at least 0 and below 1, not {self.level!r}{hint}")
+            raise wrong_argument("level", "be at least 0 and below 1", self.level, hint)
         super().__post_init__()
 
     @cached_property

@@ -12,9 +12,9 @@ from ssp_lp.formulation import (
     ExponentialUtility,
     FailureSemantics,
     Formulation,
-    ModelError,
     Start,
     check_numbers,
+    wrong_argument,
 )
 
 
@@ -82,9 +82,9 @@ class EGUBS(Formulation):
     def __post_init__(self) -> None:
         check_numbers(risk_factor=self.risk_factor, goal_bonus=self.goal_bonus)
         if not (self.risk_factor < 0.0 and isfinite(self.risk_factor)):
-            raise ModelError(f"risk_factor must be a number below 0, not {self.risk_factor!r}")
+            raise wrong_argument("risk_factor", "be a number below 0", self.risk_factor)
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
-            raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
+            raise wrong_argument("goal_bonus", "be a number >= 0", self.goal_bonus)
         super().__post_init__()
 
     @property

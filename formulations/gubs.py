@@ -11,10 +11,10 @@ from ssp_lp.formulation import (
     ExpectedUtility,
     FailureSemantics,
     Formulation,
-    ModelError,
     Start,
     Utility,
     check_numbers,
+    wrong_argument,
 )
 
 
@@ -89,11 +89,11 @@ class GUBS(Formulation):
         limit = self.utility_at_infinity
         check_numbers(goal_bonus=self.goal_bonus, utility_at_infinity=limit)
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
-            raise ModelError(f"goal_bonus must be a number >= 0, not {self.goal_bonus!r}")
+            raise wrong_argument("goal_bonus", "be a number >= 0", self.goal_bonus)
         if not isfinite(limit):
-            raise ModelError(f"utility_at_infinity must be a finite number, not {limit!r}")
+            raise wrong_argument("utility_at_infinity", "be a finite number", limit)
         if not callable(self.utility):
-            raise ModelError(f"utility must be a function of the cost, not {self.utility!r}")
+            raise wrong_argument("utility", "be a function of the cost", self.utility)
         super().__post_init__()
 
     @property

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 
 from ssp_lp.formulation import (
     SSP,
-    FailureSemantics,
     Formulation,
     GiveUp,
     Quantity,
@@ -72,13 +70,8 @@ class LeastQuantity(Formulation):
 
     model: SSP
     start: Start
-    quantity: Quantity
+    quantity: Quantity = field()  # needed, though every criterion has one of this name, None
     failure_budget: float | None = 1.0
     discount: float | None = None
     give_up: str | GiveUp = GiveUp.ATTENTION
     charge_failing_step: bool = False
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """What a failing episode counts."""
-        return FailureSemantics(GiveUp(self.give_up), self.charge_failing_step)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 from ssp_lp.formulation import (
     BUDGET_OR_SHARE,
     SSP,
     FailureBudget,
-    FailureSemantics,
     Formulation,
     GiveUp,
     Start,
@@ -88,8 +86,3 @@ class MCMP(Formulation):
         if self.charge_failing_step is None:
             object.__setattr__(self, "charge_failing_step", not published)
         super().__post_init__()
-
-    @cached_property
-    def semantics(self) -> FailureSemantics:
-        """What a failing episode costs."""
-        return FailureSemantics(GiveUp(str(self.give_up)), bool(self.charge_failing_step))

@@ -9,9 +9,9 @@ from ssp_lp.formulation import (
     SSP,
     FailureBudget,
     Formulation,
-    ModelError,
     Start,
     check_numbers,
+    wrong_argument,
 )
 
 
@@ -86,5 +86,5 @@ class S3P(Formulation):
         if self.cost_cap is not None:
             check_numbers(cost_cap=self.cost_cap)
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
-            raise ModelError(f"cost_cap must be a positive cost or None, not {self.cost_cap!r}")
+            raise wrong_argument("cost_cap", "be a positive cost", self.cost_cap)
         super().__post_init__()

@@ -46,6 +46,12 @@ Sums of some thousand costs are off by 1e-16 to 1e-13 of themselves; a lattice o
 would fill no memory.
 """
 
+BELOW_RATIO: Final = 1.0 - 2.5e-10
+"""Share of a ratio at which it is proved once more, where the budget may be slack.
+
+There it is strictly best to fail, so that no rounding enters (``FailureRow.lower_bound``).
+"""
+
 RELATIVE_GAP: Final = 1e-9
 """Default relative gap between the objective and its certified lower bound."""
 

@@ -1,14 +1,16 @@
-"""The error tree, one class per remedy, all under :class:`SSPError`; and the words of errors."""
+"""The error tree, one class per remedy, all under :class:`SSPError`; and checks of arguments."""
 
 from __future__ import annotations
 
 import enum
 from collections.abc import Hashable, Iterable, Mapping, Sized
 from difflib import get_close_matches
+from fractions import Fraction
 from importlib import import_module
 from itertools import islice
+from numbers import Integral, Real
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,8 +19,30 @@ _LISTED = 4  # entries of a table there
 _LOOKED_AT = 20_000  # names that are compared: more would take longer than a hint is worth
 
 
+class Argument(NamedTuple):
+    """An argument that an error names: as text it is what Python code says.
+
+    The command line names its own option in its place.
+    """
+
+    name: str
+    value: object = ...  # what is to be given; ...: the message says so itself
+
+    def __str__(self) -> str:
+        """``discount``, or with a value ``failure_budget=None``."""
+        return self.name if self.value is ... else f"{self.name}={self.value!r}"
+
+
 class SSPError(Exception):
-    """Root of every error that this library raises on purpose."""
+    """Root of every error that this library raises on purpose.
+
+    Args:
+        told: the message, in parts where it names an :class:`Argument`.
+    """
+
+    def __str__(self) -> str:
+        """The message, arguments as Python code has them."""
+        return "".join(map(str, self.args))
 
 
 class ModelError(SSPError, ValueError):
@@ -39,14 +63,13 @@ class InfeasibleError(SSPError):
 
     def __init__(
         self,
-        message: str,
-        *,
+        *told: str | Argument,
         failure_budget: float | None,
         least_failure: float,
         least_discounted_failure: float | None = None,
         conflicting_rows: tuple[str, ...] = (),
     ) -> None:
-        super().__init__(message)
+        super().__init__(*told)
         self.failure_budget = failure_budget
         self.least_failure = least_failure
         self.least_discounted_failure = least_discounted_failure
@@ -91,10 +114,35 @@ def optional_module(name: str, extra: str) -> ModuleType:
         raise MissingDependencyError(name.partition(".")[0], extra) from error
 
 
+def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> ModelError:
+    """The error for an argument of a wrong value: what it must be, what it is, and a hint."""
+    return ModelError(Argument(name), f" must {wanted}, not {in_short(given)}{hint}")
+
+
+def check_between_0_and_1(name: str, value: object, hint: str = "") -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it lies strictly between 0 and 1."""
+    if not (isinstance(value, Real) and 0.0 < float(value) < 1.0):
+        raise wrong_argument(name, "lie strictly between 0 and 1", value, hint)
+
+
+def check_whole(name: str, value: object, least: int = 1) -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it is a whole number >= ``least``."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise wrong_argument(name, f"be a whole number >= {least}", value)
+
+
+def check_flag(name: str, value: object) -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it is a truth value, or numpy's."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise wrong_argument(name, "be True or False", value)
+
+
 def in_short(value: Any) -> str:
     """For an error: the value's repr where it is short; else what it is and how large."""
     if isinstance(value, enum.Enum):
         return repr(str(value.value))
+    if isinstance(value, Fraction):
+        return str(value)
     if isinstance(value, np.ndarray):
         return f"<array of shape {value.shape}>"
     if isinstance(value, np.generic):

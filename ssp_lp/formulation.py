@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from ssp_lp.analysis.goal_probability import attention_labels, dead_end_labels
 from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
@@ -24,9 +23,10 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import InfeasibleError, ModelError, in_short
+from ssp_lp.errors import InfeasibleError, ModelError, check_whole, in_short, wrong_argument
 from ssp_lp.model import SSP
-from ssp_lp.model.within_steps import check_steps, unroll_steps
+from ssp_lp.model.graph.reachability import attention_labels, dead_end_labels
+from ssp_lp.model.within_steps import unroll_steps
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
@@ -34,7 +34,6 @@ from ssp_lp.problem import (
     as_stated,
     by_sums,
     check_numbers,
-    is_whole,
     stated_budget,
 )
 from ssp_lp.processes.failure_semantics import (
@@ -106,13 +105,13 @@ __all__ = [
     "goal_probability",
     "secondary_cost",
     "visits",
+    "wrong_argument",
 ]
 
 Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""
 
 _COMPILING = logging.getLogger("ssp_lp.compiling")
-_FREE = FailureSemantics()
 
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
@@ -122,6 +121,8 @@ class _Inherited:
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
     failure_budget: float | FailureBudget | None = 1.0
+    give_up: str | GiveUp | None = GiveUp.ATTENTION
+    charge_failing_step: bool | None = False
     discount: float | None = None
     ratio = False
     cost_cap: float | None = None  # of accumulated cost, where it is told apart
@@ -193,17 +194,17 @@ class Formulation(_Inherited):
         given = vars(self)
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
-        check_failure_setting(given.get("_stated_budget", budget), given.get("discount"), share)
+        budget = given.get("_stated_budget", budget)
+        charged = getattr(self, "charge_failing_step", True)
+        check_failure_setting(budget, given.get("discount"), share, charged)
         if "give_up" in given:
             object.__setattr__(self, "give_up", parse_give_up(given["give_up"]))
         if not isinstance(self._asked.model, SSP):
             raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
         _ = self._begun
-        if self.horizon is not None:
-            check_steps(self.horizon, "horizon")
-        levels = getattr(self, "cost_levels", None)
-        if levels is not None and not (is_whole(levels) and levels >= 1):
-            raise ModelError(f"cost_levels must be a number >= 1 or None, not {levels!r}")
+        for name in ("horizon", "cost_levels"):
+            if (number := getattr(self, name, None)) is not None:
+                check_whole(name, number)
         for condition in self.conditions:
             _ = condition.rows
         _ = self.objective_condition
@@ -250,10 +251,10 @@ class Formulation(_Inherited):
             return ()
         return conditions(self._asked.model, self._begun, every)
 
-    @property
+    @cached_property
     def semantics(self) -> FailureSemantics:
-        """Failing is free and happens where the goal can be avoided for sure."""
-        return _FREE
+        """Failing is free but for a step that is charged, and happens where one may give up."""
+        return FailureSemantics(GiveUp(str(self.give_up)), bool(self.charge_failing_step))
 
     @cached_property
     def _begun(self) -> FloatArray:

@@ -13,7 +13,7 @@ from numbers import Real
 from typing import ClassVar, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, wrong_argument
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
 """Solvers of linear programs."""
@@ -32,9 +32,9 @@ Progress = Callable[[int, float, float], None]
 """Called after each pricing call with (calls, failure price, objective)."""
 
 LOGGER = "ssp_lp"
-"""All that is told of work goes to this logger's children, one for each phase: "ssp_lp.building",
-"ssp_lp.search", ...; what is done at level INFO, how far it has come at DEBUG, with the ``share``
-of it that is done as a field of the record where that is known."""
+"""All that is told of work goes to this logger's children, one for each phase: "ssp_lp.search"
+and what docs/solving.md lists; what is done at level INFO, how far it has come at DEBUG, with the
+``share`` of it that is done as a field of the record where that is known."""
 
 _SEARCH = logging.getLogger(f"{LOGGER}.search")
 _BETWEEN = 0.1  # seconds between two tellings of how far work has come
@@ -69,7 +69,7 @@ class LinearProgramming:
     def __post_init__(self) -> None:
         if self.backend is not None and self.backend not in BACKENDS:
             known = ", ".join(BACKENDS)
-            raise ModelError(f"backend must be one of {known}, not {self.backend!r}")
+            raise wrong_argument("backend", f"be one of {known}", self.backend)
 
 
 @dataclass(frozen=True)
@@ -118,8 +118,8 @@ def parse_method(method: Method | str | None) -> Method:
     if isinstance(method, str) and method in _BY_NAME:
         return _BY_NAME[method]
     known = ", ".join(repr(name) for name in _BY_NAME)
-    raise ModelError(f"method must be one of {known}, or a value such as LinearProgramming(), not "
-                     f"{method!r}")  # fmt: skip
+    wanted = f"be one of {known}, or a value such as LinearProgramming()"
+    raise wrong_argument("method", wanted, method)
 
 
 @dataclass(frozen=True)
@@ -167,8 +167,7 @@ def options_of(
     Raises:
         ModelError: a tolerance outside (0, 1), or a time limit that is no number of seconds.
     """
-    if not (isinstance(tolerance, Real) and 0.0 < tolerance < 1.0):
-        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
+    check_between_0_and_1("tolerance", tolerance)
     if progress is not None and not callable(progress):
         raise ModelError(f"progress must be a function or None, not {progress!r}; verbose=True "
                          "shows how far work has come")  # fmt: skip
@@ -185,7 +184,7 @@ def deadline_of(time_limit: float | None, began: float) -> float:
         ModelError: a limit that is no number of seconds.
     """
     if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0.0):
-        raise ModelError(f"time_limit must be a number of seconds or None, not {time_limit!r}")
+        raise wrong_argument("time_limit", "be a number of seconds", time_limit)
     return float("inf") if time_limit is None else began + float(time_limit)
 
 
@@ -201,21 +200,25 @@ def _logged_progress(progress: Progress | None) -> Progress:
 
 
 @contextmanager
-def progress_shown(asked: bool = True) -> Iterator[None]:
+def progress_shown(verbose: bool = True) -> Iterator[None]:
     """Show what the library is doing, on the standard error: each phase as it is done.
 
     In a terminal or a notebook a line at the bottom says besides how far the work has come. Without
     it nothing is shown; ``logging`` has the same under the name "ssp_lp".
 
     Args:
-        asked: False: show nothing.
+        verbose: False: show nothing.
+
+    Raises:
+        ModelError: it is neither True nor False.
 
     Example:
         >>> with progress_shown():
         ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
     """
+    check_flag("verbose", verbose)
     logger = logging.getLogger(LOGGER)
-    if not asked or any(isinstance(known, _ProgressLines) for known in logger.handlers):
+    if not verbose or any(isinstance(known, _ProgressLines) for known in logger.handlers):
         yield  # nothing, or it is shown already
         return
     shown = _ProgressLines(sys.stderr)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Mapping
-from numbers import Integral, Real
-from typing import Any, Protocol, TypeGuard, cast, overload
+from numbers import Real
+from typing import Any, Protocol, cast, overload
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.errors import ModelError, in_short
+from ssp_lp.errors import ModelError, in_short, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import check_product
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
@@ -108,15 +108,10 @@ def rungs_of(problem: Problem) -> Rungs | None:
 
 def by_sums(problem: Problem) -> bool:
     """Whether a problem's totals are the sums that can occur, each a layer of backward sweeps."""
-    of_law = problem.semantics.measure is not None
-    if has_rows(problem) or (not of_law and _is_cut_problem(problem)):
+    is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
+    if has_rows(problem) or (is_cut and problem.semantics.measure is None):
         return False
     return (rungs := rungs_of(problem)) is not None and rungs.most == MOST_SUMS
-
-
-def _is_cut_problem(problem: Problem) -> bool:
-    """Whether case S is discounted, or its costs are told apart up to a cap of the user's."""
-    return problem.discount is not None or getattr(problem, "cost_cap", None) is not None
 
 
 def by_rows(problem: Problem) -> bool:
@@ -220,11 +215,6 @@ def budget_of_share(
     return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
 
 
-def is_whole(value: object) -> TypeGuard[int]:
-    """Whether a value is a whole number, Python's or numpy's, and no truth value."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
-
-
 def check_problem(problem: object, verb: str) -> None:
     """Check that what should be a problem has a start and says what is asked.
 
@@ -282,4 +272,4 @@ def check_numbers(**named: object) -> None:
     """
     for name, value in named.items():
         if not isinstance(value, Real):
-            raise ModelError(f"{name} must be a number, not {value!r}")
+            raise wrong_argument(name, "be a number", value)

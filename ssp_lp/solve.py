@@ -9,7 +9,7 @@ from math import isfinite
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import Deadline, Stop, until
-from ssp_lp.errors import ModelError, OutOfTimeError, SolverError
+from ssp_lp.errors import Argument, ModelError, OutOfTimeError, SolverError
 from ssp_lp.methods.one_row import (
     best_within_budget,
     cheapest_at_least_failure,
@@ -40,6 +40,7 @@ from ssp_lp.problem import (
     by_rows,
     by_sums,
     check_problem,
+    conditions_of,
     has_rows,
     pulled_back,
     unrolled,
@@ -92,14 +93,16 @@ def solve(
     _check_method(problem, chosen)
     with progress_shown(verbose):
         solution, status = _solved_with_proof(problem, chosen, options)
-    reason = solution.run.reason
+    note, reason = solution.note, solution.run.reason
+    if not note and solution.gap > tolerance:
+        note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")
     return replace(
         solution,
         problem=problem,
         policy=pulled_back(solution.policy, problem),
-        note=_with_gap(solution, tolerance),
+        note=note,
         status=status,
         run=replace(solution.run, reason=reason, seconds=time.perf_counter() - began),
     )
@@ -165,23 +168,17 @@ def _check_method(problem: Problem, method: Method) -> None:
     """
     if isinstance(method, ColumnGeneration):
         return
-    name = type(problem).__name__
+    asked = Argument("method", method.name)
+    name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
     if isinstance(method, DeterministicPolicies) and (
         by_rows(problem) or by_sums(problem) or problem.semantics.measure is not None
     ):
-        raise ModelError(f"method='deterministic' is not available for {name}")
+        raise ModelError(asked, f" is not available for {name}")
     if isinstance(method, Game) and has_rows(problem):
-        raise ModelError(f"method='game' knows one row only, not {name}: take 'columns' or 'lp'")
+        raise ModelError(asked, f" knows one row only, not {name}: take 'columns' or 'lp'")
     warm = isinstance(method, LinearProgramming) and method.backend == "highs-warm"
     if warm and by_rows(problem):
         raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
-
-
-def _with_gap(solution: Solution, tolerance: float) -> str:
-    """The solution's note, which says so where the tolerance is missed and nothing else does."""
-    if solution.note or solution.gap <= tolerance:
-        return solution.note
-    return f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
 
 
 def _check_solution(solution: Solution) -> None:

@@ -1,4 +1,4 @@
-"""The paper's robot, built once for all tests that need it."""
+"""The paper's robot on three grids, built once for all tests that need it."""
 
 from __future__ import annotations
 
@@ -11,5 +11,20 @@ from ssp_lp import SSP
 @pytest.fixture(scope="session")
 def robot() -> tuple[SSP, int]:
     """The model of the default grid and its start state."""
-    grid = RobotGrid()
+    return _on(RobotGrid())
+
+
+@pytest.fixture(scope="session")
+def coarse_robot() -> tuple[SSP, int]:
+    """The same on a coarse grid."""
+    return _on(RobotGrid(segments=8, headings=8))
+
+
+@pytest.fixture(scope="session")
+def small_robot() -> tuple[SSP, int]:
+    """A grid whose accumulated-cost process a linear program can still take."""
+    return _on(RobotGrid(segments=6, headings=6, quadrature=2))
+
+
+def _on(grid: RobotGrid) -> tuple[SSP, int]:
     return grid_model(grid), start_state(grid)

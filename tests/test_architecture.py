@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
@@ -134,3 +135,14 @@ def test_the_front_room_is_small() -> None:
     inside = [p for p in (ROOT / "ssp_lp").iterdir() if p.name != "__pycache__"]
     assert sum(p.is_dir() for p in inside) <= 14
     assert sum(p.suffix == ".py" for p in inside) <= 8
+
+
+def test_the_page_on_solving_lists_every_logger() -> None:
+    page = (ROOT / "docs" / "solving.md").read_text(encoding="utf-8")
+    listed = re.search(r'such as "ssp_lp.search": ([\w\s,]+)\.', page)
+    assert listed is not None
+    texts = [
+        path.read_text(encoding="utf-8") for path in files_of("ssp_lp") + files_of("formulations")
+    ]
+    named = {name for text in texts for name in re.findall(r'getLogger\([^)]*\.(\w+)"\)', text)}
+    assert set(re.split(r",\s+", listed[1])) == named

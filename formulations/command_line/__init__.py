@@ -40,6 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_command(asked: Namespace) -> int:
     """Run the command that was asked for; its exit code."""
+    from formulations.command_line.answers import with_options
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 
@@ -52,11 +53,14 @@ def _run_command(asked: Namespace) -> int:
     except BrokenPipeError:
         raise
     except InfeasibleError as error:
-        return _tell(str(error), INFEASIBLE)
+        return _tell(with_options(error), INFEASIBLE)
     except (SolverError, MissingDependencyError) as error:
-        return _tell(str(error), FAILED)
-    except (SSPError, OSError) as error:
-        return _tell(str(error), WRONG_INPUT)
+        return _tell(with_options(error), FAILED)
+    except SSPError as error:
+        return _tell(with_options(error), WRONG_INPUT)
+    except OSError as error:
+        told = f"{error.filename}: {error.strerror}" if error.filename else str(error)
+        return _tell(told, WRONG_INPUT)
     return 0
 
 

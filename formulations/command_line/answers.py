@@ -9,9 +9,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from formulations.command_line.arguments import option
 from formulations.command_line.models import CommandModel
-from ssp_lp import ModelError, Solution
-from ssp_lp.errors import optional_module
+from ssp_lp import ModelError, Solution, SSPError
+from ssp_lp.errors import Argument, optional_module
 from ssp_lp.io import policy_table, save_policy, write_controller, write_dot, write_scheduler
 
 if TYPE_CHECKING:
@@ -30,6 +31,12 @@ def _finite_answer(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_finite_answer(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def with_options(error: SSPError) -> str:
+    """An error's message, in which options of the command line stand for Python's arguments."""
+    parts = (option(*part) if isinstance(part, Argument) else str(part) for part in error.args)
+    return "".join(parts)
 
 
 def aligned_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from argparse import (
+    SUPPRESS,
     Action,
     ArgumentParser,
+    ArgumentTypeError,
     BooleanOptionalAction,
     RawDescriptionHelpFormatter,
 )
@@ -34,20 +36,37 @@ def _number_argument(text: str) -> Fraction:
     """An argument's number as it is written: 0.1 is a tenth."""
     try:
         return Fraction(text)
-    except ZeroDivisionError as error:
-        raise ValueError(text) from error
+    except (ValueError, ZeroDivisionError):
+        raise ArgumentTypeError(f"{text!r} is no number") from None
+
+
+def _number_or_none(text: str) -> float | None:
+    """A number, or what None is for Python."""
+    return None if text == "none" else float(_number_argument(text))
 
 
 def _steps_argument(text: str) -> int | str | None:
     """A horizon: a number of steps, none, or "env", the environment's own."""
-    if text == "env":
-        return text
-    return None if text == "none" else int(text)
+    if text in ("env", "none"):
+        return text if text == "env" else None
+    if text.isdecimal():
+        return int(text)
+    raise ArgumentTypeError(f"{text!r} is no number of steps, nor none")
+
+
+def option(name: str, value: object = ...) -> str:
+    """The option that is an argument of Python's: ``--discount 0.9``, ``--no-check``."""
+    flag = name.replace("_", "-")
+    if isinstance(value, bool):
+        return f"--{flag}" if value else f"--no-{flag}"
+    return f"--{flag}" if value is ... else f"--{flag} {'none' if value is None else value}"
 
 
 PARAMETERS = {
     "failure_budget": Parameter(
-        "largest failure probability; left out: mostly the least", float, "P"
+        "largest failure probability, or none: the least; left out mostly the least",
+        _number_or_none,
+        "P",
     ),
     "reach_fraction": Parameter("share of the greatest goal probability to keep", float, "SHARE"),
     "penalty": Parameter("what failing costs", float, "COST"),
@@ -57,7 +76,7 @@ PARAMETERS = {
     "risk_factor": Parameter("of the exponential utility, < 0 to shun risk", float, "X"),
     "goal_bonus": Parameter("utility of the goal itself", float, "X"),
     "quantity": Parameter("what is to be least, as in --limit", str, "QUANTITY"),
-    "discount": Parameter("of the paper's surrogate, in (0, 1)", float, "GAMMA"),
+    "discount": Parameter("of the paper's surrogate, in (0, 1), or none", _number_or_none, "GAMMA"),
     "give_up": Parameter("where: anywhere, attention (states), dead_ends", str, "WHERE"),
     "charge_failing_step": Parameter("whether the failing step is paid"),
     "cost_cap": Parameter("tell costs apart up to here", float, "COST"),
@@ -181,13 +200,12 @@ def _add_question(one: ArgumentParser, criteria: list[str]) -> None:
         help=f"mcmp if left out; or {', '.join(c for c in criteria if c != 'mcmp')}",
     )  # fmt: skip
     for name, parameter in PARAMETERS.items():
-        flag = f"--{name.replace('_', '-')}"
+        told: dict[str, Any] = {"help": parameter.help, "default": SUPPRESS}
         if parameter.type is bool:
-            question.add_argument(flag, action=BooleanOptionalAction, help=parameter.help)
+            question.add_argument(option(name), action=BooleanOptionalAction, **told)
         else:
-            question.add_argument(
-                flag, type=parameter.type, metavar=parameter.metavar, help=parameter.help
-            )
+            told |= {"type": parameter.type, "metavar": parameter.metavar}
+            question.add_argument(option(name), **told)
     question.add_argument(
         "--limit", action="append", default=[], metavar="WORDS",
         help='such as "fuel <= 3", "visits(ward) <= 2", "end(crash) <= 0.01", "goal >= 0.9", '
@@ -200,7 +218,8 @@ def _add_solve(one: ArgumentParser) -> None:
     """Add the arguments of ``solve``."""
     _add_question(one, list(CRITERIA))
     search = one.add_argument_group("the search")
-    search.add_argument("--method", metavar="NAME", help="columns, lp, game, deterministic")
+    methods = ("columns", "lp", "game", "deterministic")
+    search.add_argument("--method", choices=methods, metavar="NAME", help=", ".join(methods))
     search.add_argument("--tolerance", type=float, metavar="GAP", help="relative gap; 1e-9")
     search.add_argument("--time-limit", type=float, metavar="SECONDS", help="then the best so far")
     answer = one.add_argument_group("the answer")
@@ -217,7 +236,7 @@ def _add_frontier(one: ArgumentParser) -> None:
     """Add the arguments of ``frontier``."""
     _add_question(one, ["mcmp", "s3p"])
     one.add_argument("--gap", type=float, metavar="GAP", help="how near; 1e-9")
-    one.add_argument("--points", type=int, metavar="N", help="at most so many turning points")
+    one.add_argument("--point-limit", type=int, metavar="N", help="at most so many turning points")
     one.add_argument("--time-limit", type=float, metavar="SECONDS", help="then what is there")
     form = one.add_mutually_exclusive_group()
     form.add_argument("--json", action="store_true", help="for other programs")
@@ -237,6 +256,10 @@ def _add_simulate(one: ArgumentParser) -> None:
     one.add_argument("--seed", type=int, default=0, metavar="N", help="0")
     one.add_argument("--max-steps", type=int, default=10_000, metavar="N", help="10,000")
     one.add_argument("--confidence", type=float, default=0.95, metavar="P", help="0.95")
+    one.add_argument(
+        "--check", action=BooleanOptionalAction, default=True,
+        help="whether the policy must be of this very model, the default",
+    )  # fmt: skip
     one.add_argument("--json", action="store_true", help="for other programs")
 
 
@@ -244,8 +267,8 @@ def _add_compare(one: ArgumentParser) -> None:
     """Add the arguments of ``compare``."""
     for name in ("failure_budget", "penalty", "reach_fraction", "cost_bound", "level"):
         said = PARAMETERS[name]
-        flag = f"--{name.replace('_', '-')}"
-        one.add_argument(flag, nargs="+", type=said.type, metavar=said.metavar, help=said.help)
+        told: dict[str, Any] = {"type": said.type, "metavar": said.metavar, "help": said.help}
+        one.add_argument(option(name), nargs="+", **told)
     one.add_argument("--json", action="store_true", help="for other programs")
 
 

@@ -27,6 +27,7 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.analysis.estimate import Estimate
+from ssp_lp.errors import check_whole
 from ssp_lp.formulation import attention_labels, dead_end_labels
 from ssp_lp.io import load_policy, rollout, write_any
 from ssp_lp.io.model_files.json_model import model_in_json
@@ -45,7 +46,7 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     if write is not None:
         write(solution, found, asked.policy_out)
     if figure is not None:
-        level = {} if asked.level is None else {"level": asked.level}
+        level = {"level": asked.level} if "level" in asked else {}
         plot_cost_law(success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
     return json_answer(_told_by_command(solution)) if asked.json else [solution.summary()]
@@ -99,9 +100,11 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
     figure = figure_for(asked.plot)
     gap = {} if asked.gap is None else {"gap": asked.gap}
     problem = problem_of(asked, command_model(asked))
-    traced = trace_frontier(problem, point_limit=asked.points, time_limit=asked.time_limit, **gap)
+    traced = trace_frontier(
+        problem, point_limit=asked.point_limit, time_limit=asked.time_limit, **gap
+    )
     if figure is not None:
-        plot_frontier(traced, asked.failure_budget, ax=figure.subplots())
+        plot_frontier(traced, getattr(asked, "failure_budget", None), ax=figure.subplots())
         figure.savefig(asked.plot)
     prices = [*traced.price.tolist(), None]
     numbers = (traced.failure, traced.goal, traced.cost, traced.objective)
@@ -136,9 +139,10 @@ def _info_command(asked: Namespace) -> Iterable[str]:
 
 def _simulate_command(asked: Namespace) -> Iterable[str]:
     """The command ``simulate``."""
+    check_whole("seed", asked.seed, 0)
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
-    policy = load_policy(asked.policy, problem.unrolled.model)
+    policy = load_policy(asked.policy, problem.unrolled.model, check=asked.check)
     settings = {name: getattr(asked, name) for name in ("episodes", "max_steps", "confidence")}
     told: dict[str, Any] = {"episodes": asked.episodes}
     if found.environment is not None:
@@ -196,7 +200,11 @@ _COLUMNS = ("objective", "expected_cost", "conditional_cost", "failure_probabili
 def _compare_command(asked: Namespace) -> Iterable[str]:
     """The command ``compare``."""
     found = command_model(asked)
-    several = {_PLURAL[one]: given for one in _PLURAL if (given := getattr(asked, one)) is not None}
+    several: dict[str, Any] = {  # least failure, which none asks for, is always among them
+        _PLURAL[one]: [value for value in given if value is not None]
+        for one in _PLURAL
+        if (given := getattr(asked, one)) is not None
+    }
     compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
     if not asked.json:
         return [compared.summary()]

@@ -7,7 +7,7 @@ from argparse import Namespace
 from dataclasses import MISSING, fields
 
 import formulations
-from formulations.command_line.arguments import CRITERIA, PARAMETERS
+from formulations.command_line.arguments import CRITERIA, PARAMETERS, option
 from formulations.command_line.models import CommandModel, state_named
 from ssp_lp import (
     Constraint,
@@ -36,18 +36,14 @@ def problem_of(asked: Namespace, of: CommandModel) -> Problem:
     """
     criterion = getattr(formulations, CRITERIA[asked.criterion])
     takes = {field.name: field for field in fields(criterion) if field.name in PARAMETERS}
-    given = {name: value for name in PARAMETERS if (value := getattr(asked, name)) is not None}
+    given = {name: getattr(asked, name) for name in PARAMETERS if name in vars(asked)}
     for name in given:
         if name not in takes:
-            known = ", ".join(map(_problem_flag, takes)) or "none"
-            raise ModelError(
-                f"{asked.criterion} takes no {_problem_flag(name)}; its options: {known}"
-            )
+            known = ", ".join(map(option, takes)) or "none"
+            raise ModelError(f"{asked.criterion} takes no {option(name)}; its options: {known}")
     for name, field in takes.items():
         if name not in given and field.default is MISSING and name != "failure_budget":
-            raise ModelError(
-                f"{asked.criterion} needs {_problem_flag(name)}: {PARAMETERS[name].help}"
-            )
+            raise ModelError(f"{asked.criterion} needs {option(name)}: {PARAMETERS[name].help}")
     if "quantity" in given:
         given["quantity"] = _problem_quantity(given["quantity"], of)
     limits: dict[str, Constraint] = {}
@@ -109,8 +105,3 @@ def _problem_number(word: str, whole: str) -> float:
         return float(word)
     except ValueError as error:
         raise ModelError(f'"{word}" in "{whole}" is no number') from error
-
-
-def _problem_flag(name: str) -> str:
-    """The flag of the command line that states a part of the problem."""
-    return f"--{name.replace('_', '-')}"

@@ -139,7 +139,8 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
     visited = np.zeros(0, dtype=np.bool_)
     frontier, found = sorted_unique(start_key), []
     while frontier.size:
-        visited = _marked_nodes(visited, frontier)
+        visited = _grown_chain(visited, int(frontier[-1]))
+        visited[frontier] = True
         step = _expand_chain(model, policy, frontier, ended)
         found.append(step)
         visited = _grown_chain(visited, int(step[1].max(initial=0)))
@@ -160,13 +161,6 @@ def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolAr
     edges = np.bincount(np.repeat(source, count)[possible], minlength=model.n_states)
     offsets = np.append(0, np.cumsum(edges))
     return np.flatnonzero(reached_along(model.successors[outcome[possible]], offsets, start))
-
-
-def _marked_nodes(visited: BoolArray, keys: IntArray) -> BoolArray:
-    """The nodes of a chain that were visited, some more marked."""
-    visited = _grown_chain(visited, int(keys[-1]))
-    visited[keys] = True
-    return visited
 
 
 def _grown_chain(visited: BoolArray, key: int) -> BoolArray:

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, FloatArray
 from ssp_lp.column_generation.failure_row import FailureRow, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import InfeasibleError, ModelError, SolverError, optional_module
+from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError, optional_module
 from ssp_lp.model.html_table import html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _SHOWN = 5  # points that a repr lists
-
-_BELOW = 1.0 - 2.5e-10
-"""The share of the best ratio at which it is proved: there it is strictly best to fail."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,7 +120,11 @@ class Frontier:
             raise SolverError(
                 f"the frontier is not settled at the budget {budget:g}: the least objective lies "
                 f"between {_apart_on_curve(low, high)} (bounds_at); policy_at attains the latter. "
-                "trace_frontier with a higher point_limit or time_limit settles more"
+                "A higher ",
+                Argument("point_limit"),
+                " or ",
+                Argument("time_limit"),
+                " of trace_frontier settles more",
             )
         return self._attained(number, weight, FailureRow(budget, self.ratio))
 
@@ -171,7 +172,7 @@ class Frontier:
         column = self._columns[segment]
         if segment < len(self._columns) - 1:
             return self._proof(float(self.price[segment]), column)
-        price = float(self.objective[-1]) * _BELOW if self.ratio else 0.0
+        price = float(self.objective[-1]) * BELOW_RATIO if self.ratio else 0.0
         return self._proof(price, column, slack=self.ratio)
 
     def _proof(self, price: float, column: Column, *, slack: bool = False) -> Proof:

@@ -23,9 +23,9 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProb
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, until
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError, OutOfTimeError
+from ssp_lp.errors import ModelError, OutOfTimeError, check_between_0_and_1, check_whole
 from ssp_lp.options import SolveOptions, deadline_of, progress_shown
-from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, is_whole, unrolled
+from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, unrolled
 from ssp_lp.processes.failure_semantics import Aim
 
 _REFINEMENTS = 6
@@ -97,7 +97,7 @@ def _traceable(problem: Problem) -> Problem:
     if problem.semantics.measure is not None:
         raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
     if has_rows(problem):
-        raise ModelError(f"{name} has several rows: trace MCMP's frontier")
+        raise ModelError(f"{name} has limits besides its failure budget: trace it without them")
     if by_rows(problem):
         raise ModelError(
             f"{name}'s costs have no common unit and too many sums to tell apart: round them, or "
@@ -148,11 +148,10 @@ class _Limits:
     progress: Callable[[int, int], None] | None
 
     def __post_init__(self) -> None:
-        if not (isinstance(self.gap, Real) and 0.0 < self.gap < 1.0):
-            raise ModelError(f"gap must lie strictly between 0 and 1, not {self.gap!r}")
+        check_between_0_and_1("gap", self.gap)
         most, steepest = self.point_limit, self.steepest_price
-        if most is not None and not (is_whole(most) and most >= 2):
-            raise ModelError(f"point_limit must be at least 2, not {most!r}")
+        if most is not None:
+            check_whole("point_limit", most, 2)
         if steepest is not None and not (isinstance(steepest, Real) and 0.0 < steepest < np.inf):
             raise ModelError(f"steepest_price must be a positive number, not {steepest!r}")
 
@@ -270,7 +269,10 @@ class _WaitingSegments:
             self.below[inside.failure] = 0.0 if price == 0.0 else at_most
             return
         try:
-            found = self.priced.get(price) or self._best_at(price, outside)
+            found = self.priced.get(price)
+            if found is None:
+                found = replace(self._pricing.minimise(price, outside), found_at=price)
+                self.calls, self.work = self.calls + 1, self.work + found.work
         except STOPS as stop:
             heed(stop)
             self.below[inside.failure] = at_most
@@ -285,11 +287,6 @@ class _WaitingSegments:
                 self._limits.progress(self.calls, points)
         except STOPS as stop:
             heed(stop)
-
-    def _best_at(self, price: float, warm: Column) -> Column:
-        found = self._pricing.minimise(price, warm)
-        self.calls, self.work = self.calls + 1, self.work + found.work
-        return replace(found, found_at=price)
 
 
 def _share_below_segment(inside: Column, outside: Column, found: Column, price: float) -> float:

@@ -6,7 +6,6 @@ import logging
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,8 +13,8 @@ import numpy.typing as npt
 
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.analysis.failure_costs import state_give_up_charges
-from ssp_lp.arrays import FloatArray, IntArray, read_only
-from ssp_lp.errors import ModelError
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.simulator import WorldSimulator
@@ -27,8 +26,12 @@ from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.randomness import Randomness, generator_of
-from ssp_lp.problem import Problem, is_whole, on_one_model
-from ssp_lp.processes.failure_semantics import as_percentage, dead_end_charges, start_distribution
+from ssp_lp.problem import Problem, on_one_model
+from ssp_lp.processes.failure_semantics import (
+    as_percentage,
+    dead_end_charges,
+    start_distribution,
+)
 
 _LOG = logging.getLogger("ssp_lp.simulation")
 
@@ -173,16 +176,16 @@ def simulate(
     """
     _check_simulation(episodes, max_steps, record, confidence)
     played_by, asked = on_one_model(policy, problem, "simulate")
-    world_of = simulator
     if isinstance(simulator, WorldSimulator):
         simulator.check_model(problem.model)
-    if world_of is None:
-        world_of = ModelSimulator(problem.model, start_distribution(problem.model, problem.start))
+    elif simulator is None:
+        start = start_distribution(problem.model, problem.start)
+        simulator = ModelSimulator(problem.model, start)
     if isinstance(asked.model, HorizonSSP) and asked is not problem:
-        world_of = _CountingSimulator(world_of, asked.model)
-    source = generator_of(rng)
+        simulator = _CountingSimulator(simulator, asked.model)
+    source, limits = generator_of(rng), (max_steps, record)
     with progress_shown(verbose):
-        played = _simulate_episodes(played_by, asked, world_of, episodes, source, max_steps, record)
+        played = _simulate_episodes(played_by, asked, simulator, episodes, source, *limits)
         report = _simulation_report(asked, played, confidence)
         _LOG.info("%r", report)
     return report
@@ -190,13 +193,10 @@ def simulate(
 
 def _check_simulation(episodes: int, max_steps: int, record: int, confidence: float) -> None:
     """Raise :class:`ModelError` for numbers that are none, or out of range."""
-    if not (isinstance(confidence, Real) and 0.0 < confidence < 1.0):
-        raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}"
-                         f"{as_percentage(confidence)}")  # fmt: skip
-    least = {"episodes": (episodes, 1), "max_steps": (max_steps, 1), "record": (record, 0)}
-    for name, (number, lowest) in least.items():
-        if not is_whole(number) or number < lowest:
-            raise ModelError(f"{name} must be a whole number >= {lowest}, not {number!r}")
+    check_between_0_and_1("confidence", confidence, as_percentage(confidence))
+    check_whole("episodes", episodes)
+    check_whole("max_steps", max_steps)
+    check_whole("record", record, 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -250,7 +250,7 @@ def _simulate_episodes(
     mark = np.where(gave_up, _GAVE_UP, np.where(marks[state] < 0, _UNFINISHED, marks[state]))
     history = np.stack(trace)
     paths = tuple(history[: int(steps[i]) + 1, i] for i in range(min(record, episodes)))
-    return _Played(mark, cost, _simulated_charges(problem, model, state, gave_up), steps, paths)
+    return _Played(mark, cost, _simulated_charges(problem, state, gave_up), steps, paths)
 
 
 def _checked_step(
@@ -270,10 +270,9 @@ def _check_simulated_states(model: SSP, state: IntArray) -> None:
         raise ModelError(f"the simulator left the model's states 0 .. {model.n_states - 1}")
 
 
-def _simulated_charges(
-    problem: Problem, model: SSP, state: IntArray, gave_up: np.ndarray
-) -> FloatArray:
+def _simulated_charges(problem: Problem, state: IntArray, gave_up: BoolArray) -> FloatArray:
     """What failing costs the simulated episodes."""
+    model = problem.model
     entering = dead_end_charges(model, dead_ends(model), problem.semantics)[state]
     if not gave_up.any():
         return entering

@@ -71,7 +71,7 @@ class Pool:
         return self.columns[int(np.argmin(weights @ self.figures))]
 
     def priced(self, weights: FloatArray) -> Column:
-        """A policy of least weighted totals, from the known one that is best."""
+        """Price anew: a policy of least weighted totals, improved from the best known one."""
         found = self.pricing.minimise(weights, self.best(weights))
         self.calls, self.work = self.calls + 1, self.work + found.work
         return found

@@ -21,12 +21,10 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.errors import SolverError
 
 _OPTIONS: dict[str, bool | int | float | str] = {
-    "output_flag": False,
     "presolve": "off",
     "solver": "simplex",
     "primal_feasibility_tolerance": 1e-10,
     "dual_feasibility_tolerance": 1e-10,
-    "threads": 1,
 }
 _NEGATIVE = 1e-14
 """A basic weight this far below 0 is the rounding of a 0."""
@@ -155,6 +153,8 @@ def _master_basis(program: _Standard) -> IntArray | None:
     """
     import highspy  # only where there are rows
 
+    from ssp_lp.linear_programming.highs import highs_solver
+
     n_rows, n_variables = program.matrix.shape
     lp = highspy.HighsLp()
     lp.num_col_, lp.num_row_ = n_variables, n_rows
@@ -166,12 +166,7 @@ def _master_basis(program: _Standard) -> IntArray | None:
     lp.a_matrix_.start_ = np.arange(n_variables + 1, dtype=np.int32) * n_rows
     lp.a_matrix_.index_ = np.tile(np.arange(n_rows, dtype=np.int32), n_variables)
     lp.a_matrix_.value_ = program.matrix.T.ravel()
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
-    for name, value in _OPTIONS.items():
-        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
-            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
-    if solver.passModel(lp) == highspy.HighsStatus.kError:
-        raise SolverError("HiGHS refuses the master program")
+    solver = highs_solver(lp, _OPTIONS)
     solver.run()
     status = solver.getModelStatus()
     if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kUnbounded):

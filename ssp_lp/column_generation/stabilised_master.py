@@ -48,7 +48,7 @@ class StabilisedMaster:
     most_rounds: ClassVar[int] = 2_000
 
     def __post_init__(self) -> None:
-        """Begin in between."""
+        """Begin with prices in between."""
         self.share = self.in_between
 
     @property

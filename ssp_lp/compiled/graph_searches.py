@@ -18,50 +18,6 @@ from ssp_lp.compiled.deadline import check_time, pieces
 _TURNS = 30_000  # states taken from a queue between two looks at the time
 
 
-def reached(
-    pair_offsets: IntArray,
-    outcome_offsets: IntArray,
-    successors: IntArray,
-    probabilities: FloatArray,
-    start: IntArray,
-) -> BoolArray:
-    """By a compiled search, states that a run from the start states may visit, [states].
-
-    Args:
-        pair_offsets: [states + 1].
-        outcome_offsets: [pairs + 1].
-        successors: [outcomes].
-        probabilities: [outcomes].
-        start: states to begin with.
-    """
-    mask = np.zeros(len(pair_offsets) - 1, dtype=np.bool_)
-    mask[start] = True
-    queue, filled = _search_queue(np.flatnonzero(mask), mask.size)
-    bounds = outcome_offsets[pair_offsets]
-    arrays = bounds, unsigned(successors), probabilities, mask, queue
-    _empty_queue(_search_forwards, arrays, filled)
-    return mask
-
-
-@njit(cache=True)
-def _search_forwards(
-    bounds: IntArray, successors: IntArray, probabilities: FloatArray, mask: BoolArray,
-    queue: IntArray, head: int, filled: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Go on with a search along the graph for some turns."""
-    past = head + _TURNS
-    while head < min(filled, past):
-        state = queue[head]
-        head += 1
-        for outcome in range(bounds[state], bounds[state + 1]):
-            successor = successors[outcome]
-            if not mask[successor] and probabilities[outcome] > 0:
-                mask[successor] = True
-                queue[filled] = successor
-                filled += 1
-    return head, filled
-
-
 def reaching(
     offsets: IntArray, pairs: IntArray, pair_state: IntArray, goals: IntArray
 ) -> BoolArray:

@@ -226,12 +226,7 @@ def unsigned_parts(
     offsets: IntArray, matrix: sp.csr_array
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
     """Offsets and the three arrays of a matrix as compiled loops take them."""
-    return unsigned(offsets), *_bellman_parts(matrix)
-
-
-def _bellman_parts(matrix: sp.csr_array) -> tuple[IntArray, IntArray, FloatArray]:
-    """A matrix's arrays as compiled backups read them."""
-    return unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
+    return unsigned(offsets), unsigned(matrix.indptr), unsigned(matrix.indices), matrix.data
 
 
 @dataclass(frozen=True)

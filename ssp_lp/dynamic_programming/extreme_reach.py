@@ -8,8 +8,6 @@ may lose everything.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ssp_lp.arrays import MAXIMISER, BoolArray, FloatArray, IntArray
@@ -25,19 +23,9 @@ _PROVED = 1e-11  # gap of a probability that rounding may leave
 _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
 
 
-@dataclass(frozen=True, eq=False)
-class ExtremeReach:
-    """An extreme probability of hitting, a checked bound of it, and who attains it."""
-
-    hit: FloatArray  # [states]
-    bound: FloatArray  # [states] no policy hits more often (greatest), or less often (least)
-    choice: IntArray  # [states]
-    tied: BoolArray  # [pairs] pairs that attain the extreme
-
-
 def extreme_reach(
     dynamics: Dynamics, hit: FloatArray, miss: FloatArray, *, greatest: bool
-) -> ExtremeReach:
+) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
     """The greatest or the least probability of hitting, from every state.
 
     No policy may be able to stay for ever (end components are contracted, or there are none).
@@ -47,10 +35,14 @@ def extreme_reach(
         hit: probability of leaving it by hitting, [pairs].
         miss: probability of leaving it otherwise, [pairs].
         greatest: or least.
+
+    Returns:
+        The probability, [states], a checked bound of it: no policy hits more often (greatest), or
+        less often (least), who attains it, [states], and the pairs that do, [pairs].
     """
     wanted, other = hit, miss
     if dynamics.n_states == 0:
-        return ExtremeReach(hit[:0], hit[:0], np.zeros(0, dtype=np.int32), wanted > 0.0)
+        return hit[:0], hit[:0], np.zeros(0, dtype=np.int32), wanted > 0.0
     if not greatest:
         wanted, other = other, wanted
     # what is wanted is maximised, which is to minimise the other: each is exact where it is small
@@ -81,10 +73,9 @@ def extreme_reach(
     highest = np.clip(most, reach, 1.0)
     reach = np.where(missed < reach, 1.0 - missed, reach)
     if greatest:
-        return ExtremeReach(reach, np.maximum(highest, reach), settled.choice, tied)
+        return reach, np.maximum(highest, reach), settled.choice, tied
     hit = np.where(reach > missed, missed, 1.0 - reach)
-    bound = np.clip(least, 0.0, hit)
-    return ExtremeReach(hit, bound, settled.choice, tied)
+    return hit, np.clip(least, 0.0, hit), settled.choice, tied
 
 
 def _tied_in_reach(

@@ -11,14 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.arrays import (
-    IMPROVEMENT,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    unsigned,
-    weighted,
-)
+from ssp_lp.arrays import IMPROVEMENT, BoolArray, FloatArray, IntArray, unsigned, weighted
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed, pieces
 from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs, unsigned_parts
@@ -114,10 +107,9 @@ def _howard_rounds(
         backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
         better, gain, scale = _gains_of_round(backup, values, accuracy)
         if not better.any() and accuracy > _FINE:
-            accuracy = _FINE
+            accuracy = _FINE  # only noise was thought greater
             if not system.is_solved_exactly:
                 continue
-            # only noise was thought greater
             better, gain, scale = _gains_of_round(backup, values, accuracy)
         above = values if accuracy <= _FINE else None
         if not better.any():

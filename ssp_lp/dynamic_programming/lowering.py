@@ -92,9 +92,11 @@ def lowered_until_nothing_lacks(
         return values
 
     def passes(lowered: FloatArray) -> bool:
+        """Whether lowered values lack nothing."""
         return not shortfall(dynamics, pair_cost, lowered).any()
 
     def shrunk(share: float) -> FloatArray:
+        """The values, moved towards the floor by a share."""
         return np.asarray(floor + (1.0 - share) * (values - floor))
 
     if floor == 0.0 and len(values) > _LARGE and passes(lowered := shrunk(_SLIGHT)):

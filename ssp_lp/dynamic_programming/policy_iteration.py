@@ -104,7 +104,8 @@ def iterate_policy(
             if dynamics.is_reused and not precise:  # what is made of all layers is checked
                 nothing = np.zeros_like(values)
                 return Settled(choice, values[:, None], values, nothing, nothing, work)
-            left = _declined_by_iteration(dynamics, pair_cost, values, choice)
+            offsets, transitions = dynamics.pair_offsets, dynamics.transitions
+            left = greatest_gain(best_pairs(offsets, transitions, pair_cost, values, choice))
             totals = evaluate_policy(dynamics, choice, rewards)
         else:
             found = howard_rounds(dynamics, rewards, weights, choice, guess)
@@ -131,15 +132,6 @@ def _may_hide_more(values: FloatArray, runs: FloatArray, left: float) -> bool:
     hidden = (left + 4.0 * MACHINE_EPSILON * scale) * longest
     open_ties = len(values) <= DIRECT_STATES and left * longest > _OPEN * scale
     return open_ties or hidden > _UNCERTAIN * scale
-
-
-def _declined_by_iteration(
-    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, choice: IntArray
-) -> float:
-    """The greatest gain that policy iteration left to be rounding."""
-    return greatest_gain(
-        best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values, choice)
-    )
 
 
 def improve_precisely(

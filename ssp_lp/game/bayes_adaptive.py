@@ -12,11 +12,13 @@ from __future__ import annotations
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import check_between_0_and_1, wrong_argument
 from ssp_lp.game.bayes_cost_player import BayesCostPlayer
 from ssp_lp.game.bayes_label_player import BayesLabelPlayer
+from ssp_lp.game.best_response import check_alpha
 from ssp_lp.game.label_player import LabelModels
 from ssp_lp.game.optimum import GameSolution, find_optimum
-from ssp_lp.game.setting import check_tolerance, construct
+from ssp_lp.game.setting import construct
 from ssp_lp.options import Progress
 from ssp_lp.problem import Problem
 
@@ -50,16 +52,47 @@ def bayes_adaptive(
             decisions that would be too large; it grows with the length of runs.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
-    check_tolerance(tolerance)
+    check_between_0_and_1("tolerance", tolerance)
     player = bayes_player(problem)
     return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 
 
 def posterior(alpha: float, discount: float) -> float:
-    """nu(alpha)(M_o): the weight of M_o after one step of a run that goes on."""
-    return alpha / (alpha + discount * (1.0 - alpha))
+    """nu(alpha)(M_o), the adversary's weight of M_o after one step of a run that goes on.
+
+    Args:
+        alpha: the weight before the step, in [0, 1].
+        discount: gamma, with which M_{d,gamma} goes on after each step, in (0, 1).
+
+    Returns:
+        ``alpha / (alpha + gamma (1 - alpha))``, Bayes' rule (paper, section 3.3).
+
+    Raises:
+        ModelError: an argument out of range.
+    """
+    return float(belief_at(alpha, discount, np.array(1)))
 
 
 def belief_at(alpha: float, discount: float, time: IntArray) -> FloatArray:
-    """The weight after so many steps: alpha / (alpha + gamma^t (1 - alpha)), like ``time``."""
-    return np.asarray(alpha / (alpha + discount**time * (1.0 - alpha)), dtype=np.float64)
+    """The adversary's weight of M_o after so many steps of a run that goes on.
+
+    Args:
+        alpha: the weight at the start, in [0, 1].
+        discount: gamma, with which M_{d,gamma} goes on after each step, in (0, 1).
+        time: numbers of steps, >= 0, in any shape.
+
+    Returns:
+        ``alpha / (alpha + gamma^t (1 - alpha))``, in the shape of ``time``: ``posterior`` applied
+        t times (paper, section 3.3).
+
+    Raises:
+        ModelError: an argument out of range.
+    """
+    check_alpha(alpha)
+    check_between_0_and_1("discount", discount)
+    steps = np.asarray(time)
+    if not np.issubdtype(steps.dtype, np.integer) or (steps < 0).any():
+        raise wrong_argument("time", "be whole numbers >= 0", time)
+    if alpha == 0.0:
+        return np.zeros(steps.shape)  # also where gamma^t is 0 in double precision
+    return np.asarray(alpha / (alpha + discount**steps * (1.0 - alpha)), dtype=np.float64)

@@ -79,14 +79,6 @@ class BayesCostPlayer:
             horizon *= 2
             cap *= 2 if gap > _SLOW * before else 1
 
-    def _check_size(self, layers: int, horizon: int) -> None:
-        """Raise :class:`ModelError` for a Bayes-adaptive game of too many times and costs."""
-        if layers * horizon * self.base.n_nodes > _MOST_ENTRIES:
-            raise ModelError(
-                f"{horizon:,} steps x {layers:,} layers of accumulated cost on "
-                f"{self.base.n_nodes:,} states are too many for the Bayes-adaptive iteration"
-            )
-
     def surplus(self, price: float, accuracy: float) -> float:
         """What every policy has at least of ``J_obj - price * (1 - J_cond)``, rounding counted.
 
@@ -113,7 +105,8 @@ class BayesCostPlayer:
         Successive stages that decide alike are one object.
         """
         strategy: _TimedLayers = response.strategy
-        after = np.broadcast_to(self._worst, strategy.choice.shape[1:])
+        worst = self.tail.choice[1] - self.base.pair_offsets[:-1]
+        after = np.broadcast_to(worst, strategy.choice.shape[1:])
         rows = [*strategy.choice, after.astype(strategy.choice.dtype)]
         never = np.full(self.base.n_nodes, -np.inf)
         stages: list[CostAwarePolicy] = []
@@ -123,11 +116,6 @@ class BayesCostPlayer:
                 stage = cost_aware(self.base, self.tail, layers)
             stages.append(stage)
         return TimedPolicy(tuple(stages))
-
-    @property
-    def _worst(self) -> IntArray:
-        """Position of pi'_or's pair among those of its node, [nodes]."""
-        return np.asarray(self.tail.choice[1] - self.base.pair_offsets[:-1])
 
     @property
     def _lost(self) -> float:
@@ -168,7 +156,11 @@ class BayesCostPlayer:
         """
         base, gamma, levels = self.base, self.base.survival, self.stationary.levels(m)
         cap, totals = levels.cap, levels.totals
-        self._check_size(cap, horizon)
+        if cap * horizon * base.n_nodes > _MOST_ENTRIES:
+            raise ModelError(
+                f"{horizon:,} steps x {cap:,} layers of accumulated cost on {base.n_nodes:,} "
+                "states are too many for the Bayes-adaptive iteration"
+            )
         attained = self.tail.attained(totals, np.full(base.n_nodes, -np.inf))
         objective, condition = attained[..., 0].T, attained[..., 1].T
         beyond = objective[:, cap:], condition[:, cap:]
@@ -188,8 +180,14 @@ class BayesCostPlayer:
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
             lowest = np.hstack([below, self.tail.bound(totals[cap:], now).T])
-        return self._at_start(
-            weights, objective, condition, lowest, _TimedLayers(choice, levels, m)
+        start, failed = base.start, base.start_failure  # rounding of sums counts against the bound
+        bound = float(start @ lowest[:, 0] + weights[1] * failed)
+        return BestResponse(
+            objective=float(start @ objective[:, 0]),
+            failing=float(start @ condition[:, 0] + failed),
+            bound=bound * (1.0 - (horizon + 1) * self._lost),
+            strategy=_TimedLayers(choice, levels, m),
+            sweeps=horizon * cap,
         )
 
     def _beyond(self, levels: Levels, weights: FloatArray) -> FloatArray:
@@ -213,24 +211,3 @@ class BayesCostPlayer:
         attains = priced == np.repeat(least, np.diff(self.base.pair_offsets), axis=0)
         number = np.where(attains, np.arange(len(priced))[:, None], len(priced))
         return np.minimum.reduceat(number, first, axis=0), least
-
-    def _at_start(
-        self,
-        weights: FloatArray,
-        objective: FloatArray,
-        condition: FloatArray,
-        lowest: FloatArray,
-        strategy: _TimedLayers,
-    ) -> BestResponse:
-        """The response's numbers at the start; rounding of non-negative sums counts against it."""
-        start, failed = self.base.start, self.base.start_failure
-        horizon = len(strategy.choice)
-        rounding = (horizon + 1) * self._lost
-        bound = float(start @ lowest[:, 0] + weights[1] * failed) * (1.0 - rounding)
-        return BestResponse(
-            objective=float(start @ objective[:, 0]),
-            failing=float(start @ condition[:, 0] + failed),
-            bound=bound,
-            strategy=strategy,
-            sweeps=horizon * strategy.choice.shape[1],
-        )

@@ -158,15 +158,12 @@ class BayesLabelPlayer:
             totals = costs[backup.choice] + onward
         fixed = np.array([models.start_objective, models.start_condition])
         objective, condition = (models.start @ totals + fixed).tolist()
-        bound = float(models.start @ lowest + fixed @ weights) * (1.0 - self._rounding(horizon))
+        bound = float(models.start @ lowest + fixed @ weights)
+        longest = int(np.diff(models.dynamics.transitions.indptr).max(initial=0))
+        bound *= 1.0 - (horizon + 1) * (longest + 4) * MACHINE_EPSILON  # of non-negative sums
         return BestResponse(
             objective, condition, bound, _TimedStrategy(choice, last.choice), horizon
         )
-
-    def _rounding(self, horizon: int) -> float:
-        """Relative rounding of so many backups of non-negative numbers."""
-        longest = int(np.diff(self.models.dynamics.transitions.indptr).max(initial=0))
-        return (horizon + 1) * (longest + 4) * MACHINE_EPSILON
 
 
 def horizon_of(discount: float, condition_weight: float, error: float) -> int:

@@ -6,6 +6,7 @@ Value iteration from below has a stopping rule that is a bound (paper, sections 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Protocol
 
 import numpy as np
@@ -14,6 +15,7 @@ from ssp_lp.arrays import IMPROVEMENT, MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.errors import wrong_argument
 from ssp_lp.policies.policy import Policy
 
 _FIRST_SWEEPS = 16
@@ -23,6 +25,12 @@ _MOST_SWEEPS = 1 << 14
 _MOST_IMPROVEMENTS = 100
 _ROUNDED = 64.0 * MACHINE_EPSILON
 """Relative rounding of one backup; over a run it adds up to this share of 1 / (1 - gamma)."""
+
+
+def check_alpha(alpha: object) -> None:
+    """Raise :class:`ModelError` unless the adversary's weight of M_o lies in [0, 1]."""
+    if not (isinstance(alpha, Real) and 0.0 <= float(alpha) <= 1.0):
+        raise wrong_argument("alpha", "lie between 0 and 1", alpha)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +129,6 @@ def iterate_values(
     watched: FloatArray,
     *,
     accuracy: float,
-    guess: IntArray | None = None,
 ) -> Iterated:
     """Minimise ``weights @ costs`` by value iteration.
 
@@ -137,13 +144,12 @@ def iterate_values(
         weights: of the costs, non-negative, [costs].
         watched: how much each node counts when bounds are compared, [nodes].
         accuracy: relative distance of the two bounds to reach.
-        guess: a policy to improve before the first sweep, [nodes].
     """
     dynamics, pair_cost = process.dynamics, process.costs @ weights
     values = np.zeros(dynamics.n_states)
     best, block, sweeps = -np.inf, _FIRST_SWEEPS, 0
     rounding = _ROUNDED / (1.0 - process.discount)
-    choice = guess
+    choice: IntArray | None = None
     while True:
         if choice is None:
             values, choice = _swept_to_response(process, pair_cost, values, block)

@@ -13,15 +13,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.game.best_response import BestResponse, Player
+from ssp_lp.errors import ModelError, check_between_0_and_1, wrong_argument
+from ssp_lp.game.best_response import BestResponse, Player, check_alpha
+from ssp_lp.model.arguments import explained
 from ssp_lp.policies import MixedPolicy
 
 _MOST_ROUNDS = 1_000
+_ACCURACY = 1e-12
 _LEVEL = 1e-12
 """Slopes this small, as a share of eta, are rounding: such a line is level and counts as rising,
 so that of all alpha that attain a flat maximum the greatest is found, which bounds c* best."""
-
-_ACCURACY = 1e-12
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,11 @@ class Game:
     stake: float  # eta(epsilon; c): c in case M, c * (1 - epsilon) in case S
     budget: float  # epsilon
     room: float | None = None  # epsilon - origin, where that has digits that the budget has lost
+
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for a stake below 0, or a budget that is not above 0."""
+        if not (self.stake >= 0.0 and self.budget > 0.0):
+            raise ModelError(f"a game needs a stake >= 0 and a budget above 0: {self!r}")
 
     @property
     def scale(self) -> float:
@@ -132,17 +138,28 @@ def crossing(game: Game, minus: BestResponse, plus: BestResponse) -> float:
     return min(max(risked / (spared + risked), 0.0), 1.0)
 
 
+@explained
 def play(
     player: Player, game: Game, known: Sequence[BestResponse] = (), *, accuracy: float = 1e-11
 ) -> Equilibrium:
     """Find the equilibrium of a game: the adversary's alpha* and the policies that meet there.
 
+    The peak of the concave ``J*(alpha)`` is cut off between the lines of two policies until no best
+    response lies below it (paper, sections 3.2 and 3.4).
+
     Args:
-        player: finds best responses.
-        game: its parameters.
+        player: finds best responses, such as ``stationary_player(problem)``.
+        game: its stake, in units of cost, and the failure budget.
         known: policies met before; they are strategies of every game, whatever c.
-        accuracy: relative distance between the two bounds of the value to reach.
+        accuracy: relative distance between the two bounds of the value to reach, in (0, 1).
+
+    Returns:
+        alpha*, the bounds of the value, in units of cost, and the policies on its two sides.
+
+    Raises:
+        ModelError: an argument of a wrong type, or an accuracy outside (0, 1).
     """
+    check_between_0_and_1("accuracy", accuracy)
     responses = list(known)
     minus, plus = _closest_to_equilibrium(game, responses)
     if minus is None:
@@ -155,7 +172,21 @@ def play(
         responses.append(plus)
         if game.rises(plus):
             return _pure_equilibrium(game, 1.0, plus, responses)
-    return _narrow_to_equilibrium(player, game, minus, plus, responses, accuracy)
+    while True:  # cut off the peak between two lines until no response lies below it
+        alpha = crossing(game, minus, plus)
+        upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
+        size = min(game.size(alpha, minus), game.size(alpha, plus))
+        response = game.best_response(player, alpha, accuracy)
+        responses.append(response)
+        done = upper - response.bound <= accuracy * size
+        stalled = game.payoff(alpha, response) >= upper - 1e-15 * size
+        if done or stalled or len(responses) > _MOST_ROUNDS:
+            return Equilibrium(game, alpha, min(response.bound, upper), upper, minus, plus,
+                               tuple(responses))  # fmt: skip
+        if game.rises(response):
+            minus = response
+        else:
+            plus = response
 
 
 def unplayed_game(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
@@ -169,42 +200,13 @@ def unplayed_game(game: Game, known: Sequence[BestResponse]) -> Equilibrium:
     return Equilibrium(game, alpha, -np.inf, upper, minus, plus, tuple(known))
 
 
-def _narrow_to_equilibrium(
-    player: Player,
-    game: Game,
-    minus: BestResponse,
-    plus: BestResponse,
-    responses: list[BestResponse],
-    accuracy: float,
-) -> Equilibrium:
-    """Cut off the peak between two lines until no response lies below it."""
-    while True:
-        alpha = crossing(game, minus, plus)
-        upper = min(game.payoff(alpha, minus), game.payoff(alpha, plus))
-        size = min(game.size(alpha, minus), game.size(alpha, plus))
-        response = game.best_response(player, alpha, accuracy)
-        responses.append(response)
-        done = upper - response.bound <= accuracy * size
-        stalled = (
-            game.payoff(alpha, response) >= upper - 1e-15 * size or len(responses) > _MOST_ROUNDS
-        )
-        if done or stalled:
-            return Equilibrium(game, alpha, min(response.bound, upper), upper, minus, plus,
-                               tuple(responses))  # fmt: skip
-        if game.rises(response):
-            minus = response
-        else:
-            plus = response
-
-
 def _pure_equilibrium(
     game: Game, alpha: float, response: BestResponse, responses: list[BestResponse]
 ) -> Equilibrium:
     """One policy is optimal and the adversary plays one MDP for sure."""
     upper = game.payoff(alpha, response)
-    return Equilibrium(
-        game, alpha, min(response.bound, upper), upper, response, response, tuple(responses)
-    )
+    bound = min(response.bound, upper)
+    return Equilibrium(game, alpha, bound, upper, response, response, tuple(responses))
 
 
 def _closest_to_equilibrium(
@@ -274,7 +276,13 @@ def delta_mixture(player: Player, game: Game, alpha: float, delta: float) -> Del
         game: at c*, and in case S at epsilon*.
         alpha: alpha*.
         delta: distance from it, above 0; the two sides end at 0 and 1.
+
+    Raises:
+        ModelError: an alpha or a delta out of range.
     """
+    check_alpha(alpha)
+    if not delta > 0.0:
+        raise wrong_argument("delta", "be above 0", delta)
     minus = game.best_response(player, max(alpha - delta, 0.0), _ACCURACY)
     plus = game.best_response(player, min(alpha + delta, 1.0), _ACCURACY)
     return DeltaMixture(delta, game, minus, plus, matrix_game(game, minus, plus))

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from ssp_lp.analysis.goal_probability import max_goal_probability
-from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.game.label_player import LabelModels, label_models
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.goal_reach import max_goal_probability
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.totals.ladder import wanted_rungs
 
@@ -21,26 +21,23 @@ def checked_setting(problem: Problem) -> tuple[float, float]:
     budget, discount = problem.failure_budget, problem.discount
     if not problem.semantics.counts_cost_alone:
         raise ModelError(
-            f"the game is about cost and a failure budget, {type(problem).__name__} is not: leave "
-            "method='game' out"
+            f"the game is about cost and a failure budget, {type(problem).__name__} is not: take ",
+            Argument("method", "columns"),
         )
     if discount is None:
         raise ModelError(
-            "the game needs a discount (paper, section 2.5): give discount=0.999, or solve the "
-            "exact problem with method='columns'"
+            "the game needs a discount (paper, section 2.5): give ",
+            Argument("discount", 0.999),
+            ", or solve the exact problem with ",
+            Argument("method", "columns"),
         )
     if budget is None or budget <= 0.0:
         raise ModelError(
-            f"the game needs a failure_budget above 0, not {budget!r}: its stakes are divided by "
-            "it (paper, eq. j_c_gamma_def)"
+            "the game needs ",
+            Argument("failure_budget"),
+            f" above 0, not {budget!r}: its stakes are divided by it (paper, eq. j_c_gamma_def)",
         )
     return budget, discount
-
-
-def check_tolerance(tolerance: float) -> None:
-    """Raise :class:`ModelError` unless a tolerance lies strictly between 0 and 1."""
-    if not 0.0 < tolerance < 1.0:
-        raise ModelError(f"tolerance must lie strictly between 0 and 1, not {tolerance!r}")
 
 
 def infeasible(problem: Problem, budget: float, discounted: float) -> InfeasibleError:

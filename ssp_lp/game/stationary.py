@@ -8,12 +8,12 @@ import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray
 from ssp_lp.compiled.deadline import STOPS, closing, heed
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, check_between_0_and_1
 from ssp_lp.game.best_response import BestResponse, Player
 from ssp_lp.game.cost_player import CostPlayer
 from ssp_lp.game.label_player import LabelModels, LabelPlayer
 from ssp_lp.game.optimum import GameSolution, find_optimum
-from ssp_lp.game.setting import check_tolerance, construct, infeasible
+from ssp_lp.game.setting import construct, infeasible
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
 from ssp_lp.options import Progress
 from ssp_lp.problem import Problem
@@ -51,7 +51,7 @@ def stationary_game(
             decisions that would be too large.
         InfeasibleError: the discounted failure of every policy exceeds the budget.
     """
-    check_tolerance(tolerance)
+    check_between_0_and_1("tolerance", tolerance)
     player = stationary_player(problem)
     return find_optimum(problem, player, tolerance=tolerance, progress=progress)
 
@@ -106,7 +106,7 @@ def thresholds(
         ModelError: no discount, no budget, or one of the budgets outside (0, 1], in case S (0, 1).
         InfeasibleError: a budget below the least discounted failure.
     """
-    check_tolerance(tolerance)
+    check_between_0_and_1("tolerance", tolerance)
     player = stationary_player(problem)
     known: tuple[BestResponse, ...] = extremes(player, 0.1 * tolerance)
     found: list[Threshold] = []

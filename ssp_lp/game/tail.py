@@ -83,6 +83,7 @@ def outer_tail(base: AccumulatedCost, origin: float = 0.0) -> Tail:
     success = np.where(quotient.pair_at >= 0, gamma * base.gain, 0.0)
 
     def least(costs: FloatArray) -> Iterated:
+        """The policy of least expected total of some costs, [pairs]."""
         process = Discounted(dynamics, costs[:, None], gamma)
         return iterate_values(process, np.ones(1), watched, accuracy=_ACCURACY)
 

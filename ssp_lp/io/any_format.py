@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_archive import load_model, save_model
 from ssp_lp.io.model_files.drn_reader import read_drn
 from ssp_lp.io.model_files.drn_writer import write_drn
@@ -54,7 +54,7 @@ def read_any(
     file = Path(path)
     reader: Reader = _format_by_ending(file, READERS)
     if constants and reader is not _read_with_storm:
-        raise ModelError(f"{file.name} leaves no constants open")
+        raise ModelError(f"{file.name} has no constants: leave ", Argument("constants"), " out")
     if reader is _read_with_storm:
         reader = partial(_read_with_storm, constants=constants)
     return reader(file, [goal] if isinstance(goal, str) else goal, cost)
@@ -92,7 +92,8 @@ def _format_by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedMode
 
     def labelled(path: Path, goal: Sequence[str], cost: str | None, **more: Any) -> StatedModel:
         if len(goal) != 1:
-            raise ModelError(f"{path}: name the one label whose states are goals (goal=, --goal)")
+            goals = Argument("goal")
+            raise ModelError(f"{path}: name the one label whose states are goals (", goals, ")")
         found = read(path, goal=goal[0], cost=cost, **more)
         states = found.initial_states
         return StatedModel(found.model, states[0] if len(states) == 1 else None)
@@ -107,9 +108,13 @@ _read_with_storm = _format_by_label(read_with_storm)
 def _read_archive_format(path: Path, goal: Sequence[str], cost: str | None) -> StatedModel:
     """Read the format of an archive, which says its goals itself."""
     if goal:
-        raise ModelError(f"{path.name} says itself which states are goals")
+        raise ModelError(
+            f"{path.name} says itself which states are goals: leave ", Argument("goal"), " out"
+        )
     if cost is not None:
-        raise ModelError(f"{path.name} has one cost, without a name")
+        raise ModelError(
+            f"{path.name} has one cost, without a name: leave ", Argument("cost"), " out"
+        )
     return StatedModel(load_model(path))
 
 
@@ -130,7 +135,7 @@ def _format_from_one_state(write: Callable[..., None]) -> Callable[[SSP, Path, S
         if isinstance(start, Mapping) and len(start) == 1:
             (start,) = start
         if start is None:
-            raise ModelError(f"say in which state {path.name} begins: start=...")
+            raise ModelError(f"say in which state {path.name} begins (", Argument("start"), ")")
         write(model, path, start=start)
 
     return written

@@ -50,17 +50,11 @@ def write_archive(
         header: values that JSON knows.
         arrays: by name.
     """
-    told = json.dumps(
-        {"format": f"ssp-lp {kind}", "version": version, **header}, default=_plain_in_archive
-    )
+    whole = {"format": f"ssp-lp {kind}", "version": version, **header}
+    told = json.dumps(whole, default=np.generic.item)
     with Path(path).open("wb") as file:
         named: dict[str, Any] = {_HEADER: np.frombuffer(told.encode(), dtype=np.uint8), **arrays}
         np.savez_compressed(file, **named)
-
-
-def _plain_in_archive(value: np.generic) -> Any:
-    """A numpy number as the archive's header writes it."""
-    return value.item()
 
 
 def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str, Array]]:
@@ -78,16 +72,19 @@ def read_archive(path: FilePath, kind: str, version: int) -> tuple[Any, dict[str
                     entry.filename.removesuffix(".npy"): _archived_array(archive, entry)
                     for entry in archive.infolist()
                 }
-            header = json.loads(arrays.pop(_HEADER).tobytes())
+            header = json.loads(arrays.pop(_HEADER, np.frombuffer(b"null", np.uint8)).tobytes())
         except _BROKEN as error:
             raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
-    if not isinstance(header, dict) or header.get("format") != f"ssp-lp {kind}":
-        raise ModelError(f"{path} is no ssp-lp {kind} file")
+    found = header.get("format", "") if isinstance(header, dict) else None
+    if found != f"ssp-lp {kind}":
+        what = "it was not written by ssp-lp" if found is None else f"it says {str(found)[:60]!r}"
+        raise ModelError(f"{path} is no ssp-lp {kind} file: {what}")
     told = header.get("version")
     if type(told) is not int or not 1 <= told <= version:
+        newer = type(told) is int and told > version
+        remedy = "install a newer ssp-lp" if newer else f"write the {kind} anew with this one"
         raise ModelError(
-            f"{path} has version {told!r}, this library reads up to {version}: install a newer "
-            "ssp-lp"
+            f"{path} has version {told!r}, this ssp-lp reads up to {version}: {remedy}"
         )
     return header, arrays
 
@@ -98,7 +95,7 @@ def damage_named(path: FilePath) -> Iterator[None]:
     try:
         yield
     except ModelError as error:
-        raise ModelError(f"{path}: {error}") from error
+        raise ModelError(f"{path}: ", *error.args) from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
         raise ModelError(f"{path} is damaged: {error!r}") from error
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.arrays import BoolArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD
 from ssp_lp.io.json_labels import are_numbers_in_turn, label_value
@@ -94,7 +94,10 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
                 "rounds_up": bool(policy.rounds_up),
                 "cap": policy.cap,
                 "tails": len(policy.tails),
-                "threshold": _controller_thresholds(policy.tail_threshold),
+                "threshold": [  # None for never, 0 for always
+                    max(layer, 0.0) if layer < np.inf else None
+                    for layer in policy.tail_threshold.tolist()
+                ],
                 "table": None if table is None else table.tolist(),
                 "levels": None if policy.levels is None else policy.levels.tolist(),
                 "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
@@ -124,11 +127,6 @@ def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> d
         elif (then := next(iter(by_cost.values()))) != step[0]:
             moves.append([*step, None, then])
     return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
-
-
-def _controller_thresholds(layers: FloatArray) -> list[float | None]:
-    """First layer of the last tail in each state; None for never, 0 for always."""
-    return [max(layer, 0.0) if layer < np.inf else None for layer in layers.tolist()]
 
 
 def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:

@@ -51,7 +51,7 @@ def write_dot(
     chains = [policy_chain(lottery.model, member, first) for member in lottery.policies]
     count = sum(chain.n_nodes for chain in chains)
     if count > most_nodes:
-        raise ModelError(f"the policy's chain has {count:,} nodes, most_nodes is {most_nodes:,}")
+        raise ModelError(f"the policy's chain has {count:,} nodes, more than {most_nodes:,}")
     lines = ["digraph policy {", "  rankdir=LR;", "  node [shape=ellipse];"]
     for k, (member, chain) in enumerate(zip(lottery.policies, chains, strict=True)):
         lines.append(f"  subgraph cluster_{k} {{")

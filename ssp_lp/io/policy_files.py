@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archive import Array, damage_named, read_archive, write_archive
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint, pair_print
@@ -87,15 +87,16 @@ def policy_in(
     kept, remedy = f"the file was made for {header['sizes']}", ""
     if horizon := header.get("horizon"):
         remedy = f"; its policy counts {horizon['steps']:,} steps: give it that horizon"
-    elif carries_a_memory(records):
+    elif any(record["kind"] == "remembering" for record in records):
         remedy = "; its policy carries a memory: load it beside product(model, memory)"
     if pair_print(model) != header["pairs"]:
         raise ModelError(f"{kept}, which has other pairs than {model!r}{remedy}")
     if check and fingerprint(model) != header["model"]:
         raise ModelError(
             f"{kept} with fingerprint {header['model'][:12]}..., this model has "
-            f"{fingerprint(model)[:12]}...: build the same model, or give check=False if it "
-            f"differs on purpose{remedy}"
+            f"{fingerprint(model)[:12]}...: build the same model, or give ",
+            Argument("check", False),
+            f" if it differs on purpose{remedy}",
         )
     return policies_in_file(records, arrays, model)[-1]
 
@@ -110,6 +111,7 @@ class _Kind:
     made: type[AnyPolicy]
     on_model: bool = False  # whether the model is a field
     numbers: tuple[str, ...] = ()
+    flags: tuple[str, ...] = ()
     arrays: tuple[str, ...] = ()  # or None
     policies: tuple[str, ...] = ()  # or None
     lists: tuple[str, ...] = ()  # of policies
@@ -126,7 +128,8 @@ _KINDS: Mapping[str, _Kind] = {
     "cost aware": _Kind(
         CostAwarePolicy,
         on_model=True,
-        numbers=("unit", "rounds_up"),
+        numbers=("unit",),
+        flags=("rounds_up",),
         arrays=("decision", "tails", "tail_threshold", "tail_table", "levels"),
     ),
     "timed": _Kind(TimedPolicy, lists=("stages",)),
@@ -189,6 +192,8 @@ class PolicyRecords:
         kind, record = _KINDS[name], dict[str, Any](kind=name)
         for part in kind.numbers:
             record[part] = float(getattr(policy, part))
+        for part in kind.flags:
+            record[part] = bool(getattr(policy, part))
         for part in kind.arrays:
             array = getattr(policy, part)
             record[part] = None if array is None else self.add_array(array)
@@ -217,6 +222,7 @@ def policies_in_file(
         kind = _KINDS[record["kind"]]
         parts: dict[str, Any] = {"model": model} if kind.on_model else {}
         parts |= {part: record[part] for part in kind.numbers}
+        parts |= {part: bool(record[part]) for part in kind.flags}
         parts |= {part: _found_in_file(arrays, record[part]) for part in kind.arrays}
         parts |= {part: _found_in_file(made, record[part]) for part in kind.policies}
         parts |= {part: tuple(made[k] for k in record[part]) for part in kind.lists}
@@ -227,8 +233,3 @@ def policies_in_file(
 def _found_in_file(kept: Any, key: str | int | None) -> Any:
     """What a policy's file keeps under a key."""
     return None if key is None else kept[key]
-
-
-def carries_a_memory(records: list[dict[str, Any]]) -> bool:
-    """Whether a policy of a file lives on a product and acts on its original model."""
-    return any(record["kind"] == "remembering" for record in records)

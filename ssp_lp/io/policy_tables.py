@@ -122,8 +122,9 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
             return memories_of(keeper)
         case JointMemory():
             sizes = [memory_size(keeper) for keeper in policy.keepers]
-            parts = list(every_choice(*(memories_of(keeper) for keeper in policy.keepers)))
-            return [(_mixed_radix([k for k, _ in p], sizes), tuple(w for _, w in p)) for p in parts]
+            parts = every_choice(*(memories_of(keeper) for keeper in policy.keepers))
+            known = [tuple(zip(*some, strict=True)) for some in parts]
+            return [(int(np.ravel_multi_index(codes, sizes)), told) for codes, told in known]
     raise ModelError(f"what a {type(policy).__name__} remembers is not known")
 
 
@@ -136,11 +137,3 @@ def _joined_in_table(
         for k, outer in enumerate(last)
         for code, told in inner
     ]
-
-
-def _mixed_radix(digits: list[int], sizes: list[int]) -> int:
-    """The number of a memory in a table, from its digits."""
-    number = 0
-    for digit, size in zip(digits, sizes, strict=True):
-        number = number * size + digit
-    return number

@@ -50,10 +50,10 @@ def save_solution(solution: Solution, path: FilePath) -> None:
         ModelError: its policy is of a class that cannot be saved.
     """
     as_solved(solution, "save_solution")
-    records, values = PolicyRecords(), solution.value_function
+    problem, records, values = solution.problem, PolicyRecords(), solution.value_function
     header = records.header(solution.policy)
-    header["problem"] = _solution_words(solution.problem)
-    header["start"] = records.add_array(_start_of_solved(solution.problem))
+    header["problem"] = _solution_words(problem)
+    header["start"] = records.add_array(start_distribution(problem.model, problem.start))
     header["numbers"] = {name: getattr(solution, name) for name in _NUMBERS}
     header["prices"] = {name: float(price) for name, price in solution.prices.items()}
     header["value_function"] = None if values is None else records.add_array(np.asarray(values))
@@ -97,8 +97,8 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
     semantics, measure = problem.semantics, problem.semantics.measure
     return {
         "criterion": type(problem).__name__,
-        "failure_budget": _number_in_file(problem.failure_budget),
-        "discount": _number_in_file(problem.discount),
+        "failure_budget": None if problem.failure_budget is None else float(problem.failure_budget),
+        "discount": None if problem.discount is None else float(problem.discount),
         "penalty": float(semantics.penalty),
         "give_up": str(semantics.give_up),
         "measure": None if measure is None else measure.words,
@@ -107,11 +107,6 @@ def _solution_words(problem: Problem) -> dict[str, Any]:
             for condition in conditions_of(problem)
         },
     }
-
-
-def _start_of_solved(problem: Problem) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The start of a solution's problem, as the file has it."""
-    return start_distribution(problem.model, problem.start)
 
 
 def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
@@ -125,10 +120,5 @@ def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[
             raise ModelError(
                 f"the file answers a problem with {name} = {saved!r}, this one has {stated!r}"
             )
-    if not np.array_equal(_start_of_solved(problem), start):
+    if not np.array_equal(start_distribution(problem.model, problem.start), start):
         raise ModelError("the file answers a problem with another start")
-
-
-def _number_in_file(value: float | None) -> float | None:
-    """A number of a solution as its file has it."""
-    return None if value is None else float(value)

@@ -56,7 +56,7 @@ def first_accepted(
     tried = []
     for name, basis in attempts:
         answer = run_backend(program, name, deadline - time.perf_counter(), basis)
-        worst = program_residuals(program, answer).worst
+        worst = max(program_residuals(program, answer))
         if worst <= RESIDUAL:
             return answer, worst
         tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")

@@ -13,6 +13,8 @@ import numpy as np
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, PolicyBasis
 
+HighsOptions = dict[str, bool | int | float | str]
+
 _SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx", "highs-warm": "simplex"}
 _DOUBTED = (
     highspy.HighsModelStatus.kUnbounded,
@@ -44,11 +46,10 @@ def solve_with_highs(
         SolverError: HiGHS refuses an option, the model or the basis.
     """
     began = time.perf_counter()
-    solver = _highs_solver(backend, time_limit, basis)
-    if solver.passModel(highs_lp(program)) == highspy.HighsStatus.kError:
-        raise SolverError("HiGHS refuses the linear program")
-    if basis is not None:
-        _start_highs_at(solver, highs_basis(program, basis))
+    solver = highs_solver(highs_lp(program), _highs_options(backend, time_limit, basis))
+    start = None if basis is None else highs_basis(program, basis)
+    if start is not None and solver.setBasis(start) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the basis")
     solver.run()
     if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
         solver.setOptionValue("presolve", "off")
@@ -89,31 +90,34 @@ def highs_basis(program: LinearProgram, basis: PolicyBasis) -> highspy.HighsBasi
     return given
 
 
-def _highs_solver(backend: str, time_limit: float, basis: PolicyBasis | None) -> highspy.Highs:
-    """A HiGHS solver with its options set."""
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
-    options: dict[str, bool | int | float | str] = {
-        "output_flag": False,
+def _highs_options(backend: str, time_limit: float, basis: PolicyBasis | None) -> HighsOptions:
+    """The options of HiGHS for a linear program."""
+    options: HighsOptions = {
         "solver": _SOLVERS[backend],
         "primal_feasibility_tolerance": 1e-10,
         "dual_feasibility_tolerance": 1e-10,
         "small_matrix_value": 1e-12,  # smaller entries are dropped; this is the least it takes
-        "threads": 1,
     }
     if basis is not None:
         options |= {"presolve": "off", "factor_pivot_threshold": basis.pivot_threshold}
     if np.isfinite(time_limit):
         options["time_limit"] = max(time_limit, 1e-3)
-    for name, value in options.items():
+    return options
+
+
+def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
+    """HiGHS with a program and options, silent and on one core.
+
+    Raises:
+        SolverError: it refuses an option or the program.
+    """
+    solver = highspy.Highs()  # type: ignore[no-untyped-call]
+    for name, value in {"output_flag": False, "threads": 1, **options}.items():
         if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
             raise SolverError(f"HiGHS refuses the option {name}={value!r}")
+    if solver.passModel(lp) == highspy.HighsStatus.kError:
+        raise SolverError("HiGHS refuses the linear program")
     return solver
-
-
-def _start_highs_at(solver: highspy.Highs, basis: highspy.HighsBasis) -> None:
-    """Tell HiGHS of a basis to start at."""
-    if solver.setBasis(basis) == highspy.HighsStatus.kError:
-        raise SolverError("HiGHS refuses the basis")
 
 
 def highs_lp(program: LinearProgram) -> highspy.HighsLp:
@@ -159,10 +163,7 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
         for k in range(places.start, places.stop):
             rows[k] = plain if alone else f"{plain}.{k - places.start}"
     lp.row_names_ = rows
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
-    solver.setOptionValue("output_flag", False)
-    accepted = solver.passModel(lp) != highspy.HighsStatus.kError
-    if not accepted or solver.writeModel(str(path)) == highspy.HighsStatus.kError:
+    if highs_solver(lp, {}).writeModel(str(path)) == highspy.HighsStatus.kError:
         raise SolverError(f"HiGHS cannot write the program to {str(path)!r}")
 
 

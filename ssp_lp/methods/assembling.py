@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, read_only
-from ssp_lp.column_generation.compiled_problems.compiled_problem import ObjectiveSense
 from ssp_lp.column_generation.failure_row import least_of
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
+from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Run, Solution
 
@@ -32,7 +32,7 @@ class Found:
 
 
 def assembled(
-    problem: Problem, found: Found, run: Run, sense: ObjectiveSense | None = None
+    problem: Problem, found: Found, run: Run, sense: ObjectiveSense = AS_ASKED
 ) -> Solution:
     """The solution, assembled in the problem's own terms.
 
@@ -40,12 +40,11 @@ def assembled(
         problem: the problem.
         found: what was found.
         run: how.
-        sense: how what was minimised stands for what is asked; None: it is asked itself.
+        sense: how what was minimised stands for what is asked.
 
     Raises:
         SolverError: the bound lies above the value by more than rounding.
     """
-    sense = ObjectiveSense() if sense is None else sense
     policy = found.policy
     if not isinstance(policy, MixedPolicy):
         policy = MixedPolicy((policy,), np.ones(1))

@@ -13,7 +13,8 @@ from ssp_lp.linear_programming.backends import cold_attempts, first_accepted
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.methods.policy_basis import policy_basis
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.program_rows import occupation_program, rows_program
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.programs.program_rows import rows_program
 
 _AGREEMENT = 1e-6
 
@@ -48,7 +49,8 @@ def solve_program(
         SolverError: no backend's answer passes the check of its residuals.
     """
     process = compiled.explicit()
-    program = occupation_program(process, row.budget, row.ratio)
+    limits = {FAILURE_ROW: (process.failure, row.budget)}
+    program = rows_program(process, limits, row.ratio)
     attempts = cold_attempts(program, backend)
     if backend == "highs-warm":
         start = policy_basis(compiled, process, row, deadline)
@@ -104,7 +106,7 @@ def _program_optimum(
     moved = "" if answer.iterations is None else f"{answer.iterations:,} simplex iterations, "
     return ProgramOptimum(
         objective=objective,
-        price=prices.get("failure", 0.0) + ratio,
+        price=prices.get(FAILURE_ROW, 0.0) + ratio,
         report=f"{answer.backend}: {objective:.10g}, {n_rows:,} rows x {n_columns:,} columns, "
         f"residual {worst:.0e}, {moved}{answer.seconds:.2g} s",
         prices=prices,

@@ -10,19 +10,18 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
-    ObjectiveSense,
     checked_least_failure,
 )
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.problem import Problem
-from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.solution import Run, Solution, remarks
 
@@ -176,7 +175,8 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
 
     compiled = problem.compile()
     if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
-        raise ModelError("method='game' chooses its own cap M: leave cost_cap out")
+        asked, cap = Argument("method", "game"), Argument("cost_cap")
+        raise ModelError(asked, " chooses its own cap M: leave ", cap, " out")
     found = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
     replies = found.threshold.responses
     reason = f"the paper's game, {found.threshold.games} values of c"

@@ -58,15 +58,14 @@ def policy_basis(
     found, pricing = _searched_for_basis(compiled, row, deadline), compiled.pricing()
     best = pricing.minimise(found.price, found.columns[0])
     columns = [column for column in (*found.columns, best) if column.choice is not None]
-    if found.price > (found.objective if row.ratio else 0.0) and _are_without_a_basis(
-        columns, row.budget
-    ):
+    is_priced = found.price > (found.objective if row.ratio else 0.0)
+    if is_priced and not all(_parted_for_basis(columns, row.budget)):  # but for rounding a policy's
         columns += [pricing.minimise(found.price * factor, best) for factor in _NEARBY]
     elsewhere = compiled.explicit_choice(best)
     is_best = _basis_pairs(process, found.price, elsewhere)
     inside, outside = (
         [
-            _mixed_in_basis(elsewhere, choice, np.flatnonzero(is_best[choice]))
+            mixed_choice(elsewhere, choice, np.flatnonzero(is_best[choice]))
             for choice in map(compiled.explicit_choice, side)
         ]
         for side in _parted_for_basis(columns, row.budget)
@@ -80,11 +79,6 @@ def _parted_for_basis(columns: list[Column], budget: float) -> tuple[list[Column
     """The columns that keep to the budget, and those that do not."""
     inside = [column for column in columns if column.failure <= budget]
     return inside, [column for column in columns if column.failure > budget]
-
-
-def _are_without_a_basis(columns: list[Column], budget: float) -> bool:
-    """Whether all lie on one side of the budget: it is the failure of a policy, up to rounding."""
-    return not all(_parted_for_basis(columns, budget))
 
 
 def _searched_for_basis(compiled: CompiledProblem, row: FailureRow, deadline: float) -> Generated:
@@ -122,25 +116,18 @@ def _basis_between(
     kept, broken = 0, differing.size  # states changed so far
     while broken - kept > 1:
         middle = (kept + broken) // 2
-        if (
-            _failure_of_basis(process, _mixed_in_basis(inside, outside, differing[:middle]))
-            <= budget
-        ):
+        choice = mixed_choice(inside, outside, differing[:middle]).astype(np.int32)
+        failing = process.dynamics.chain(choice).solve(process.failure[choice])
+        if float(process.start @ failing) <= budget:
             kept = middle
         else:
             broken = middle
-    first = _mixed_in_basis(inside, outside, differing[:kept])
+    first = mixed_choice(inside, outside, differing[:kept])
     return PolicyBasis(np.append(first, outside[differing[kept]]), slack=False)
 
 
-def _mixed_in_basis(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
-    """The first policy's pairs, in some states the second's, [states]."""
+def mixed_choice(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
+    """The first choice of pairs, in some states the second, [states]."""
     mixed = first.copy()
     mixed[states] = second[states]
     return mixed
-
-
-def _failure_of_basis(process: ExplicitProcess, choice: IntArray) -> float:
-    """The failure of a policy of the basis."""
-    chain = process.dynamics.chain(choice.astype(np.int32))
-    return float(process.start @ chain.solve(process.failure[choice]))

@@ -22,7 +22,7 @@ from ssp_lp.methods.rows.lottery import truth_of
 from ssp_lp.methods.rows.rows_optimum import rows_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, unrolled
-from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense
 from ssp_lp.processes.layered.charges import TOTAL_COST
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.processes.layered.open_ended import OpenEnded
@@ -73,9 +73,8 @@ def program_of(problem: Problem) -> OccupationProgram:
         if budget < 1.0:
             rows = (ProgramRow(FAILURE_ROW, augmented.process.failure, granted),)
     objective, constant = _objective_of_program(problem)
-    return OccupationProgram(
-        _title_of_program(problem), objective, augmented, rows, problem.ratio, constant
-    )
+    sense, title = ObjectiveSense(constant), _title_of_program(problem)
+    return OccupationProgram(title, objective, augmented, rows, problem.ratio, sense)
 
 
 def _constrained_program(problem: Problem) -> OccupationProgram:
@@ -111,9 +110,8 @@ def _constrained_program(problem: Problem) -> OccupationProgram:
         augmented=augmented,
         rows=rows,
         ratio=problem.ratio,
-        constant=compiled.sense.constant,
+        sense=compiled.sense,
         wants_ends=compiled.wants_ends,
-        offset=0.0 if compiled.objective is None else compiled.objective.offset,
     )
 
 

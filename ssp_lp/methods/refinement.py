@@ -13,7 +13,6 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
-from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import SolverError
@@ -132,7 +131,8 @@ def _refined_outcome(
         outcome = _refined_at_the_edge(outcome, options)
         if outcome.found is not found:
             return outcome
-    if _is_stagnant(gaps) and here.tail_loss(found.price) == 0.0:
+    is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
+    if is_stagnant and here.tail_loss(found.price) == 0.0:
         return outcome
     finer = here.refined(found.price)
     if finer is None:
@@ -194,7 +194,12 @@ def _refined_attempt(
             guess = DualGuess(optimum.price, _SPREAD)
     if guess is None and row.budget >= 1.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
-    rule, least = _begun_refinement(compiled, row, least, options, guess)
+    rule = None
+    if least is None or row.budget > least.column.failure:
+        rule = columns_by_pricing(compiled, row, guess, options)
+    if rule is None:
+        least = checked_least_failure(compiled, row.budget) if least is None else least
+        rule = columns_at(compiled.pricing(), least, row)
     finer = _TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
     found = generate(rule, replace(options, tolerance=finer))
     if optimum is not None and found.finished:
@@ -203,24 +208,3 @@ def _refined_attempt(
         found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
     report = "" if optimum is None else optimum.report
     return RefinedOutcome(found, compiled, rule.row, least, rule.calls, rule.work, report)
-
-
-def _begun_refinement(
-    compiled: CompiledProblem,
-    row: FailureRow,
-    least: LeastFailure | None,
-    options: SolveOptions,
-    guess: DualGuess | None,
-) -> tuple[Secant, LeastFailure | None]:
-    """Columns to begin with, by pricing if that finds one that keeps to the budget."""
-    if least is None or row.budget > least.column.failure:
-        rule = columns_by_pricing(compiled, row, guess, options)
-        if rule is not None:
-            return rule, least
-    least = checked_least_failure(compiled, row.budget) if least is None else least
-    return columns_at(compiled.pricing(), least, row), least
-
-
-def _is_stagnant(gaps: list[float]) -> bool:
-    """Whether the last refinements did not even halve the gap: perhaps it is rounding."""
-    return len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]

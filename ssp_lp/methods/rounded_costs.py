@@ -257,7 +257,7 @@ def _concluded_on_rounded(
             heed(stop)
     told = best.note
     if _rounded_gap(attained, bound) > options.tolerance and not is_late():
-        told = f"costs are rounded to multiples of {float(unit):g}: more cost_levels leave less gap"
+        told = f"costs are rounded to multiples of {float(unit):g}: more levels leave a smaller gap"
     return replace(
         best,
         problem=problem,

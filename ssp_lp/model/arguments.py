@@ -15,7 +15,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError, SSPError, in_short
+from ssp_lp.errors import ModelError, SSPError, check_flag, in_short
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")
@@ -49,14 +49,20 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
     """A function whose bare errors say which argument is of a wrong type, where one is.
 
     Only a call that fails is looked at: its arguments are held against their annotations, and one
-    that does not fit becomes a :class:`ModelError`. What fails otherwise is raised as it is.
+    that does not fit becomes a :class:`ModelError`. What fails otherwise is raised as it is. Truth
+    values alone are looked at before, as anything would do for one.
 
     Args:
         public: a function or method that users call.
     """
+    order = list(signature(public).parameters)
+    flags = [name for name, hint in public.__annotations__.items() if hint == "bool"]
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
+        stated = dict(zip(order, given, strict=False)) | named if flags else {}
+        for flag in flags:
+            check_flag(flag, stated.get(flag, False))
         try:
             return public(*given, **named)
         except SSPError:
@@ -126,7 +132,7 @@ def _misfit_of_argument(place: str, value: Any, hint: Any) -> str | None:
         return None if value in parts else wrong
     if kind is Callable:
         return None if _argument_takes(value, parts) else wrong
-    if not isinstance(kind, type) or kind in (Any, object, bool):
+    if not isinstance(kind, type) or kind in (Any, object):
         return None
     if not _is_argument_of(value, kind):
         parts_of = (name for name in ("policy", "model", "problem") if hasattr(value, name))
@@ -159,6 +165,8 @@ def _misfit_inside(place: str, value: Any, kind: type, parts: tuple[Any, ...]) -
 
 def _is_argument_of(value: Any, kind: type) -> bool:
     """Whether a value is of a kind, as far as calls are concerned: lists for tuples, numpy's."""
+    if kind is bool:
+        return isinstance(value, (bool, np.bool_))
     if kind in (int, float):
         return isinstance(value, Integral if kind is int else Real) and value is not True
     if kind is Hashable:

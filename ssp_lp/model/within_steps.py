@@ -20,7 +20,7 @@ from ssp_lp.arrays import (
     segment_ids,
 )
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError, check_whole
 from ssp_lp.model.builders import no_lone_string
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import Label, Memory, ProductSSP
@@ -153,7 +153,7 @@ def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = N
         ([('lock', 'out of time'), ('open', 3)], {('lock', 0): 1.0})
     """
     check_model(model, "within_steps")
-    check_steps(steps, "steps")
+    check_whole("steps", steps)
     begin = None
     if start is not None:
         begin = [model.index_of(state) for state in no_lone_string(start, "start")]
@@ -161,12 +161,6 @@ def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = N
     if not horizon.goal_mask.any():
         raise ModelError(f"no goal can be reached within {steps} steps from the start")
     return horizon
-
-
-def check_steps(steps: object, name: str) -> None:
-    """Raise :class:`ModelError`, naming the argument, unless it is a whole number >= 1."""
-    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 1:
-        raise ModelError(f"{name} must be a whole number >= 1, not {steps!r}")
 
 
 def unroll_steps(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
@@ -192,8 +186,9 @@ def _reached_within_steps(model: SSP, begin: BoolArray, steps: int) -> BoolArray
     """
     if (steps + 1) * model.n_states > _MOST_PLACES:
         raise ModelError(
-            f"{steps:,} steps on {model.n_states:,} states are too many to tell apart: leave the "
-            "horizon out, or make the model smaller"
+            f"{steps:,} steps on {model.n_states:,} states are too many to tell apart: take ",
+            Argument("horizon", None),
+            ", or make the model smaller",
         )
     possible = model.probabilities > 0.0
     source = model.pair_state[segment_ids(model.outcome_offsets)][possible]

@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.errors import ModelError, check_whole, optional_module
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.within_steps import check_steps
 from ssp_lp.plotting.style import INK
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
@@ -42,11 +41,12 @@ def row_major(rows: int, columns: int) -> Callable[[int], Point]:
         >>> place(0), place(7), place(15)
         ((0, 3), (3, 2), (3, 0))
     """
-    check_steps(rows, "rows")
-    check_steps(columns, "columns")
+    check_whole("rows", rows)
+    check_whole("columns", columns)
 
     @explained
     def place(number: int) -> Point:
+        """Where the cell of a number lies."""
         row, column = divmod(number, columns)
         return column, rows - 1 - row
 

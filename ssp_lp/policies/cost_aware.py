@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, check_flag
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
 from ssp_lp.model.chunks import chunks
@@ -20,11 +20,6 @@ _FAR = 1e15  # layers: no step passes more
 _MOST_PASSED = 20_000_000  # states times layers that one step passes, where costs are rounded up
 _CHECKED = 1_000_000  # decisions looked at together
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
-
-
-def _is_uniform_cost(model: SSP) -> bool:
-    """Whether every outcome costs the same."""
-    return model.costs.strides == (0,)
 
 
 @explained_class
@@ -59,6 +54,7 @@ class CostAwarePolicy(Policy):
     rounds_up: bool = False  # costs that are no whole number of layers
 
     def __post_init__(self) -> None:
+        check_flag("rounds_up", self.rounds_up)
         if self.levels is not None:
             object.__setattr__(self, "levels", read_only(self.levels))
             rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())
@@ -91,9 +87,8 @@ class CostAwarePolicy(Policy):
         """Decisions by layer; None where a cost is no whole number of layers, or of very many."""
         if self.levels is not None:
             return self._level_layers(self.levels)
-        costs = np.unique(
-            self.model.costs[:1] if _is_uniform_cost(self.model) else self.model.costs
-        )
+        given = self.model.costs
+        costs = np.unique(given[:1] if given.strides == (0,) else given)  # one for all outcomes
         steps, off = self._passed(costs / self.unit)
         if off.any() or self.cap == 0:
             return None

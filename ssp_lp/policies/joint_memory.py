@@ -57,18 +57,16 @@ class JointMemory(Policy):
 
     def _joined(self, parts: list[IntArray]) -> IntArray:
         """The joint memory that the keepers' parts make."""
-        joined = np.zeros_like(parts[0])
-        for keeper, part in zip(self.keepers, parts, strict=True):
-            joined = joined * memory_size(keeper) + part
-        return joined
+        return np.asarray(np.ravel_multi_index(parts, self._sizes))
 
-    def _parts(self, memory: IntArray) -> list[IntArray]:
+    def _parts(self, memory: IntArray) -> tuple[IntArray, ...]:
         """Each keeper's part of a joint memory."""
-        parts = []
-        for keeper in reversed(self.keepers):
-            memory, part = np.divmod(memory, memory_size(keeper))
-            parts.append(part)
-        return parts[::-1]
+        return np.unravel_index(memory, self._sizes)
+
+    @property
+    def _sizes(self) -> tuple[int, ...]:
+        """How many values each keeper's memory takes."""
+        return tuple(memory_size(keeper) for keeper in self.keepers)
 
 
 def common_memory(policy: MixedPolicy) -> JointMemory | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.errors import ModelError, in_short
+from ssp_lp.errors import ModelError, check_whole, in_short
 from ssp_lp.model import SSP
 from ssp_lp.policies.randomness import Randomness, generator_of
 
@@ -107,8 +107,7 @@ class Playable(ABC):
         """
         from ssp_lp.policies.episodes import EpisodeBatch
 
-        if episodes < 1:
-            raise ModelError(f"episodes must be at least 1, not {episodes!r}")
+        check_whole("episodes", episodes)
         drawn = None if rng is None else generator_of(rng)
         return EpisodeBatch(*self.draw(episodes, drawn), drawn)
 

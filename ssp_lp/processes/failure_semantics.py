@@ -10,7 +10,7 @@ from numbers import Real
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, segment_minima
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError, check_between_0_and_1, check_flag, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_pairs
 from ssp_lp.processes.expectations import cost_means
@@ -53,6 +53,9 @@ class FailureSemantics:
     aim: Aim = Aim.LEAST_COST
     measure: Measure | None = None
 
+    def __post_init__(self) -> None:
+        check_flag("charge_failing_step", self.charge_failing_step)
+
     @property
     def forbids_failing(self) -> bool:
         """Whether a policy that may fail is worth nothing."""
@@ -69,6 +72,30 @@ class FailureSemantics:
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None
 
 
+_ROUNDED = 4e-15  # of what a complement is taken from
+
+
+@dataclass(frozen=True)
+class ObjectiveSense:
+    """A minimum in place of a maximum, or of a quantity with negative weights on ends."""
+
+    constant: float | None = None  # what is maximised is this, less what is minimised
+    shift: float = 0.0  # what every episode is charged on top, so that no charge is negative
+    offset: float = 0.0  # what is minimised is so much more than what is asked
+
+    def worth(self, value: float) -> float:
+        """What is asked for, where what is minimised has a value."""
+        return value - self.offset if self.constant is None else self.constant - value
+
+    def settled_bound(self, value: float, bound: float) -> float:
+        """The bound, or the value where only the rounding of a complement parts them."""
+        taken = self.offset if self.constant is None else self.constant
+        return value if abs(value - bound) <= _ROUNDED * abs(taken) else bound
+
+
+AS_ASKED = ObjectiveSense()
+
+
 def survival_of(discount: float | None) -> float:
     """Factor of every transition: the discount, 1 in the exact setting."""
     return 1.0 if discount is None else discount
@@ -80,7 +107,7 @@ def parse_give_up(value: str | GiveUp) -> GiveUp:
         return GiveUp(value)
     except ValueError as error:
         choices = ", ".join(repr(str(g)) for g in GiveUp)
-        raise ModelError(f"give_up must be one of {choices}, not {value!r}") from error
+        raise wrong_argument("give_up", f"be one of {choices}", value) from error
 
 
 def dead_end_charges(
@@ -162,20 +189,23 @@ def check_penalty(penalty: float) -> None:
         ModelError: it is not a positive number, or is infinite.
     """
     if not isinstance(penalty, Real) or not 0.0 < penalty < float("inf"):
-        raise ModelError(
-            f"penalty must be a positive number, not {penalty!r}; MinCost forbids failing"
-        )
+        hint = "; MinCost forbids failing"
+        raise wrong_argument("penalty", "be a positive number", penalty, hint)
 
 
 def check_failure_setting(
-    failure_budget: float | None, discount: float | None, reach_fraction: float | None = None
+    failure_budget: float | None,
+    discount: float | None,
+    reach_fraction: float | None = None,
+    charge_failing_step: object = False,
 ) -> None:
-    """Check budget, discount and share.
+    """Check budget, discount, share, and whether the step that fails is paid.
 
     Raises:
-        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1), or
-            least failure together with a discount.
+        ModelError: a budget or a share outside [0, 1], both of them, a discount outside (0, 1),
+            least failure together with a discount, or a charge that is no truth value.
     """
+    check_flag("charge_failing_step", charge_failing_step)
     named = {
         "failure_budget": failure_budget,
         "discount": discount,
@@ -183,27 +213,24 @@ def check_failure_setting(
     }
     for name, value in named.items():
         if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
-            raise ModelError(f"{name} must be a number or None, not {value!r}")
+            raise wrong_argument(name, "be a number or None", value)
     if reach_fraction is not None and failure_budget is not None:
-        raise ModelError("give failure_budget or reach_fraction, not both: each says the other")
+        either = Argument("failure_budget"), " or ", Argument("reach_fraction")
+        raise ModelError("give ", *either, ", not both: each says the other")
     if reach_fraction is not None and not 0.0 <= reach_fraction <= 1.0:
-        raise ModelError(
-            f"reach_fraction must lie between 0 and 1, not {reach_fraction!r}"
-            f"{as_percentage(reach_fraction)}"
-        )
+        hint = as_percentage(reach_fraction)
+        raise wrong_argument("reach_fraction", "lie between 0 and 1", reach_fraction, hint)
     if failure_budget is not None and not -LEAST_BUDGET <= failure_budget <= 1.0 + LEAST_BUDGET:
-        raise ModelError(
-            f"failure_budget must be a probability or None, not {failure_budget!r}"
-            f"{as_percentage(failure_budget)}"
-        )
-    if discount is not None and not 0.0 < discount < 1.0:
-        raise ModelError(
-            f"discount must lie strictly between 0 and 1, not {discount!r}; None means exact"
-        )
+        hint = as_percentage(failure_budget)
+        raise wrong_argument("failure_budget", "be a probability", failure_budget, hint)
+    if discount is not None:
+        check_between_0_and_1("discount", discount, "; left out it is exact")
     if failure_budget is None and reach_fraction is None and discount is not None:
         raise ModelError(
-            "failure_budget=None (least failure) is exact only: leave discount out, or give a "
-            "budget for the discounted surrogate"
+            Argument("failure_budget", None),
+            " (least failure) is exact only: leave ",
+            Argument("discount"),
+            " out, or give a budget for the discounted surrogate",
         )
 
 

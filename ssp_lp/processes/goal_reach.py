@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.extreme_reach import extreme_reach
 from ssp_lp.dynamic_programming.leaving import approach_leaving
@@ -135,14 +135,14 @@ def _extreme_reach(
     miss = survival * quotient.at_pairs(successor_means(model, missing)) / departs
     if survival < 1.0:
         miss = miss + (1.0 - survival)
-    reach = extreme_reach(dynamics, hit, miss, greatest=greatest)
+    reach, bound, choice, tied = extreme_reach(dynamics, hit, miss, greatest=greatest)
     usable = quotient.inside.copy()
-    usable[quotient.pair_at[reach.tied & (quotient.pair_at >= 0)]] = True
+    usable[quotient.pair_at[tied & (quotient.pair_at >= 0)]] = True
     return GoalReach(
-        goal=np.where(hit_states, 1.0, quotient.lift(reach.hit)),
-        bound=np.where(hit_states, 1.0, quotient.lift(reach.bound)),
+        goal=np.where(hit_states, 1.0, quotient.lift(reach)),
+        bound=np.where(hit_states, 1.0, quotient.lift(bound)),
         usable=usable,
-        decision=quotient.pull_back(reach.choice),
+        decision=quotient.pull_back(choice),
     )
 
 
@@ -228,3 +228,20 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
         cost=cost,
         cost_bound=np.zeros(model.n_states),
     )
+
+
+def max_goal_probability(model: SSP) -> FloatArray:
+    """The greatest probability of reaching the goal from each state, [states].
+
+    MAXPROB (Kolobov et al. 2011; paper, section 2.3), by policy iteration from a policy that
+    reaches the goal from wherever it can be reached.
+    """
+    return read_only(greatest_goal_reach(model).goal)
+
+
+def min_goal_probability(model: SSP) -> FloatArray:
+    """The least probability of reaching the goal from each state, [states].
+
+    MINPROB (paper, section 2.3); exactly 0 at the attention states, which are found on the graph.
+    """
+    return read_only(least_goal_reach(model).goal)

@@ -5,9 +5,10 @@ Case M's process, the failure label of the paper's section 3.1.2, is the first t
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
 from ssp_lp.processes.flow import decisions, model_flow, moving_within
+from ssp_lp.processes.quotient import Quotient
 
 
 class ColumnLabel(NamedTuple):
@@ -45,27 +47,54 @@ FAIL = "fail"
 """Action there: the policy that fails most."""
 
 
-class Augmented(Protocol):
-    """A process written out, with its way back to the model."""
+class Augmented(ABC):
+    """A process written out, with its way back to the model.
+
+    Its pairs are copies of the live part's, one after another, and then what lies beyond them.
+    """
 
     @property
+    @abstractmethod
     def process(self) -> ExplicitProcess:
         """The process, whose pairs are the columns."""
-        ...
+
+    @property
+    @abstractmethod
+    def quotient(self) -> Quotient:
+        """The live part of the model."""
+
+    @property
+    @abstractmethod
+    def copies(self) -> int:
+        """How often it stands in the process: once for each cost that is told apart."""
+
+    @abstractmethod
+    def paid(self, copy: int) -> float | None:
+        """The cost paid before, in one of the copies; None: it is not counted."""
 
     @property
     def model(self) -> SSP:
         """The model that it augments."""
-        ...
+        return self.quotient.model
 
     @property
     def gives_up(self) -> BoolArray:
         """Pairs by which a policy gives up, [process pairs]."""
-        ...
+        own = np.tile(self.quotient.gives_up, self.copies)
+        return np.append(own, np.zeros(self.process.n_pairs - own.size, dtype=np.bool_))
 
     def label(self, pair: int) -> ColumnLabel:
         """What a pair of the process stands for."""
-        ...
+        width = len(self.quotient.pair_at)
+        if pair >= self.copies * width:
+            return self.label_beyond(pair)
+        copy, inner = divmod(pair, width)
+        return ColumnLabel(*self.quotient.named(inner), self.paid(copy))
+
+    def label_beyond(self, pair: int) -> ColumnLabel:
+        """What a pair beyond the copies stands for: the start, unless there is more."""
+        del pair
+        return ColumnLabel(None, START, self.paid(0))
 
     def pairs_of(self, pair: int, state: int) -> IntArray:
         """The process's pairs that take a pair of the model, or give up in a state.
@@ -74,16 +103,18 @@ class Augmented(Protocol):
             pair: pair of the model or GIVE_UP_CODE.
             state: state of the model.
         """
-        ...
+        firsts = np.arange(self.copies)[:, None] * len(self.quotient.pair_at)
+        return np.asarray((firsts + self.quotient.places_of(pair, state)).ravel())
 
+    @abstractmethod
     def policy(self, choice: IntArray) -> Policy:
         """A deterministic choice as a policy on the model.
 
         Args:
             choice: one pair of each state of the process, [process states].
         """
-        ...
 
+    @abstractmethod
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """The policy that draws each pair with its share of its state's visits.
 
@@ -91,44 +122,28 @@ class Augmented(Protocol):
             visits: expected visits, [process pairs].
             choice: pairs for the states that are never visited, [process states].
         """
-        ...
 
 
 @dataclass(frozen=True, eq=False)
-class LabelledModel:
+class LabelledModel(Augmented):
     """The states that have not failed yet; what fails leaves the process."""
 
     labelled: FailureLabelled
     start: FloatArray  # [states]
+    copies = 1
 
     @property
     def process(self) -> ExplicitProcess:
-        """The process, whose pairs are the columns."""
+        """The process of the label."""
         return self.labelled.process
 
     @property
-    def model(self) -> SSP:
-        """The model that it augments."""
-        return self.labelled.quotient.model
+    def quotient(self) -> Quotient:
+        """The live part."""
+        return self.labelled.quotient
 
-    @property
-    def gives_up(self) -> BoolArray:
-        """Pairs by which a policy gives up, [process pairs]."""
-        mask = np.zeros(self.process.n_pairs, dtype=np.bool_)
-        own = self.labelled.quotient.gives_up
-        mask[: own.size] = own
-        return mask
-
-    def label(self, pair: int) -> ColumnLabel:
-        """The state and the action of a pair."""
-        quotient = self.labelled.quotient
-        if pair >= len(quotient.pair_at):
-            return ColumnLabel(None, START)
-        return ColumnLabel(*quotient.named(pair))
-
-    def pairs_of(self, pair: int, state: int) -> IntArray:
-        """The one pair of the process, or none."""
-        return self.labelled.quotient.places_of(pair, state)
+    def paid(self, copy: int) -> None:
+        """Costs are not counted."""
 
     def policy(self, choice: IntArray) -> DeterministicPolicy:
         """One decision per state."""
@@ -136,9 +151,8 @@ class LabelledModel:
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """A stationary policy on the model's states."""
-        quotient = self.labelled.quotient
-        n_pairs = len(quotient.pair_at)
-        flow = model_flow(quotient, visits[:n_pairs] / self.labelled.departs)
+        quotient = self.quotient
+        flow = model_flow(quotient, visits[: len(quotient.pair_at)] / self.labelled.departs)
         flow = moving_within(quotient, flow, self.start + flow.entering(quotient))
         otherwise = self.policy(choice).decision.astype(np.int64)
         return StochasticPolicy.from_flows(self.model, *decisions(quotient, flow, otherwise))

@@ -85,7 +85,8 @@ class ConvexProgram:
             scale = float(self.scale.value)
             ratio = max(self._price("normaliser", -1.0), 0.0)
         program = self._bounded
-        prices = self._duals()
+        kept = [row.name for row in self.program.rows if self._is_kept(row.name)]
+        prices = {name: max(self._price(name), 0.0) for name in kept}
         (proved, value), stated = program.proved(prices, ratio), self._is_as_stated
         visits = np.asarray(self.x.value) / scale
         visits = proved.without_noise(visits) if stated else visits
@@ -120,11 +121,6 @@ class ConvexProgram:
         return self.program.bounded_by(
             {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
         )
-
-    def _duals(self) -> dict[str, float]:
-        """The price of each row of the program that is still as it was stated."""
-        names = [row.name for row in self.program.rows if self._is_kept(row.name)]
-        return {name: max(self._price(name), 0.0) for name in names}
 
     def _is_kept(self, name: str) -> bool:
         """Whether a row of the convex program is still as it was stated."""

@@ -5,7 +5,7 @@ Up to a cap with tail policies beyond it, or open-ended, one place standing for 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,7 +13,6 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
-from ssp_lp.model import SSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.policies.stochastic import StochasticPolicy
@@ -22,13 +21,14 @@ from ssp_lp.processes.flow import ModelFlow, decisions, model_flow, moving_withi
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.layered_process import LayeredProcess, materialise
 from ssp_lp.processes.layered.open_ended import OpenEnded
-from ssp_lp.programs.augmented import FAIL, GO_FOR_GOAL, START, ColumnLabel
+from ssp_lp.processes.quotient import Quotient
+from ssp_lp.programs.augmented import FAIL, GO_FOR_GOAL, Augmented, ColumnLabel
 
 _MIXED = 1e-9  # share of a tail's visits from which it counts
 
 
 @dataclass(frozen=True, eq=False)
-class LayeredModel:
+class LayeredModel(Augmented):
     """States and the cost paid so far, up to a cap; from there on a tail policy for good."""
 
     layered: LayeredProcess
@@ -36,40 +36,32 @@ class LayeredModel:
 
     @cached_property
     def process(self) -> ExplicitProcess:
-        """All layers, whose pairs are the columns."""
+        """All layers, written out."""
         return materialise(self.layered)
 
     @property
-    def model(self) -> SSP:
-        """The model that it augments."""
-        return self.layered.base.quotient.model
+    def quotient(self) -> Quotient:
+        """The live part of a layer."""
+        return self.layered.base.quotient
 
     @property
-    def gives_up(self) -> BoolArray:
-        """Pairs by which a policy gives up, [process pairs]."""
-        mask = np.zeros(self.process.n_pairs, dtype=np.bool_)
-        own = np.tile(self.layered.base.quotient.gives_up, self.layered.cap)
-        mask[: own.size] = own
-        return mask
+    def copies(self) -> int:
+        """The layers below the cap."""
+        return self.layered.cap
 
-    def label(self, pair: int) -> ColumnLabel:
-        """The state, the action and the accumulated cost of a pair."""
-        base, quotient = self.layered.base, self.layered.base.quotient
+    def paid(self, copy: int) -> float:
+        """The layer's multiple of the unit."""
+        return float(copy * self.layered.base.exact_unit)
+
+    def label_beyond(self, pair: int) -> ColumnLabel:
+        """The tail that is followed from a place beyond the cap, or the start."""
         if pair == self.process.n_pairs - 1:
-            return ColumnLabel(None, START, 0.0)
-        layer, inner = divmod(pair, len(base.gain))
-        if layer < self.layered.cap:
-            return ColumnLabel(*quotient.named(inner), float(layer * base.exact_unit))
-        place, tail = divmod(pair - self.layered.cap * len(base.gain), len(self._tails))
-        beyond, node = divmod(place, base.n_nodes)
-        paid = float((self.layered.cap + beyond) * base.exact_unit)
-        return ColumnLabel(quotient.first_member(node), (GO_FOR_GOAL, FAIL)[tail], paid)
-
-    def pairs_of(self, pair: int, state: int) -> IntArray:
-        """One pair of the process for each accumulated cost below the cap."""
-        base = self.layered.base
-        layers = np.arange(self.layered.cap)[:, None] * len(base.gain)
-        return np.asarray((layers + base.quotient.places_of(pair, state)).ravel())
+            return super().label_beyond(pair)
+        first = self.copies * len(self.quotient.pair_at)
+        place, tail = divmod(pair - first, len(self._tails))
+        beyond, node = divmod(place, self.quotient.n_nodes)
+        words = (GO_FOR_GOAL, FAIL)[tail]
+        return ColumnLabel(self.quotient.first_member(node), words, self.paid(self.copies + beyond))
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
         """One decision for each state and accumulated cost below the cap, then a tail."""
@@ -88,21 +80,14 @@ class LayeredModel:
                 remembers the cost can do.
         """
         carrier = self._with_tails(self.policy(choice), self._tails_taken(visits, choice))
-        n_states, cap = self.model.n_states, self.layered.cap
-        found = []
-        of_layers = layer_flows(self.layered.base, visits, self.start, cap)
-        for layer, flow in enumerate(of_layers):
-            everywhere = np.arange(n_states)
-            memory = np.full(n_states, layer)
-            otherwise = carrier.branches(everywhere, memory).pair
-            state, pair, share = decisions(self.layered.base.quotient, flow, otherwise)
-            found.append((layer * n_states + state, pair, share))
+        flows = layer_flows(self.layered.base, visits, self.start, self.copies)
+        found = _decisions_in_layers(self.quotient, carrier, flows)
         for number, tail in enumerate(carrier.tails):
             known = np.flatnonzero(tail >= GIVE_UP_CODE)
-            keys = (cap + number) * n_states + known
+            keys = (self.copies + number) * self.model.n_states + known
             found.append((keys, tail[known].astype(np.int64), np.ones(known.size)))
-        keys, pairs, flows = (np.concatenate(parts) for parts in zip(*found, strict=True))
-        return StochasticPolicy.from_flows(self.model, keys, pairs, flows, carrier)
+        keys, pairs, shares = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return StochasticPolicy.from_flows(self.model, keys, pairs, shares, carrier)
 
     def _tails_taken(self, visits: FloatArray, choice: IntArray) -> IntArray:
         """The tail that is followed from each place beyond the cap, [layers, nodes].
@@ -147,7 +132,7 @@ class LayeredModel:
 
     @property
     def _tails(self) -> IntArray:
-        """What the tails of the layered model do."""
+        """The decisions of the tail policies, [tails, states]."""
         return self.layered.tails.decisions
 
 
@@ -186,41 +171,42 @@ def layer_flows(
         yield flow
 
 
+def _decisions_in_layers(
+    quotient: Quotient, carrier: CostAwarePolicy, flows: Iterable[ModelFlow]
+) -> list[tuple[IntArray, IntArray, FloatArray]]:
+    """Situations, pairs and shares of each layer; the carrier's where a layer is never visited."""
+    n_states, found = quotient.model.n_states, []
+    for layer, flow in enumerate(flows):
+        otherwise = carrier.branches(np.arange(n_states), np.full(n_states, layer)).pair
+        state, pair, share = decisions(quotient, flow, otherwise)
+        found.append((layer * n_states + state, pair, share))
+    return found
+
+
 @dataclass(frozen=True, eq=False)
-class OpenEndedModel:
+class OpenEndedModel(Augmented):
     """States and the cost paid so far; from the cap on one policy for all costs."""
 
     layered: OpenEnded
 
     @property
     def process(self) -> ExplicitProcess:
-        """All layers, whose pairs are the columns."""
+        """All layers, written out."""
         return self.layered.process
 
     @property
-    def model(self) -> SSP:
-        """The model that it augments."""
-        return self.layered.base.quotient.model
+    def quotient(self) -> Quotient:
+        """The live part of a layer."""
+        return self.layered.base.quotient
 
     @property
-    def gives_up(self) -> BoolArray:
-        """Pairs by which a policy gives up, [process pairs]."""
-        own = self.layered.base.quotient.gives_up
-        return np.append(np.tile(own, self.layered.cap + 1), False)
+    def copies(self) -> int:
+        """The layers up to the cap, which stands for all costs beyond it."""
+        return self.layered.cap + 1
 
-    def label(self, pair: int) -> ColumnLabel:
-        """The state, the action and the accumulated cost of a pair; the last stands for more."""
-        base = self.layered.base
-        if pair == self.process.n_pairs - 1:
-            return ColumnLabel(None, START, 0.0)
-        layer, inner = divmod(pair, len(base.gain))
-        return ColumnLabel(*base.quotient.named(inner), float(self.layered.totals[layer]))
-
-    def pairs_of(self, pair: int, state: int) -> IntArray:
-        """One pair of the process for each accumulated cost."""
-        base = self.layered.base
-        layers = np.arange(self.layered.cap + 1)[:, None] * len(base.gain)
-        return np.asarray((layers + base.quotient.places_of(pair, state)).ravel())
+    def paid(self, copy: int) -> float:
+        """The layer's total; the last stands for more."""
+        return float(self.layered.totals[copy])
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
         """One decision for each state and accumulated cost."""
@@ -228,13 +214,8 @@ class OpenEndedModel:
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """A policy on states and accumulated cost."""
-        layered, n_states = self.layered, self.model.n_states
-        carrier, everywhere = self.policy(choice), np.arange(n_states)
-        flows = layer_flows(layered.base, visits, layered.start, layered.cap + 1, layered.leads[0])
-        found = []
-        for layer, flow in enumerate(flows):
-            otherwise = carrier.branches(everywhere, np.full(n_states, layer)).pair
-            state, pair, share = decisions(layered.base.quotient, flow, otherwise)
-            found.append((layer * n_states + state, pair, share))
+        layered, carrier = self.layered, self.policy(choice)
+        flows = layer_flows(layered.base, visits, layered.start, self.copies, layered.leads[0])
+        found = _decisions_in_layers(self.quotient, carrier, flows)
         keys, pairs, shares = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return StochasticPolicy.from_flows(self.model, keys, pairs, shares, carrier)

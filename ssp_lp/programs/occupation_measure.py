@@ -46,7 +46,7 @@ class OccupationMeasure:
         process = self.program.process
         cost = float(process.cost @ self.visits)
         cost = cost / float(process.goal @ self.visits) if self.program.ratio else cost
-        return self.program.worth(cost)
+        return self.program.sense.worth(cost)
 
     @cached_property
     def activity(self) -> Mapping[str, float]:

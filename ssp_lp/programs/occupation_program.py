@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray
+from ssp_lp.arrays import BELOW_RATIO, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import cold_attempts, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
@@ -27,6 +27,7 @@ from ssp_lp.model.html_table import html_text
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
 from ssp_lp.programs.augmented import Augmented, ColumnLabel
 from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
 
 _ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
 _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as rounding of a 0
-_BELOW = 2.5e-10  # relative step below a ratio
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
 
 
@@ -55,18 +55,13 @@ class OccupationProgram:
     augmented: Augmented
     rows: tuple[ProgramRow, ...]
     ratio: bool = False  # <cost, x> / <goal, x>
-    constant: float | None = None  # of what is maximised: constant - <objective, x>
-    offset: float = 0.0  # of what is minimised: <objective, x> - offset
+    sense: ObjectiveSense = AS_ASKED  # how <objective, x> stands for what is asked
     wants_ends: bool = False  # a row asks for an end that is not the goal
 
     @property
     def process(self) -> ExplicitProcess:
         """The process, whose pairs are the columns."""
         return self.augmented.process
-
-    def worth(self, value: float) -> float:
-        """The problem's objective where the program's, which is minimised, has a value."""
-        return value - self.offset if self.constant is None else self.constant - value
 
     def bounded_by(self, bounds: Mapping[str, float]) -> OccupationProgram:
         """The same program with other bounds, by name of the row; see :meth:`row`."""
@@ -155,7 +150,8 @@ class OccupationProgram:
             told = f"{name}: {answer.status}"
             refused = "infeasible" in answer.status.lower()
             infeasible = infeasible or refused
-            if not refused and self._is_answered(answer):
+            has_scale = not self.ratio or answer.x[-1] > 0.0  # to divide visits by
+            if not refused and has_scale and np.isfinite(answer.x).all():
                 try:
                     measure = self.measure(answer)
                 except SolverError as error:
@@ -168,10 +164,6 @@ class OccupationProgram:
         if infeasible and {row.name for row in self.rows} - {"failure"}:
             raise self.infeasible()  # a budget alone was found feasible when it was compiled
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
-
-    def _is_answered(self, answer: LPAnswer) -> bool:
-        """Whether a backend gave visits: numbers, and in case S a scale to divide them by."""
-        return bool(np.isfinite(answer.x).all()) and not (self.ratio and answer.x[-1] <= 0.0)
 
     @property
     def giving_up(self) -> BoolArray | None:
@@ -226,12 +218,12 @@ class OccupationProgram:
         paid = sum(prices.get(row.name, 0.0) * row.bound for row in self.rows)
         found, value = self._priced(prices, ratio), -np.inf
         if not self.ratio:
-            return found, self.worth(found.bound - paid)
+            return found, self.sense.worth(found.bound - paid)
         for _ in range(_RATIOS):
             left = found.bound - paid
             least = 1.0 if left >= 0.0 else self._least_goal
             if least <= 0.0:  # then failing is free: strictly best where success earns less
-                ratio *= 1.0 - _BELOW
+                ratio *= BELOW_RATIO
             else:
                 if ratio + left / least <= value:
                     break
@@ -240,7 +232,7 @@ class OccupationProgram:
                     break
                 ratio += left / found.goal
             found = self._priced(prices, ratio)
-        return found, self.worth(value)
+        return found, self.sense.worth(value)
 
     def _priced(self, prices: Mapping[str, float], ratio: float) -> PricedMinimum:
         """The least of the objective with what each row's quantity costs, and its policy."""
@@ -275,17 +267,17 @@ class OccupationProgram:
         write_program(self.linear, Path(path), names + ["t"] * self.ratio)
 
     def _repr_html_(self) -> str:
-        """The same, for notebooks."""
+        """The same page as ``repr``, for notebooks."""
         return html_text(repr(self))
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""
         process, verb = self.process, "minimise"
         fraction = f"<{self.objective}, x> / <goal, x>" if self.ratio else f"<{self.objective}, x>"
-        if self.offset:
-            fraction = f"{fraction} - {self.offset:g}"
-        if self.constant is not None:
-            verb, fraction = "maximise", f"{self.constant:g} - {fraction}"
+        if self.sense.offset:
+            fraction = f"{fraction} - {self.sense.offset:g}"
+        if self.sense.constant is not None:
+            verb, fraction = "maximise", f"{self.sense.constant:g} - {fraction}"
         lines = [
             self.title,
             f"  {verb}    {fraction}",

@@ -25,17 +25,6 @@ from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.processes.explicit import ExplicitProcess
 
 
-def occupation_program(process: ExplicitProcess, budget: float, ratio: bool) -> LinearProgram:
-    """Compile a process with a failure budget to its program.
-
-    Args:
-        process: the substochastic process.
-        budget: largest failure.
-        ratio: case S, the objective <cost, x> / <goal, x>; the last column is then t.
-    """
-    return rows_program(process, {"failure": (process.failure, budget)}, ratio)
-
-
 def rows_program(
     process: ExplicitProcess, limits: Mapping[str, tuple[FloatArray, float]], ratio: bool
 ) -> LinearProgram:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
-from ssp_lp.arrays import RELATIVE_GAP, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
@@ -34,11 +34,6 @@ _LOG = logging.getLogger("ssp_lp.certificate")
 _ENOUGH = 1e-290  # a bound below it is 0
 _STEEP_PRICES = (1e1, 1e3, 1e5)
 """Prices of failure, in values of the policy, at which least failure is proved best."""
-
-_BELOW = 2.5e-10
-"""Relative step below the ratio at which a slack budget's bound is checked: there it is strictly
-best to fail, so that no rounding enters (see ``Row.lower_bound``)."""
-
 
 _LITTLE = 1e-13  # of the bound: less than this is not looked for beyond the cap
 _SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
@@ -221,7 +216,7 @@ def _certified_lower_bound(
     """Lower bound of the objective, and the relative gap that truncation leaves in it."""
     row = FailureRow(max(problem.failure_budget or 0.0, 0.0), problem.ratio, compiled.lowest)
     slack = slack and problem.ratio
-    price = price * (1.0 - _BELOW) if slack else price
+    price = price * BELOW_RATIO if slack else price
     proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
     bound = row.lower_bound(proof)
     lost = compiled.tail_loss(price, slack=slack, proved=proof.bound)

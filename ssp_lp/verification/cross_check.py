@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, check_between_0_and_1
 from ssp_lp.model.html_table import html_text
 from ssp_lp.options import progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem
@@ -116,8 +116,8 @@ def cross_check(
         InfeasibleError: every method says that no policy keeps to the budget.
     """
     check_problem(problem, "cross_check")
-    if not (0.0 < tolerance < 1.0 and 0.0 < weight_tolerance < 1.0):
-        raise ModelError("tolerances must lie strictly between 0 and 1")
+    check_between_0_and_1("tolerance", tolerance)
+    check_between_0_and_1("weight_tolerance", weight_tolerance)
     if problem.semantics.measure is not None:
         raise ModelError(
             f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "

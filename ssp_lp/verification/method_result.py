@@ -15,6 +15,7 @@ from ssp_lp.options import BACKENDS, LinearProgramming, parse_method
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
+from ssp_lp.verification.certificate import failure_of
 
 METHODS = ("lp", "columns", "game")
 
@@ -121,11 +122,9 @@ def result_by(
         solution = solve(problem, method, time_limit=time_limit)
     except InfeasibleError as error:
         result = MethodResult(name, note=f"infeasible: {error}", failed=True, infeasible=error)
-    except SolverError as error:
-        result = MethodResult(name, note=f"failed: {error}", failed=True)
-    except ModelError as error:
-        if name != "game":  # the model is at fault, not the size of this method's table
-            raise
+    except (SolverError, ModelError) as error:
+        if isinstance(error, ModelError) and name != "game":
+            raise  # the model is at fault, not the size of this method's table
         result = MethodResult(name, note=f"failed: {error}", failed=True)
     else:
         result = result_of(name, solution)
@@ -136,9 +135,7 @@ def _members_of_result(solution: Solution, each: list[Evaluation]) -> tuple[Memb
     """Each member of a lottery by itself."""
     members = []
     for found, weight in zip(each, solution.policy.weights, strict=True):
-        surrogate = found.discounted_failure
-        failure = found.failure_probability if surrogate is None else surrogate
-        cost = found.objective
+        failure, cost = failure_of(found), found.objective
         if solution.problem.ratio:
             cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
         members.append(Member(float(weight), cost, failure))

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
+from small_models import model_of
 from ssp_lp import SSP, InfeasibleError, ModelError, SolverError, evaluate, solve, trace_frontier
 from ssp_lp.analysis import frontier as frontier_module
 
-ROADS = SSP.from_transitions(
+ROADS = model_of(
     {
         "s": {
             "a": [(0.70, "g", 1.0), (0.30, "d", 1.0)],
@@ -28,8 +28,7 @@ ROADS = SSP.from_transitions(
             "z": [(1.0, "g", 6.0)],
         },
         "d": {"stay": [(1.0, "d", 1.0)]},
-    },
-    goal={"g"},
+    }
 )
 
 PROBLEMS: list[Any] = [
@@ -81,10 +80,9 @@ def test_prices_are_the_slopes() -> None:
         assert solution.failure_price == pytest.approx(price, rel=1e-9)
 
 
-def test_two_pricing_calls_a_turning_point_on_the_robot() -> None:
-    grid = RobotGrid()
+def test_two_pricing_calls_a_turning_point_on_the_robot(robot: Any) -> None:
     calls: list[int] = []
-    problem = MCMP(grid_model(grid), start_state(grid))
+    problem = MCMP(*robot)
     frontier = trace_frontier(problem, gap=1e-3, progress=lambda n, _: calls.append(n))
     assert frontier.pricing_calls <= 2 * len(frontier.failure) + 5
     assert calls[-1] == frontier.pricing_calls
@@ -182,9 +180,8 @@ def test_bounds_of_frontiers_without_an_edge() -> None:
             assert trace_frontier(criterion(sure, "s")).bounds_at(budget) == pytest.approx((2, 2))
 
 
-def test_bounds_close_in_on_the_robot() -> None:
-    grid = RobotGrid()
-    problem = MCMP(grid_model(grid), start_state(grid))
+def test_bounds_close_in_on_the_robot(robot: Any) -> None:
+    problem = MCMP(*robot)
     exact = solve(with_budget(problem, 0.05)).objective
     widths = []
     for points in (2, 4, 8, 16):
@@ -203,9 +200,7 @@ def test_the_segment_with_most_below_it_is_split_first() -> None:
         k: [(1.0 - f, "g", c), (f, "d", c)]
         for k, (f, c) in enumerate(zip(failure, cost, strict=True))
     }
-    model = SSP.from_transitions(
-        {"s": actions, "d": {}}, goal={"g"}, treat_actionless_as_dead_ends=True
-    )
+    model = model_of({"s": actions, "d": {}})
     problem = MCMP(model, "s", give_up="dead_ends")
     known = {0, 18}
     for points in range(3, 9):
@@ -220,9 +215,10 @@ def test_the_segment_with_most_below_it_is_split_first() -> None:
         assert part.failure == pytest.approx(failure[sorted(known)], abs=1e-12)
 
 
-def test_a_frontier_is_traced_once_however_often_its_process_is_refined() -> None:
-    grid = RobotGrid(segments=8, headings=8)
-    frontier = trace_frontier(S3P(grid_model(grid), start_state(grid), 0.3), point_limit=40)
+def test_a_frontier_is_traced_once_however_often_its_process_is_refined(
+    coarse_robot: Any,
+) -> None:
+    frontier = trace_frontier(S3P(*coarse_robot, 0.3), point_limit=40)
     assert len(frontier.failure) == 40
     assert frontier.hidden == 0.0
     assert frontier.pricing_calls < 4 * 40

@@ -4,21 +4,20 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations import MCMP, S3P
-from games import RETRY, drawn_problem, hand_problem
+from games import RETRY, criteria, drawn_problem, hand_problem
 from references.chain import start_distribution
 from small_models import model_of
 from ssp_lp import evaluate
 from ssp_lp.analysis.visits import equivalent_randomised_policy
 from ssp_lp.game import bayes_adaptive, stationary_game
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
-from strategies import problems
+from strategies import often, problems
 
-few = settings(max_examples=20, deadline=None, derandomize=True)
-criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
+few = often(20)
 CAREFUL_FIRST = {
     "x": {"a": [(0.5, "x", 1), (0.5, "g", 1)], "b": [(0.9, "x", 1), (0.1, "g", 1)]},
 }

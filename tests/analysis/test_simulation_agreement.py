@@ -5,13 +5,14 @@ from statistics import NormalDist
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import library_model
 from formulations import MCMP, S3P
-from ssp_lp import SSP, InfeasibleError, evaluate, simulate, solve
-from strategies import budgets, problems
+from small_models import model_of
+from ssp_lp import InfeasibleError, evaluate, simulate, solve
+from strategies import budgets, often, problems
 
 SIGMAS = 4.0
 EPISODES = 4_000
@@ -59,12 +60,7 @@ def check_report(report, evaluation, episodes):
 @pytest.mark.parametrize("budget", [0.15, 0.4])
 def test_ends_and_costs_of_a_lottery(formulation, discount, budget):
     """Ends by label; the cost estimates of a case-M solution that has an end to its episodes."""
-    model = SSP.from_transitions(
-        WALK,
-        goal={"G"},
-        state_labels={"wall": ["wall"]},
-        treat_actionless_as_dead_ends=True,
-    )
+    model = model_of(WALK, "G", labels={"wall": ["wall"]})
     problem = formulation(
         model, start={"a": 0.75, "b": 0.25}, failure_budget=budget, discount=discount
     )
@@ -85,7 +81,7 @@ def test_ends_and_costs_of_a_lottery(formulation, discount, budget):
         assert close_to_estimate(report.expected_cost, evaluation.expected_cost)
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@often(40)
 @given(problems(most_live=3), st.sampled_from([MCMP, S3P]), budgets)
 def test_drawn_problems(drawn, formulation, place):
     """The goal is reached as often as the evaluation says, and at that cost."""

@@ -28,7 +28,7 @@ from ssp_lp import SSP, Solution, certify, solve
 from ssp_lp.policies import DeterministicPolicy
 
 GAP = 1e-9
-SERIES = 4_000  # steps after which a process that mixes fast has ended
+ENDED = 1e-18  # probability of going on at which a process that mixes fast has ended
 
 DRAWS: dict[str, list[Callable[[], SSP]]] = {
     "layered": [
@@ -76,7 +76,7 @@ def measured(model: SSP, policy: DeterministicPolicy, *, mixes: bool) -> tuple[f
     begin = (acting == 0).astype(float)
     if mixes:
         visits, going = np.zeros(acting.size), begin
-        for _ in range(SERIES):
+        while going.sum() > ENDED:
             visits, going = visits + going, chain @ going
     else:
         visits = splu(sp.csc_array(sp.eye_array(acting.size) - chain)).solve(begin)

@@ -5,7 +5,8 @@ from fractions import Fraction
 import pytest
 
 from formulations import MCMP, ConstrainedCost, CostLimit
-from ssp_lp import SSP, certify, solve
+from small_models import model_of
+from ssp_lp import certify, solve
 
 PLAIN = {"give_up": "dead_ends", "charge_failing_step": False}
 PRICES = (1e1, 1e4, 1e7, 1e9, 1e11, 1e12)
@@ -22,9 +23,7 @@ def ways(least, most):
         else [(1.0, "home", cost)]
         for way, failing, cost in (("safe", least, 2), ("bold", most, 1), ("odd", middle, 1.6))
     }
-    return SSP.from_transitions(
-        {"x": table, "pit": {}}, goal={"home"}, treat_actionless_as_dead_ends=True
-    )
+    return model_of({"x": table, "pit": {}}, "home")
 
 
 def between(least, most, share):

@@ -7,6 +7,7 @@ import pytest
 
 from examples.solver_comparison.instances.families import FAMILIES, grid
 from formulations import MCMP, S3P, ConstrainedCost, FinitePenalty, MaxProb
+from small_models import model_of
 from ssp_lp import SSP, SolverError, certify, evaluate, solve
 from ssp_lp.column_generation.failure_row import least_of
 from ssp_lp.compiled import accelerator
@@ -61,12 +62,12 @@ def test_a_corridor_takes_as_long_as_the_closed_form_says(cells: int) -> None:
     """A walk with drift d that is reflected at 0: n / d - (q / d^2) (1 - (q / p)^n) steps."""
     drift = 0.02
     up, down = 0.5 + drift / 2, 0.5 - drift / 2
-    model = SSP.from_transitions(
+    model = model_of(
         {
             cell: {"walk": [(up, cell + 1, 1.0), (down, max(cell - 1, 0), 1.0)]}
             for cell in range(cells)
         },
-        goal={cells},
+        cells,
     )
     steps = cells / drift - (down / drift**2) * (1 - (down / up) ** cells)
     solution = solve(MCMP(model, 0))
@@ -79,7 +80,7 @@ def test_a_sure_action_beats_a_loop_that_is_hardly_left(power: int) -> None:
     """At least failure both are sure; walking costs 1, trying again 1e5 times what it seems."""
     p = 10.0**-power
     q = p / 3
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "reset": {"go": [(1 - q, "try", 0.1), (q, "home", 1.0)]},
             "try": {
@@ -87,7 +88,7 @@ def test_a_sure_action_beats_a_loop_that_is_hardly_left(power: int) -> None:
                 "walk": [(1.0, "home", 1.0)],
             },
         },
-        goal={"home"},
+        "home",
     )
     for criterion in (MCMP, S3P):
         solution = solve(criterion(model, "try"))
@@ -102,7 +103,7 @@ def test_the_better_exit_of_a_slow_loop_is_told(power: int) -> None:
     """Exits of 9 : 1 and 8 : 2, differing by 1e-13 a step: closed form of the better loop."""
     p = 10.0**-power
     q = p / 3
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {
                 "good": [(1 - q, "b", 0.1), (0.9 * q, "home", 1.0), (0.1 * q, "lost", 0.0)],
@@ -114,8 +115,7 @@ def test_the_better_exit_of_a_slow_loop_is_told(power: int) -> None:
             },
             "lost": {},
         },
-        goal={"home"},
-        treat_actionless_as_dead_ends=True,
+        "home",
     )
     solution = solve(MaxProb(model, "a"))
     round_trip = q + (1 - q) * p
@@ -129,11 +129,7 @@ def test_the_better_exit_of_a_slow_loop_is_told(power: int) -> None:
 
 
 def test_a_failure_of_one_in_a_trillion_is_not_one_minus_something() -> None:
-    model = SSP.from_transitions(
-        {"x": {"go": [(1 - 1e-12, "g", 1.0), (1e-12, "d", 0.0)]}, "d": {}},
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
-    )
+    model = model_of({"x": {"go": [(1 - 1e-12, "g", 1.0), (1e-12, "d", 0.0)]}, "d": {}})
     solution = solve(FinitePenalty(model, "x", 1e6))
     assert solution.failure_probability == pytest.approx(1e-12, rel=1e-14)
     assert certify(solution).failure == pytest.approx(1e-12, rel=1e-14)
@@ -150,7 +146,7 @@ def test_a_state_out_of_reach_does_not_spoil_the_program() -> None:
 
 def test_limits_that_two_policies_meet_to_the_ninth_digit() -> None:
     """HiGHS takes the master's rows to contradict each other; one policy keeps to them."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {"go": [(1.0, "b", 0.0)]},
             "b": {
@@ -159,7 +155,7 @@ def test_limits_that_two_policies_meet_to_the_ninth_digit() -> None:
             },
             "c": {"stay": [(1 - 1e-9, "c", 1.0), (1e-9, "goal", 1.0)]},
         },
-        goal={"goal"},
+        "goal",
     )
     spent = {"b": {"dear": 2.0, "fair": 1.0}, "c": {"stay": 1.0}}
     limits = {"fuel": CostLimit(spent, 1000000001.4949999)}
@@ -168,7 +164,7 @@ def test_limits_that_two_policies_meet_to_the_ninth_digit() -> None:
 
 
 def test_an_idle_limit_costs_no_accuracy() -> None:
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "s": {
                 "slip": [(1 - 6.7e-6, "t", 2.0), (6.7e-6, "s", 2.0)],
@@ -177,7 +173,7 @@ def test_an_idle_limit_costs_no_accuracy() -> None:
             },
             "t": {"try": [(1 - 1.6e-8, "s", 1.0), (1.6e-8, "goal", 1.0)]},
         },
-        goal={"goal"},
+        "goal",
     )
     idle = {
         "fuel": CostLimit({"s": {"slip": 0.0, "step": 0.0, "wait": 0.0}, "t": {"try": 0.0}}, 0.0)
@@ -210,7 +206,7 @@ def test_a_pair_that_is_better_by_a_ten_billionth_is_the_only_one(
     pytest.importorskip("numba")
     monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if compiled else 1 << 62)
     q, h = seldom, 0.5 + better
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {
                 "cheap": [(1 - q, "b", 1.0), (q * 0.5, "g", 1.0), (q * 0.5, "d", 1.0)],
@@ -218,9 +214,7 @@ def test_a_pair_that_is_better_by_a_ten_billionth_is_the_only_one(
             },
             "b": {"on": [(1.0, "a", 0.0)]},
             "d": {},
-        },
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+        }
     )
     assert solve(MaxProb(model, "a")).objective == pytest.approx(h, rel=1e-13)
     for criterion in (MCMP, S3P):
@@ -230,7 +224,7 @@ def test_a_pair_that_is_better_by_a_ten_billionth_is_the_only_one(
 def test_a_loop_that_only_pays_in_the_end_is_taken() -> None:
     """Its advantage is 1e-18 a step; from where the policy stands no run is longer than 3 steps."""
     risk, leave = 2.84e-7, 1.27e-11
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {"go": [(1.0, "b", 1.0)]},
             "b": {
@@ -239,9 +233,7 @@ def test_a_loop_that_only_pays_in_the_end_is_taken() -> None:
             },
             "c": {"end": [(0.45, "g", 1.0), (0.55, "d", 1.0)]},
             "d": {},
-        },
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+        }
     )
     solution = solve(MaxProb(model, "a"))
     assert solution.objective == pytest.approx(0.45, rel=1e-12)

@@ -5,7 +5,8 @@ from fractions import Fraction
 import pytest
 
 from formulations import MCMP, S3P
-from ssp_lp import SSP, solve
+from small_models import model_of
+from ssp_lp import solve
 
 BUDGETS = (1e-3, 1e-8, 1e-10, 1e-12, 1e-14)
 LEAST = (0.0, 1e-3, 0.5, 0.99)  # failure of the safe action, in budgets
@@ -16,7 +17,7 @@ def road(least, most):
     """Two units for the safe action, one for the bold one, charged in failing too."""
     safe = [(1 - least, "home", 2), (least, "pit", 2)] if least else [(1.0, "home", 2)]
     table = {"x": {"safe": safe, "bold": [(1 - most, "home", 1), (most, "pit", 1)]}, "pit": {}}
-    return SSP.from_transitions(table, goal={"home"}, treat_actionless_as_dead_ends=True)
+    return model_of(table, "home")
 
 
 def lottery(budget, least, most):

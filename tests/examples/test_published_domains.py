@@ -17,7 +17,7 @@ from examples.domains.river import river
 from examples.domains.triangle_tireworld import triangle_tireworld
 from formulations import MCMP, S3P
 from ssp_lp import SSP, solve
-from ssp_lp.analysis.goal_probability import max_goal_probability
+from ssp_lp.processes.goal_reach import max_goal_probability
 
 
 def published(name: str) -> tuple[Case, Domain]:

@@ -23,15 +23,10 @@ from examples.paper_robot.robot import (
     start_state,
 )
 from ssp_lp import SSP
+from terminal import Terminal
 
 SMALL = RobotGrid(segments=10, headings=8, quadrature=3)
 GRIDS = [RobotGrid(), SMALL, RobotGrid(quadrature=2, along_segment=True)]
-
-
-@pytest.fixture(scope="module")
-def default_model() -> SSP:
-    """The model of the paper's grid."""
-    return grid_model(RobotGrid())
 
 
 def outcomes(model: SSP, pair: int) -> dict[int, float]:
@@ -91,8 +86,8 @@ def slow_place(
     return Place.FREE
 
 
-def test_size_of_the_papers_model(default_model: SSP) -> None:
-    grid, model = RobotGrid(), default_model
+def test_size_of_the_papers_model(robot: tuple[SSP, int]) -> None:
+    grid, model = RobotGrid(), robot[0]
     assert grid.n_cells == 4800
     assert model.n_states == 4803
     assert model.n_pairs == 24_000 + 2
@@ -136,10 +131,6 @@ def test_progress_rises_to_its_total_and_changes_nothing() -> None:
 
 
 def test_the_progress_bar_is_for_terminals() -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
     file, terminal = io.StringIO(), Terminal()
     for stream in (file, terminal):
         model = grid_model(SMALL, progress=progress_bar("transitions", stream))
@@ -185,8 +176,8 @@ def test_steering_error_spreads_over_neighbouring_headings_as_a_triangle() -> No
     assert chances[[-1, 0, 1]] == pytest.approx([1 / 8, 3 / 4, 1 / 8], abs=1e-15)
 
 
-def test_wall_cost_is_the_only_cost_that_changes(default_model: SSP) -> None:
-    cheap = default_model
+def test_wall_cost_is_the_only_cost_that_changes(robot: tuple[SSP, int]) -> None:
+    cheap = robot[0]
     dear = grid_model(RobotGrid(wall_cost=100.0))
     changed = np.flatnonzero(np.asarray(dear.costs) != np.asarray(cheap.costs))
     assert changed.tolist() == [dear.n_outcomes - 1]

@@ -7,14 +7,11 @@ fSSPUDE and C-SSP belong to other criteria and are not read here (see test_crite
 import numpy as np
 import pytest
 
-from cases import NAMES, ROBOT_VALUES, expected, load_case
+from cases import CLOSE, NAMES, PUBLISHED, ROBOT_VALUES, expected, published
+from checks import GAP
 from formulations import MCMP, S3P
-from ssp_lp import SSP, InfeasibleError, solve
-from ssp_lp.analysis import goal_probability
-
-CLOSE = {"rel": 1e-6, "abs": 1e-9}
-GAP = 1e-8
-TABLE = {"give_up": "anywhere", "charge_failing_step": False}
+from ssp_lp import InfeasibleError, solve
+from ssp_lp.processes import goal_reach
 
 each_row = pytest.mark.parametrize(
     "row", expected()["cases"], ids=[row["model"] for row in expected()["cases"]]
@@ -22,16 +19,9 @@ each_row = pytest.mark.parametrize(
 each_method = pytest.mark.parametrize("method", [None, "lp", "columns"])
 
 
-def load(name, cost):
-    """One case as a library model, with its start state."""
-    case = load_case(name, cost)
-    model = SSP.from_transitions(case.choices, goal=case.goal, treat_actionless_as_dead_ends=True)
-    return model, case.start
-
-
 def load_row(row):
     """The model and start of one row of the table."""
-    return load(row["model"], row["cost"])
+    return published(row["model"], row["cost"])
 
 
 def solved(problem, method=None):
@@ -45,7 +35,7 @@ def solved(problem, method=None):
 def at_least_goal_probability(model, start, probability, **semantics):
     """MCMP subject to P(goal) >= probability."""
     budget = 1 - probability
-    return MCMP(model, start=start, failure_budget=budget, **(TABLE | semantics))
+    return MCMP(model, start=start, failure_budget=budget, **(PUBLISHED | semantics))
 
 
 @each_row
@@ -53,8 +43,8 @@ def test_goal_probabilities(row):
     """Columns maxprob and minprob."""
     model, start = load_row(row)
     position = model.index_of(start)
-    greatest = goal_probability.max_goal_probability(model)
-    least = goal_probability.min_goal_probability(model)
+    greatest = goal_reach.max_goal_probability(model)
+    least = goal_reach.min_goal_probability(model)
     assert greatest[position] == pytest.approx(row["maxprob"], **CLOSE)
     assert least[position] == pytest.approx(row["minprob"], **CLOSE)
     assert np.all((least >= 0) & (least <= greatest + 1e-12) & (greatest <= 1 + 1e-12))
@@ -66,7 +56,7 @@ def test_goal_probabilities(row):
 def test_least_cost_at_maximal_probability(row, method):
     """Columns mcmp_at_maxprob and s3p_at_maxprob."""
     model, start = load_row(row)
-    mcmp = solved(MCMP(model, start=start, failure_budget=None, **TABLE), method)
+    mcmp = solved(MCMP(model, start=start, failure_budget=None, **PUBLISHED), method)
     assert mcmp.objective == pytest.approx(row["mcmp_at_maxprob"], **CLOSE)
     assert mcmp.goal_probability == pytest.approx(row["maxprob"], rel=1e-9)
     s3p = solved(S3P(model, start=start, failure_budget=None), method)
@@ -93,7 +83,7 @@ def test_least_cost_within_a_budget(row, method):
     """Column min_cost s.t. P >= 1 - eps, infeasible rows included."""
     model, start = load_row(row)
     for budget, value in row["min_cost_s.t._P>=1-eps"].items():
-        problem = MCMP(model, start=start, failure_budget=float(budget), **TABLE)
+        problem = MCMP(model, start=start, failure_budget=float(budget), **PUBLISHED)
         if value == "infeasible":
             with pytest.raises(InfeasibleError) as caught:
                 solve(problem, method=method)
@@ -105,10 +95,10 @@ def test_least_cost_within_a_budget(row, method):
 @each_method
 def test_hand_cases_of_the_two_move_domain(method):
     """H1 = 79/49, H2 = 8/5: the lottery is 0.6 on the safe move, 0.4 on the risky one."""
-    model, start = load("gubs_test_domain", "unit")
+    model, start = published("gubs_test_domain", "unit")
     s3p = solved(S3P(model, start=start, failure_budget=0.02), method)
     assert s3p.objective == pytest.approx(79 / 49, rel=1e-9)
-    mcmp = solved(MCMP(model, start=start, failure_budget=0.02, **TABLE), method)
+    mcmp = solved(MCMP(model, start=start, failure_budget=0.02, **PUBLISHED), method)
     assert mcmp.objective == pytest.approx(8 / 5, rel=1e-9)
     for solution in (s3p, mcmp):
         assert sorted(solution.policy.weights) == pytest.approx([0.4, 0.6], rel=1e-9)
@@ -118,7 +108,7 @@ def test_hand_cases_of_the_two_move_domain(method):
 @pytest.mark.parametrize(("give_up", "charge", "value"), ROBOT_VALUES)
 def test_meanings_of_giving_up_on_the_robot(give_up, charge, value, method):
     """H3, H4 and the four numbers that the meanings of giving up give at P(goal1) >= 1/4."""
-    model, start = load("prism_robot_goal1", "time")
+    model, start = published("prism_robot_goal1", "time")
     semantics = {"give_up": give_up, "charge_failing_step": charge}
     problem = at_least_goal_probability(model, start, 0.25, **semantics)
     assert solved(problem, method).objective == pytest.approx(float(value), rel=1e-9)
@@ -127,11 +117,11 @@ def test_meanings_of_giving_up_on_the_robot(give_up, charge, value, method):
 @each_method
 def test_attack_tree(method):
     """H5: a successful run pays 15; the published MCMP value is 11.02."""
-    model, start = load("prism_attacktree", "cost")
+    model, start = published("prism_attacktree", "cost")
     assert solved(S3P(model, start=start, failure_budget=None), method).objective == pytest.approx(
         15, rel=1e-9
     )
-    mcmp = MCMP(model, start=start, failure_budget=None, **TABLE)
+    mcmp = MCMP(model, start=start, failure_budget=None, **PUBLISHED)
     assert solved(mcmp, method).objective == pytest.approx(11.02, rel=1e-9)
 
 
@@ -145,7 +135,7 @@ def test_attack_tree(method):
 )
 def test_the_defaults_give_other_numbers(name, cost, probability, value, method):
     """The library's defaults (attention, failing step charged) on two rows of the table."""
-    model, start = load(name, cost)
+    model, start = published(name, cost)
     problem = MCMP(model, start=start, failure_budget=1 - probability)
     assert solved(problem, method).objective == pytest.approx(value, rel=2e-7)
 
@@ -165,9 +155,9 @@ UNLISTED = {
 @pytest.mark.parametrize("name", UNLISTED)
 def test_models_whose_value_is_not_given_away(name):
     """Column generation proves its own gap, and the full program agrees where it is small."""
-    model, start = load(name, UNLISTED[name])
-    greatest = goal_probability.max_goal_probability(model)[model.index_of(start)]
-    least = solved(MCMP(model, start=start, failure_budget=None, **TABLE))
+    model, start = published(name, UNLISTED[name])
+    greatest = goal_reach.max_goal_probability(model)[model.index_of(start)]
+    least = solved(MCMP(model, start=start, failure_budget=None, **PUBLISHED))
     assert least.goal_probability == pytest.approx(greatest, rel=1e-9)
     problem = at_least_goal_probability(model, start, 0.9 * greatest)
     columns = solved(problem, "columns")

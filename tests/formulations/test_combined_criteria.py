@@ -27,8 +27,8 @@ from formulations import (
 )
 from references import combined
 from references.combined import Program, Task
+from small_models import model_of
 from ssp_lp import (
-    SSP,
     InfeasibleError,
     certify,
     end_probability,
@@ -87,15 +87,6 @@ def drawn_task(rng: np.random.Generator) -> Task:
     if rng.random() < 0.5:
         limits["most_failure"] = float(rng.choice([0.1, 0.2, 0.3, 0.5]))
     return bare._replace(**limits)
-
-
-def model_of(task: Task) -> SSP:
-    return SSP.from_transitions(
-        task.choices,
-        goal=task.goals,
-        treat_actionless_as_dead_ends=True,
-        state_labels={"wall": ["wall"]},
-    )
 
 
 def constraints_of(task: Task) -> dict:
@@ -235,7 +226,8 @@ def drawn(name: str, seed: int) -> tuple[object, float | None]:
     )
     horizon = HORIZON if criterion.counts_cost else 0
     program = combined.program(task, horizon, anywhere=criterion.anywhere)
-    problem = criterion.posed(model_of(task), task, numbers, constraints_of(task))
+    model = model_of(task.choices, "home", {"wall": ["wall"]})
+    problem = criterion.posed(model, task, numbers, constraints_of(task))
     return problem, criterion.answer(task, program, numbers)
 
 

@@ -16,6 +16,7 @@ from formulations import (
     MaxProb,
     MinCost,
 )
+from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -35,12 +36,6 @@ from ssp_lp import (
 )
 
 
-def model_of(choices, labels=None) -> SSP:
-    return SSP.from_transitions(
-        choices, goal={"g"}, state_labels=labels or {}, treat_actionless_as_dead_ends=True
-    )
-
-
 def alone(policy) -> MixedPolicy:
     return MixedPolicy((policy,), np.ones(1))
 
@@ -56,7 +51,7 @@ HUT = model_of(
         "b": {"x": [(1.0, "g", 1.0)]},
         "wall": {},
     },
-    {"wall": ["wall"]},
+    labels={"wall": ["wall"]},
 )
 """The wall lies behind a hut: whoever is on the way there does not reach the goal any more."""
 
@@ -82,7 +77,7 @@ def test_where_failing_is_forbidden_no_end_is_bought() -> None:
             "a": {"ok": [(1.0, "g", 5.0)], "risky": [(0.5, "g", 5.0), (0.5, "wall", 5.0)]},
             "wall": {},
         },
-        {"wall": ["wall"]},
+        labels={"wall": ["wall"]},
     )
     problem = MinCost(model, "a", constraints={"w": end_probability("goal", "wall") >= 0.5})
     bad = DeterministicPolicy.from_actions(model, {"a": "risky"})
@@ -102,7 +97,7 @@ def wall_of(chance: float) -> SSP:
             "wall": {},
             "pit": {},
         },
-        {"wall": ["wall"]},
+        labels={"wall": ["wall"]},
     )
 
 

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
+from cases import PUBLISHED
 from checks import CLOSE, GAP, check_certificate, check_evaluation, library_model, plain
 from formulations import ISSPUDE, MCMP, S3P, AlphaMCMP, FinitePenalty, MaxProb, MinCost, MinProb
 from references import mcmp, s3p
@@ -16,23 +17,11 @@ from ssp_lp import (
     solve,
     trace_frontier,
 )
-from strategies import discounts, problems
+from strategies import discounts, often, problems, semantics
 
 METHODS = ("lp", "columns")
-PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
-meanings = st.fixed_dictionaries(
-    {
-        "give_up": st.sampled_from(["anywhere", "attention", "dead_ends"]),
-        "charge_failing_step": st.booleans(),
-    }
-)
 penalties = st.sampled_from([0.1, 1.0, 3.0, 10.0, 1000.0])
 shares = st.sampled_from([0.0, 0.1, 0.5, 0.9, 0.999, 1.0])
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def check_all(solution, value):
@@ -90,7 +79,7 @@ def test_the_plain_problem(drawn):
 
 
 @often(100)
-@given(problems(), penalties, meanings, discounts)
+@given(problems(), penalties, semantics, discounts)
 def test_a_finite_penalty(drawn, penalty, meaning, discount):
     """The least of cost + penalty * failure over all policies, exact or discounted."""
     points = mcmp.points(plain(drawn), drawn.start, discount=discount, **meaning)
@@ -108,7 +97,7 @@ def test_a_finite_penalty(drawn, penalty, meaning, discount):
 
 
 @often(50)
-@given(problems(), shares, meanings)
+@given(problems(), shares, semantics)
 def test_a_share_of_the_greatest_probability(drawn, share, meaning):
     """The best lottery whose goal probability is the share of the greatest one."""
     points = mcmp.points(plain(drawn), drawn.start, **meaning)
@@ -142,7 +131,7 @@ def test_s3p_and_isspude(drawn, share):
 
 
 @often(40)
-@given(problems(), meanings)
+@given(problems(), semantics)
 def test_penalties_run_along_the_frontier(drawn, meaning):
     """The optimum at penalty D is where the frontier's tangent of slope -D meets failure 0.
 

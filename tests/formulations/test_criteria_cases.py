@@ -6,7 +6,8 @@ program where it is small.
 
 import pytest
 
-from cases import NAMES, expected, load_case
+from cases import CLOSE, NAMES, PUBLISHED, expected, published
+from checks import GAP
 from formulations import (
     ISSPUDE,
     MCMP,
@@ -18,15 +19,12 @@ from formulations import (
     MinCost,
     MinProb,
 )
-from ssp_lp import SSP, InfeasibleError, certify, evaluate, solve
+from ssp_lp import InfeasibleError, certify, evaluate, solve
 
-CLOSE = {"rel": 1e-6, "abs": 1e-9}
-GAP = 1e-8
 MOST_PAIRS = 1_000
 """Largest model whose full program is solved as well, and whose answers are proved again."""
 
 PENALTIES, SHARES = ("1", "10", "100", "1000"), ("0.1", "0.5", "0.9", "0.999")
-PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
 
 
 def least_cost_at_maxprob(model, start):
@@ -66,9 +64,7 @@ each_model = pytest.mark.parametrize("name", WITH_GOALS)
 
 def load(name):
     """One case as a library model, with its start state."""
-    case = load_case(name, COSTS.get(name, "unit"))
-    model = SSP.from_transitions(case.choices, goal=case.goal, treat_actionless_as_dead_ends=True)
-    return model, case.start
+    return published(name, COSTS.get(name, "unit"))
 
 
 def solutions(model, problem):

@@ -27,6 +27,7 @@ from formulations import (
 from random_models import random_choices
 from references import mcmp_program, s3p_program
 from references.chain import PlainModel, plain_model
+from small_models import model_of
 from ssp_lp import (
     SSP,
     DeterministicPolicy,
@@ -71,7 +72,7 @@ def drawn(seed: int) -> tuple[SSP, PlainModel]:
         for t in range(STEPS + 1)
     }
     goals = {("goal", t) for t in range(STEPS + 1)}
-    model = SSP.from_transitions(choices, goal={"goal"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices, "goal")
     return model, plain_model(by_hand, goals)
 
 
@@ -206,9 +207,7 @@ HUT = {
 
 
 def mountain() -> SSP:
-    return SSP.from_transitions(
-        HUT, goal={"top"}, state_labels={"fall": ["gorge"]}, treat_actionless_as_dead_ends=True
-    )
+    return model_of(HUT, "top", labels={"fall": ["gorge"]})
 
 
 def test_limits_are_stated_in_the_words_of_the_model() -> None:
@@ -285,13 +284,13 @@ def test_a_product_understands_the_words_of_its_original() -> None:
 def test_limits_on_the_copies_of_many_states_are_quick() -> None:
     """On a grid, whose states are pairs of numbers as the product's could be."""
     size, began = 60, time.process_time()
-    grid = SSP.from_transitions(
+    grid = model_of(
         {
             (x, y): {"on": [(1.0, (x, y + 1) if y + 1 < size else (x + 1, 0), 1.0)]}
             for x in range(size)
             for y in range(size)
         },
-        goal={(size, 0)},
+        (size, 0),
     )
     cost = {state: {"on": 1.0} for state in grid.states[:-1]}
     last = (size - 1, size - 9)
@@ -347,14 +346,14 @@ def test_the_summary_says_that_time_ran_out() -> None:
 
 def test_too_few_steps_left_is_out_of_time_wherever_it_is_found_out() -> None:
     """From b two steps are needed: an episode there with one left ends, and says why."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {"go": [(0.5, "c", 1.0), (0.5, "b", 1.0)]},
             "b": {"go": [(1.0, "c", 1.0)]},
             "c": {"go": [(0.9, "goal", 1.0), (0.1, "pit", 1.0)]},
             "pit": {"stay": [(1.0, "pit", 1.0)]},
         },
-        goal={"goal"},
+        "goal",
     )
     solution = solve(MCMP(model, "a", horizon=2))
     ends = solution.evaluation.ends

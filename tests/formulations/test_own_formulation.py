@@ -26,6 +26,7 @@ from formulations import (
     MinCost,
     MinProb,
 )
+from small_models import FIRST
 from ssp_lp import SSP, ModelError, certify, evaluate, secondary_cost, solve, trace_frontier, visits
 from ssp_lp.formulation import ExponentialUtility, FailureSemantics, Formulation, GiveUp, Start
 
@@ -56,18 +57,6 @@ class PenaltyWithinBudget(Formulation):
         return FailureSemantics(GiveUp.ANYWHERE, penalty=3.0)
 
 
-DEPOT = SSP.from_transitions(
-    {
-        "depot": {
-            "alley": [(0.9, "home", 4.0), (0.1, "wreck", 2.0)],
-            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-        },
-        "wreck": {},
-    },
-    goal={"home"},
-    treat_actionless_as_dead_ends=True,
-)
-
 # The budget makes the alley 4/9 likely: 0.1 a + 0.01 (1 - a) = 0.05.
 ALLEY = 4.0 / 9.0
 
@@ -77,21 +66,21 @@ def test_a_utility_within_a_budget() -> None:
     best = max(
         a * arriving["alley"] + (1.0 - a) * arriving["road"] for a in (0.0, ALLEY)
     )  # linear in a, and a <= 4/9
-    solution = solve(CautiousUtility(DEPOT, "depot"))
+    solution = solve(CautiousUtility(FIRST, "depot"))
     assert solution.objective == pytest.approx(best, rel=1e-12)
-    free = solve(replace(CautiousUtility(DEPOT, "depot"), failure_budget=1.0))
-    assert free.objective == pytest.approx(solve(EGUBS(DEPOT, "depot", -0.1, 1.0)).objective)
+    free = solve(replace(CautiousUtility(FIRST, "depot"), failure_budget=1.0))
+    assert free.objective == pytest.approx(solve(EGUBS(FIRST, "depot", -0.1, 1.0)).objective)
 
 
 def test_a_penalty_within_a_budget() -> None:
-    solution = solve(PenaltyWithinBudget(DEPOT, "depot"))
+    solution = solve(PenaltyWithinBudget(FIRST, "depot"))
     cost = ALLEY * 3.8 + (1.0 - ALLEY) * 8.96
     assert solution.objective == pytest.approx(cost + 3.0 * 0.05, rel=1e-12)
 
 
 @pytest.mark.parametrize("criterion", [CautiousUtility, PenaltyWithinBudget])
 def test_everything_else_is_inherited(criterion) -> None:
-    problem = criterion(DEPOT, "depot")
+    problem = criterion(FIRST, "depot")
     solution = solve(problem)
     certificate = certify(solution)
     assert certificate.accepted
@@ -106,12 +95,12 @@ def test_everything_else_is_inherited(criterion) -> None:
 
 def test_the_start_is_checked_for_everyone() -> None:
     with pytest.raises(ModelError, match="nowhere"):
-        CautiousUtility(DEPOT, "nowhere")
+        CautiousUtility(FIRST, "nowhere")
 
 
 def test_a_frontier_of_ones_own_criterion() -> None:
-    frontier = trace_frontier(PenaltyWithinBudget(DEPOT, "depot"))
-    known = solve(PenaltyWithinBudget(DEPOT, "depot", failure_budget=0.03)).objective
+    frontier = trace_frontier(PenaltyWithinBudget(FIRST, "depot"))
+    known = solve(PenaltyWithinBudget(FIRST, "depot", failure_budget=0.03)).objective
     assert frontier.objective_at(0.03) == pytest.approx(known, rel=1e-9)
 
 
@@ -119,26 +108,26 @@ def test_replace_works_on_every_formulation() -> None:
     """A copy asks what it says, and a budget that a share made follows the share."""
     fuel = {"fuel": secondary_cost({"depot": {"alley": 2.0}}) <= 1.0}
     stated = [
-        *(formulation(DEPOT, "depot") for formulation in (MCMP, S3P, MaxProb, MinProb, ISSPUDE)),
-        *(formulation(DEPOT, "depot") for formulation in (MinCost, ConstrainedCost)),
-        AlphaMCMP(DEPOT, "depot", 0.95),
-        LeastQuantity(DEPOT, "depot", visits("wreck")),
-        CostBudgetedMaxProb(DEPOT, "depot", 5.0),
-        CVaR(DEPOT, "depot", 0.5),
-        CostQuantile(DEPOT, "depot", 0.5),
-        CostBoundedReach(DEPOT, "depot", 5),
-        FinitePenalty(DEPOT, "depot", 3.0),
-        EGUBS(DEPOT, "depot", -0.1, 1.0),
-        GUBS(DEPOT, "depot", lambda cost: np.maximum(1.0 - cost, 0.0), 1.0),
+        *(formulation(FIRST, "depot") for formulation in (MCMP, S3P, MaxProb, MinProb, ISSPUDE)),
+        *(formulation(FIRST, "depot") for formulation in (MinCost, ConstrainedCost)),
+        AlphaMCMP(FIRST, "depot", 0.95),
+        LeastQuantity(FIRST, "depot", visits("wreck")),
+        CostBudgetedMaxProb(FIRST, "depot", 5.0),
+        CVaR(FIRST, "depot", 0.5),
+        CostQuantile(FIRST, "depot", 0.5),
+        CostBoundedReach(FIRST, "depot", 5),
+        FinitePenalty(FIRST, "depot", 3.0),
+        EGUBS(FIRST, "depot", -0.1, 1.0),
+        GUBS(FIRST, "depot", lambda cost: np.maximum(1.0 - cost, 0.0), 1.0),
     ]
     for problem in stated:
         copied = replace(problem, constraints=fuel)
         assert set(copied.constraints) == {"fuel"}
         assert copied.failure_budget == problem.failure_budget
-    limited = ConstrainedCost(DEPOT, "depot", {"fuel": CostLimit({"depot": {"alley": 2.0}}, 1.0)})
+    limited = ConstrainedCost(FIRST, "depot", {"fuel": CostLimit({"depot": {"alley": 2.0}}, 1.0)})
     with pytest.raises(ModelError, match="names a limit of ConstrainedCost"):
         replace(limited, constraints=fuel)
-    shared = MCMP(DEPOT, "depot", reach_fraction=0.96)
+    shared = MCMP(FIRST, "depot", reach_fraction=0.96)
     assert shared.failure_budget == pytest.approx(1.0 - 0.96 * 0.99)
     assert replace(shared, reach_fraction=0.95).failure_budget == pytest.approx(1.0 - 0.95 * 0.99)
     assert replace(shared, reach_fraction=None, failure_budget=0.2).failure_budget == 0.2

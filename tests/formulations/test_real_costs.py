@@ -17,6 +17,7 @@ import pytest
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
 from references import combined
 from references.combined import Program, Task
+from small_models import model_of
 from ssp_lp import SSP, InfeasibleError, ModelError, certify, evaluate, secondary_cost, solve
 from ssp_lp.io import Controller, load_policy, save_policy, write_controller
 from ssp_lp.policies import CostAwarePolicy
@@ -77,7 +78,7 @@ def drawn(rng: np.random.Generator, kind: str, *, limited: bool) -> Drawn:
                     )
                 ]
     choices["s0"]["go"] = [(0.8, "home", palette[0]), (0.2, "wall", palette[1])]
-    model = SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices, "home")
     counted = {
         state: {a: [(p, s, exact(c)) for p, s, c in outs] for a, outs in actions.items()}
         for state, actions in choices.items()
@@ -190,11 +191,7 @@ def test_a_controller_keeps_irrational_totals(tmp_path) -> None:
         "across": [(0.5, "mid", ROOT), (0.5, "mid", 2.0 * ROOT)],
     }
     last = {"sure": [(1.0, "home", ROOT)], "bold": [(0.6, "home", 1.0), (0.4, "sea", 1.0)]}
-    model = SSP.from_transitions(
-        {"quay": hops, "mid": last, "sea": {}, "home": {}},
-        goal={"home"},
-        treat_actionless_as_dead_ends=True,
-    )
+    model = model_of({"quay": hops, "mid": last, "sea": {}, "home": {}}, "home")
     problem = CostBoundedReach(model, "quay", 1.0 + 2.0 * ROOT)  # in time after any first hop
     solution = solve(problem)
     assert solution.objective == pytest.approx(1.0)  # straight, sure
@@ -224,9 +221,7 @@ def a_corridor(seed: int) -> SSP:
             "walk": [(0.8, after, slow), (0.2, back, again)],
             "lift": [(0.93, after, fast / 3.0), (0.07, "shaft", fast / 3.0)],
         }
-    return SSP.from_transitions(
-        {**rooms, "shaft": {}}, goal={"r8"}, treat_actionless_as_dead_ends=True
-    )
+    return model_of({**rooms, "shaft": {}}, "r8")
 
 
 @pytest.mark.parametrize(

@@ -4,24 +4,30 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import library_model, plain
 from formulations import MCMP, S3P
-from games import RETRY, drawn_problem, hand_problem, without_dead_choices
+from games import (
+    RETRY,
+    criteria,
+    drawn_problem,
+    gammas,
+    hand_problem,
+    real_cost,
+    shares,
+    without_dead_choices,
+)
 from references import mcmp, s3p
 from references.chain import start_distribution
 from references.frontier import Point, constrained_optimum, constrained_ratio
-from ssp_lp import evaluate, solve
-from ssp_lp.game import bayes_adaptive, belief_at, posterior, stationary_game
-from strategies import Draw, acyclic_problems, problems
+from ssp_lp import ModelError, evaluate, solve
+from ssp_lp.game import Game, bayes_adaptive, belief_at, play, posterior, stationary_game
+from strategies import Draw, acyclic_problems, often, problems
 
-few = settings(max_examples=30, deadline=None, derandomize=True)
-hundred = settings(max_examples=100, deadline=None, derandomize=True)
-gammas = st.sampled_from([0.9, 0.5, 0.99])
-shares = st.sampled_from([0.25, 0.1, 0.5, 0.02, 0.8])
-criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
+few = often(30)
+hundred = often(100)
 
 
 @given(
@@ -38,12 +44,19 @@ def test_the_belief_follows_one_trajectory(alpha, gamma, time):
     assert belief_at(alpha, gamma, np.array([time]))[0] == pytest.approx(belief, rel=1e-9)
 
 
-def _real_cost(problem, policy):
-    """J_MCMP, or J^gamma_S3P: J_obj undiscounted, L_d discounted."""
-    found = evaluate(policy, problem)
-    if problem.ratio:
-        return found.success_cost / (1.0 - found.discounted_failure)
-    return found.expected_cost
+def test_beliefs_out_of_range_are_refused() -> None:
+    assert belief_at(0.0, 0.5, np.array([0, 5000])).tolist() == [0.0, 0.0]
+    for alpha, gamma, time in ((1.1, 0.9, 1), ("x", 0.9, 1), (0.5, 1.0, 1), (0.5, 0.9, -1)):
+        with pytest.raises(ModelError, match="must"):
+            belief_at(alpha, gamma, np.array(time))
+    with pytest.raises(ModelError, match="discount must"):
+        posterior(0.5, 0.0)
+    with pytest.raises(ModelError, match="a budget above 0"):
+        Game(1.0, 0.0)
+    with pytest.raises(ModelError, match="accuracy must"):
+        play(None, Game(1.0, 0.1), accuracy=0.0)
+    with pytest.raises(ModelError, match="play: player must"):
+        play(None, Game(1.0, 0.1))
 
 
 @hundred
@@ -65,12 +78,12 @@ def _check_bracket(problem):
     true = bayes_adaptive(problem, tolerance=1e-5)
     room = 1e-9
     assert approximate.lower_bound <= true.objective * (1 + 1e-9) + room
-    above = _real_cost(problem, approximate.policy)
+    above = real_cost(problem, approximate.policy)
     assert true.lower_bound <= above * (1 + 1e-9) + room
     assert true.objective <= above * (1 + 2e-5) + room
     policy = evaluate(true.policy, problem)
     assert policy.discounted_failure <= true.spent + 1e-9
-    assert _real_cost(problem, true.policy) == pytest.approx(true.objective, rel=1e-6, abs=1e-9)
+    assert real_cost(problem, true.policy) == pytest.approx(true.objective, rel=1e-6, abs=1e-9)
 
 
 @criteria
@@ -80,7 +93,7 @@ def test_the_bracket_closes_as_the_discount_goes_to_one(criterion):
     for gamma in (0.99, 0.999, 1 - 1e-4, 1 - 1e-5):
         problem = hand_problem(criterion, RETRY, 0.2, gamma)
         approximate = stationary_game(problem)
-        gaps.append(_real_cost(problem, approximate.policy) - approximate.lower_bound)
+        gaps.append(real_cost(problem, approximate.policy) - approximate.lower_bound)
     exact = solve(hand_problem(criterion, RETRY, 0.2, None), "columns").objective
     assert all(0 < later <= 0.2 * earlier for earlier, later in pairwise(gaps))
     assert approximate.lower_bound == pytest.approx(exact, rel=1e-3)
@@ -92,7 +105,7 @@ def test_the_bracket_on_the_robot(robot):
     problem = MCMP(model, start=start, failure_budget=0.05, discount=0.999)
     approximate = stationary_game(problem, tolerance=1e-8)
     true = bayes_adaptive(problem, tolerance=1e-6)
-    above = _real_cost(problem, approximate.policy)
+    above = real_cost(problem, approximate.policy)
     assert approximate.lower_bound <= true.objective  # l3-13
     assert true.lower_bound <= above * (1 + 1e-12)
     assert true.objective - true.lower_bound <= 1e-6 * true.objective

@@ -3,20 +3,19 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from formulations import MCMP, S3P
-from games import RETRY, drawn_problem, game_at, hand_problem
+from formulations import MCMP
+from games import RETRY, criteria, drawn_problem, game_at, hand_problem
 from small_models import TWO_MOVES
 from ssp_lp import evaluate
 from ssp_lp.game import bayes_adaptive, delta_mixture, play, stationary_game
 from ssp_lp.game.stationary import stationary_player
-from strategies import problems
+from strategies import often, problems
 
 DELTAS = [1e-2, 1e-3, 1e-4, 1e-5, 1e-6]
-criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
-few = settings(max_examples=30, deadline=None, derandomize=True)
+few = often(30)
 
 
 def _check_limit(player, found):

@@ -1,7 +1,7 @@
 """The players' best responses against the operators of the paper, written out literally."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import library_model, plain
@@ -12,9 +12,9 @@ from references.chain import mean, plain_model, start_distribution
 from small_models import TWO_MOVES
 from ssp_lp.game.bayes_adaptive import bayes_player
 from ssp_lp.game.stationary import stationary_player
-from strategies import problems
+from strategies import often, problems
 
-few = settings(max_examples=25, deadline=None, derandomize=True)
+few = often(25)
 alphas = st.sampled_from([0.5, 0.1, 0.9, 0.99])
 scales = st.sampled_from([4.0, 1.0, 20.0])
 

@@ -123,7 +123,9 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
         load_policy(path, hall())
     for header, words in (
         ({"format": "ssp-lp solution", "version": 1}, "no ssp-lp policy file"),
-        ({"format": "ssp-lp policy", "version": 99}, "newer ssp-lp"),
+        ({"format": "ssp-lp policy", "version": 99}, "version 99, .* newer ssp-lp"),
+        ({"format": "ssp-lp policy", "version": 0}, "version 0, .*: write the policy anew"),
+        ({"format": "ssp-lp model", "version": 1}, "no ssp-lp policy file: it says 'ssp-lp model'"),
         ([1], "no ssp-lp policy file"),
     ):
         np.savez(path, header=np.frombuffer(json.dumps(header).encode(), dtype=np.uint8))

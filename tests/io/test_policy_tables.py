@@ -127,6 +127,6 @@ def test_a_small_graph_in_full(tmp_path: Path) -> None:
 
 
 def test_a_graph_too_large_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(ModelError, match="5 nodes, most_nodes is 4"):
+    with pytest.raises(ModelError, match="5 nodes, more than 4"):
         write_dot(everywhere(hall(), "fast"), tmp_path / "policy.dot", START, most_nodes=4)
     assert not (tmp_path / "policy.dot").exists()

@@ -2,44 +2,20 @@
 
 from __future__ import annotations
 
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cases import FOLDER, load_case
-from formulations import MCMP, S3P, MaxProb
+from checks import optima
+from formulations import MaxProb
 from random_models import drawn_model
+from small_models import ALONE, AWKWARD
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.io import read_any, write_any
 
-AWKWARD = SSP.from_transitions(
-    {
-        ("s", 1): {
-            'say "hi"': [(0.5, "t", 0.0), (0.25, "pit", 0.25), (0.25, "g", 1.0)],
-            "é b": [(0.5, "t", 0.0), (0.5, "lost", 0.0)],
-            "say_hi": [(1.0, ("s", 1), 0.0)],
-        },
-        "t": {"é b": [(0.5, "g", Fraction(1, 4)), (0.5, "g", 0.3)], "": [(1.0, "cliff", 0.0)]},
-        "pit": {},
-        "cliff": {},
-        "lost": {},
-    },
-    goal={"g"},
-    state_labels={"the pit": ["pit"], "high": ["cliff", "t"]},
-    treat_actionless_as_dead_ends=True,
-)
-ALONE = SSP.from_transitions({}, goal={"g"})
 ENDINGS = ["json", "json.gz", "drn", "drn.gz", "tra", "npz", "umb"]
-
-
-def optima(model: SSP, start: Any, budget: float) -> list[float]:
-    return [
-        solve(MCMP(model, start, failure_budget=budget)).objective,
-        solve(S3P(model, start, failure_budget=budget)).objective,
-        solve(MaxProb(model, start)).objective,
-    ]
 
 
 @pytest.mark.parametrize("ending", ENDINGS)
@@ -79,7 +55,7 @@ def test_a_published_model_goes_through_storm(name: str, tmp_path: Path) -> None
 def test_what_a_format_does_not_have_is_refused(tmp_path: Path) -> None:
     write_any(ALONE, tmp_path / "m.npz")
     write_any(ALONE, tmp_path / "m.drn", "g")
-    with pytest.raises(ModelError, match=r"m\.drn leaves no constants open"):
+    with pytest.raises(ModelError, match=r"m\.drn has no constants: leave constants out"):
         read_any(tmp_path / "m.drn", ["goal"], constants="N=3")
     with pytest.raises(ModelError, match=r"say in which state m\.umb begins"):
         write_any(ALONE, tmp_path / "m.umb")

@@ -1,7 +1,7 @@
 """Every LP backend on the same drawn problems: one answer, whatever kind of point it ends at."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import CLOSE, budget_of, check_bounds, check_evaluation, library_model, plain
@@ -9,11 +9,11 @@ from formulations import MCMP, S3P
 from references import mcmp, s3p
 from references.frontier import least_failure
 from ssp_lp import LinearProgramming, solve
-from strategies import discounts, problems
+from strategies import discounts, often, problems
 
 BACKENDS = ["highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy"]
 shares = st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.75])
-drawn_settings = settings(max_examples=15, deadline=None, derandomize=True)
+drawn_settings = often(15)
 
 
 @pytest.mark.parametrize("backend", BACKENDS)

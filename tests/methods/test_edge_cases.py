@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
+from small_models import model_of
 from ssp_lp import SSP, InfeasibleError, LinearProgramming, ModelError, certify, solve
 
 GIVE_UPS = ["anywhere", "attention", "dead_ends"]
@@ -15,15 +16,14 @@ GIVE_UPS = ["anywhere", "attention", "dead_ends"]
 
 def fork(stay_cost: float = 1.0) -> SSP:
     """A fast road that fails with 0.1, a safe one that fails with 0.02."""
-    return SSP.from_transitions(
+    return model_of(
         {
             "s": {
                 "fast": [(0.9, "g", 1.0), (0.1, "d", 1.0)],
                 "safe": [(0.98, "g", 3.0), (0.02, "d", 3.0)],
             },
             "d": {"stay": [(1.0, "d", stay_cost)]},
-        },
-        goal={"g"},
+        }
     )
 
 
@@ -105,13 +105,11 @@ def test_budget_one_lets_failure_be_free(give_up: str) -> None:
 
 
 def test_budget_zero() -> None:
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "s": {"risk": [(0.5, "g", 1.0), (0.5, "d", 1.0)], "sure": [(1.0, "g", 9.0)]},
             "d": {},
-        },
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+        }
     )
     for criterion in (MCMP, S3P):
         solution = solve(criterion(model, start="s", failure_budget=0.0))
@@ -136,13 +134,12 @@ def test_a_loop_that_costs_nothing(give_up: str, method: str) -> None:
 
 def test_an_end_component_that_never_pays() -> None:
     """Three states that can be toured for free, with one exit far from the entry."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {"on": [(1, "b", 0)]},
             "b": {"on": [(0.5, "c", 0), (0.5, "a", 0)], "back": [(1, "a", 0)]},
             "c": {"on": [(1, "a", 0)], "out": [(0.5, "g", 2), (0.5, "a", 2)]},
-        },
-        goal={"g"},
+        }
     )
     for give_up in GIVE_UPS:
         solution = solve(MCMP(model, start="a", failure_budget=0.1, give_up=give_up))
@@ -195,16 +192,14 @@ def test_the_surrogate_can_be_infeasible_where_the_problem_is_not() -> None:
 
 def test_an_enormous_price_needs_few_layers() -> None:
     """A budget barely above the least failure: kappa is 1e7, the steps are a few."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "s": {
                 "a": [(0.5, "g", 1), (0.5 - 1e-7, "s", 1), (1e-7, "d", 1)],
                 "b": [(0.4, "g", 2), (0.6, "s", 2)],
             },
             "d": {},
-        },
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+        }
     )
     solution = solve(S3P(model, start="s", failure_budget=1e-8))
     assert solution.failure_price is not None
@@ -254,7 +249,7 @@ def test_a_time_limit_returns_an_honest_gap() -> None:
 def test_a_long_shot_is_no_guide_to_the_cap() -> None:
     """The policy nearest to the goal in steps succeeds once in 10^10 runs."""
     p = 1e-10
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {
                 "long": [(p, "g", 1), (1 - 1.5 * p, "a", 1), (0.5 * p, "d", 1)],
@@ -262,8 +257,7 @@ def test_a_long_shot_is_no_guide_to_the_cap() -> None:
             },
             "b": {"go": [(0.9, "g", 1), (0.1, "d", 1)]},
             "d": {"stay": [(1.0, "d", 1)]},
-        },
-        goal={"g"},
+        }
     )
     solution = solve(S3P(model, "a", 0.2))
     assert solution.objective == pytest.approx(2.0, rel=1e-12)
@@ -271,13 +265,12 @@ def test_a_long_shot_is_no_guide_to_the_cap() -> None:
 
 
 def test_a_budget_equal_to_the_least_failure_keeps_its_bound_under_a_small_cap() -> None:
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {"u": [(1.0, "c", 1)], "die": [(1.0, "d", 0)]},
             "c": {"u": [(1.0, "g", 1)]},
             "d": {"stay": [(1.0, "d", 0)]},
-        },
-        goal={"g"},
+        }
     )
     solution = solve(S3P(model, "a", 0.0, cost_cap=1))
     assert solution.objective == pytest.approx(2.0, rel=1e-12)
@@ -287,14 +280,13 @@ def test_a_budget_equal_to_the_least_failure_keeps_its_bound_under_a_small_cap()
 @pytest.mark.parametrize("budget", [0.9999, 0.999999, 1.0])
 def test_a_slack_budget_near_one_keeps_its_bound(budget: float) -> None:
     """Values that are exactly 0 stay so when others are lowered."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "a": {"u": [(0.5, "c", 3), (0.25, "d", 3), (0.25, "a", 1)], "v": [(1.0, "b", 1)]},
             "b": {"u": [(0.75, "g", 0), (0.25, "d", 1)], "loop": [(1.0, "b", 0)]},
             "c": {"u": [(1.0, "g", 2)]},
             "d": {"u": [(0.25, "g", 0), (0.75, "a", 1)], "w": [(0.5, "b", 0), (0.5, "b", 1)]},
-        },
-        goal={"g"},
+        }
     )
     solution = solve(S3P(model, "a", budget))
     assert solution.objective == pytest.approx(1.0, rel=1e-9)

@@ -8,15 +8,12 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
-from ssp_lp import SSP, certify, evaluate, solve
-from ssp_lp.analysis.goal_probability import max_goal_probability, min_goal_probability
+from small_models import model_of
+from ssp_lp import certify, evaluate, solve
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
 from ssp_lp.processes.totals.levels import Window
-
-
-def model_of(transitions: Any) -> SSP:
-    return SSP.from_transitions(transitions, goal={"g"}, treat_actionless_as_dead_ends=True)
 
 
 @pytest.mark.parametrize("leak", [1e-6, 1e-10, 1e-13])

@@ -1,7 +1,7 @@
 """Drawn problems, solved by every method and by enumeration: one answer."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import (
@@ -20,19 +20,12 @@ from references import mcmp, s3p, s3p_program
 from references.chain import start_distribution
 from references.frontier import constrained_optimum, least_failure, price_interval
 from ssp_lp import InfeasibleError, solve
-from ssp_lp.analysis import goal_probability
-from strategies import acyclic_problems, budgets, discounts, problems
+from ssp_lp.processes import goal_reach
+from strategies import acyclic_problems, budgets, discounts, often, problems, semantics
 
 METHODS = ("lp", "columns")
-meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-semantics = st.fixed_dictionaries({"give_up": meanings, "charge_failing_step": st.booleans()})
 NEAR_LEAST = 1e-9
 """Nearer to the least failure than this, the price is without bound and the program too tight."""
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def check_infeasible(problem, method, least, discount):
@@ -92,8 +85,8 @@ def test_mcmp_at_least_failure(drawn, meaning):
 def test_goal_probabilities(drawn, discount):
     """MAXPROB and MINPROB of every state, by enumeration."""
     model = library_model(drawn)
-    greatest = goal_probability.max_goal_probability(model)
-    least = goal_probability.min_goal_probability(model)
+    greatest = goal_reach.max_goal_probability(model)
+    least = goal_reach.min_goal_probability(model)
     for state in drawn.choices:
         low, high = s3p.goal_probability_range(plain(drawn), state)
         position = model.index_of(state)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
-from ssp_lp import SSP, MixedPolicy, ModelError, certify, evaluate, solve
+from small_models import model_of
+from ssp_lp import SSP, MixedPolicy, ModelError, Solution, Status, certify, evaluate, solve
+from ssp_lp.methods import rounded_costs
 
 STEP = 2.0**0.5
 DEAR = [1e4, 1e8, 1e12]
@@ -23,9 +27,7 @@ def corridor(costs: list[float], dear: float) -> SSP:
         }
         for k in range(5)
     }
-    return SSP.from_transitions(
-        {**rooms, "shaft": {}}, goal={"r5"}, treat_actionless_as_dead_ends=True
-    )
+    return model_of({**rooms, "shaft": {}}, "r5")
 
 
 def questions(model: SSP, levels: int) -> list:
@@ -97,3 +99,54 @@ def test_a_unit_too_small_proves_nothing_false() -> None:
     forged = replace(solution, policy=MixedPolicy(members, solution.policy.weights))
     assert evaluate(forged.policy, problem).objective >= least - 1e-9
     assert certify(forged).objective >= least - 1e-9
+
+
+def pressed_at(turn: int, work: Callable[..., Any]) -> Callable[..., Any]:
+    """A function at whose k-th call somebody presses Ctrl-C."""
+    calls = iter(range(10))
+
+    def interrupted(*asked: Any) -> Any:
+        if next(calls) == turn:
+            raise KeyboardInterrupt
+        return work(*asked)
+
+    return interrupted
+
+
+def check_interrupted(solution: Solution, best: Solution) -> None:
+    """As good a policy as the one known, bounds that hold, and why the search ended."""
+    assert solution.status is Status.INTERRUPTED
+    evaluated = evaluate(solution.policy, best.problem).objective
+    assert evaluated == pytest.approx(evaluate(best.policy, best.problem).objective, rel=1e-12)
+    if solution.upper_bound is None:
+        assert solution.lower_bound <= min(best.objective, solution.objective) + 1e-12
+    else:
+        assert solution.upper_bound >= max(best.objective, solution.objective) - 1e-12
+    assert certify(solution).accepted
+
+
+@pytest.mark.parametrize("turn", [0, 1])
+@pytest.mark.parametrize("number", range(5))
+def test_ctrl_c_while_a_bound_is_worked_out_keeps_the_policy(
+    number: int, turn: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Units of 128 and 200 in the totals that matter: the bound of the first or of the second."""
+    problem = questions(corridor([1.3, STEP, 0.4], 2.0), 200)[number]
+    best = solve(replace(problem, cost_levels=128) if turn == 0 else problem)
+    pressed = pressed_at(turn, rounded_costs.lattice_bound)
+    monkeypatch.setattr(rounded_costs, "lattice_bound", pressed)
+    solution = solve(problem)
+    monkeypatch.undo()
+    check_interrupted(solution, best)
+
+
+def test_ctrl_c_while_the_answer_is_measured_keeps_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A utility that never settles is measured beyond its table, last of all."""
+    problem = questions(corridor([1.3, STEP, 0.4], 2.0), 50)[3]
+    best = solve(problem)
+    pressed = pressed_at(0, rounded_costs.success_costs)
+    monkeypatch.setattr(rounded_costs, "success_costs", pressed)
+    solution = solve(problem)
+    monkeypatch.undo()
+    check_interrupted(solution, best)
+    assert (solution.upper_bound, solution.gap > best.gap) == (best.upper_bound, True)

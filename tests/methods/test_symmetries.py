@@ -3,25 +3,21 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
-from checks import CLOSE, budget_of, plain
+from checks import CLOSE, budget_of, library_model, plain
 from formulations import MCMP, S3P
 from references import mcmp
-from ssp_lp import SSP, InfeasibleError, solve
-from strategies import Draw, budgets, discounts, problems
+from ssp_lp import InfeasibleError, solve
+from strategies import Draw, budgets, discounts, meanings, often, problems
 
-meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-drawn_settings = settings(max_examples=50, deadline=None, derandomize=True)
+drawn_settings = often(50)
 
 
 def answers(drawn, budget, discount, give_up):
     """The optimum of both cases, or the least failure where the budget is too small."""
-    model = SSP.from_transitions(
-        drawn.choices, goal=drawn.goals, treat_actionless_as_dead_ends=True
-    )
-    found = []
+    model, found = library_model(drawn), []
     for formulation, extra in ((MCMP, {"give_up": give_up}), (S3P, {})):
         problem = formulation(
             model, start=drawn.start, failure_budget=budget, discount=discount, **extra

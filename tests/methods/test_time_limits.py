@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import _thread
+import os
+import signal
+import sys
 import threading
+from functools import cache
 from typing import Any
 
 import pytest
 
-from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from examples.solver_comparison.instances.models import random_model
 from formulations import MCMP, S3P
-from ssp_lp import SSP, OutOfTimeError, Solution, Status, certify, solve, trace_frontier, visits
+from ssp_lp import (
+    SSP,
+    Frontier,
+    OutOfTimeError,
+    Solution,
+    Status,
+    certify,
+    solve,
+    trace_frontier,
+    visits,
+)
 from ssp_lp.compiled import deadline
 
 COARSE = 1e-3
 """Gap of a frontier of a few points."""
-
-
-@pytest.fixture(name="model", scope="module")
-def robot() -> tuple[SSP, int]:
-    grid = RobotGrid(segments=8, headings=8)
-    return grid_model(grid), start_state(grid)
 
 
 def interrupting(after: int) -> Any:
@@ -39,10 +46,10 @@ def interrupting(after: int) -> Any:
 @pytest.mark.parametrize("method", ["columns", "game", "deterministic"])
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_ctrl_c_hands_back_the_best_answer_so_far(
-    model: tuple[SSP, int], criterion: Any, method: str, after: int
+    coarse_robot: tuple[SSP, int], criterion: Any, method: str, after: int
 ) -> None:
     discount, budget = (0.99, 0.6) if method == "game" else (None, 0.3)
-    problem = criterion(*model, failure_budget=budget, discount=discount)
+    problem = criterion(*coarse_robot, failure_budget=budget, discount=discount)
     best = solve(problem)
     solution = solve(problem, method, progress=interrupting(after), tolerance=1e-9)
     assert solution.lower_bound <= solution.objective + 1e-12
@@ -59,7 +66,7 @@ def test_ctrl_c_hands_back_the_best_answer_so_far(
     assert certificate.lower_bound <= best.objective * (1.0 + 1e-9)
 
 
-def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far(model: tuple[SSP, int]) -> None:
+def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far() -> None:
     timer = threading.Timer(0.05, _thread.interrupt_main)
     timer.start()
     try:
@@ -71,6 +78,26 @@ def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far(model: tuple[SS
         pass
     finally:
         timer.cancel()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process sends itself this signal there")
+def test_a_signal_in_the_middle_of_a_long_loop_is_ctrl_c(robot: tuple[SSP, int]) -> None:
+    """It comes a moment after the second pricing call, in whatever runs then."""
+    signals: list[threading.Timer] = []
+
+    def progress(calls: int, *_: float) -> None:
+        if calls >= 2 and not signals:
+            signals.append(threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)))
+            signals[0].start()
+
+    problem = S3P(*robot, failure_budget=0.05)
+    solution = solve(problem, progress=progress, tolerance=1e-15)
+    assert solution.status is Status.INTERRUPTED
+    assert "interrupted" in solution.summary()
+    assert solution.budget_used <= 0.05 + 1e-12
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.lower_bound <= solve(problem).objective * (1.0 + 1e-9)
 
 
 @pytest.fixture(name="hasty")
@@ -85,10 +112,10 @@ def no_grace(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("method", ["columns", "game", "deterministic"])
 def test_no_policy_in_time_is_a_named_error(
-    model: tuple[SSP, int], criterion: Any, method: str
+    coarse_robot: tuple[SSP, int], criterion: Any, method: str
 ) -> None:
     discount = 0.99 if method == "game" else None
-    problem = criterion(*model, failure_budget=0.6, discount=discount)
+    problem = criterion(*coarse_robot, failure_budget=0.6, discount=discount)
     with pytest.raises(OutOfTimeError, match="allow more time"):
         solve(problem, method, time_limit=0.0)
     with pytest.raises(OutOfTimeError, match="allow more time"):
@@ -97,12 +124,12 @@ def test_no_policy_in_time_is_a_named_error(
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_before_the_search_has_a_policy_the_safest_one_comes_back(
-    model: tuple[SSP, int], criterion: Any, monkeypatch: pytest.MonkeyPatch
+    coarse_robot: tuple[SSP, int], criterion: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without grace no price is solved for; what is left over is enough for the least failure."""
     monkeypatch.setattr(deadline, "_GRACE", 0.0)
     monkeypatch.setattr(deadline, "_CLOSING", 60.0)
-    problem = criterion(*model, failure_budget=0.3)
+    problem = criterion(*coarse_robot, failure_budget=0.3)
     best, solution = solve(problem), solve(problem, time_limit=0.0)
     assert solution.status in (Status.TIME_LIMIT, Status.OPTIMAL)
     assert solution.failure_probability <= 0.3 + 1e-12
@@ -111,13 +138,19 @@ def test_before_the_search_has_a_policy_the_safest_one_comes_back(
     assert certify(solution).accepted
 
 
+@cache
+def whole_frontier(criterion: Any, model: SSP, start: int) -> Frontier:
+    """What every interrupted part is held against."""
+    return trace_frontier(criterion(model, start, failure_budget=0.3), gap=COARSE)
+
+
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 @pytest.mark.parametrize("after", [0, 3, 6])
 def test_an_interrupted_frontier_keeps_its_points(
-    model: tuple[SSP, int], criterion: Any, after: int
+    coarse_robot: tuple[SSP, int], criterion: Any, after: int
 ) -> None:
-    problem = criterion(*model, failure_budget=0.3)
-    whole = trace_frontier(problem, gap=COARSE)
+    problem = criterion(*coarse_robot, failure_budget=0.3)
+    whole = whole_frontier(criterion, *coarse_robot)
     part = trace_frontier(problem, gap=COARSE, progress=interrupting(after))
     assert part.status is Status.INTERRUPTED
     assert part.open_segments
@@ -137,8 +170,10 @@ def test_an_interrupted_frontier_keeps_its_points(
             assert depth * share <= COARSE * float(part.cost[number])
 
 
-def test_limits_on_other_quantities_are_kept_by_what_comes_back(model: tuple[SSP, int]) -> None:
-    robot, start = model
+def test_limits_on_other_quantities_are_kept_by_what_comes_back(
+    coarse_robot: tuple[SSP, int],
+) -> None:
+    robot, start = coarse_robot
     limited = MCMP(robot, start, failure_budget=0.3, constraints={"o": visits("obstacle") <= 0.25})
     best, part = almost_solved(limited)
     assert part.status is Status.INTERRUPTED
@@ -154,6 +189,6 @@ def almost_solved(problem: Any) -> tuple[Solution, Solution]:
     return best, solve(problem, progress=interrupting(len(calls) - 2))
 
 
-def test_a_tolerance_that_is_missed_is_no_interruption(model: tuple[SSP, int]) -> None:
-    capped = S3P(*model, failure_budget=0.3, cost_cap=4.0)
+def test_a_tolerance_that_is_missed_is_no_interruption(coarse_robot: tuple[SSP, int]) -> None:
+    capped = S3P(*coarse_robot, failure_budget=0.3, cost_cap=4.0)
     assert solve(capped).status is Status.TOLERANCE_MISSED

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import binomtest
 
 from formulations import MCMP, S3P, MaxProb
+from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -36,12 +37,7 @@ HOUSE = {
 
 
 def house() -> SSP:
-    return SSP.from_transitions(
-        HOUSE,
-        goal={"door"},
-        state_labels={"below": ["cellar"]},
-        treat_actionless_as_dead_ends=True,
-    )
+    return model_of(HOUSE, "door", labels={"below": ["cellar"]})
 
 
 def unrolled(start, step, accepted, failed) -> SSP:

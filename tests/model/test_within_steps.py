@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P, MaxProb
+from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -39,12 +40,7 @@ HOUSE = {
 
 
 def house() -> SSP:
-    return SSP.from_transitions(
-        HOUSE,
-        goal={"out"},
-        state_labels={"below": ["cellar"], LATE: ["ward"]},
-        treat_actionless_as_dead_ends=True,
-    )
+    return model_of(HOUSE, "out", labels={"below": ["cellar"], LATE: ["ward"]})
 
 
 def by_name(model: SSP) -> dict[object, object]:

@@ -35,6 +35,7 @@ import matplotlib.pyplot as plt  # noqa: E402
 from matplotlib.axes import Axes  # noqa: E402
 from matplotlib.quiver import Quiver  # noqa: E402
 
+from small_models import model_of  # noqa: E402
 from ssp_lp.plotting import (  # noqa: E402
     BoundsRecord,
     plot_bounds,
@@ -53,7 +54,7 @@ CELLS = row_major(2, 3)
 
 def field() -> SSP:
     """Cells 0 1 2 over 3 4 5: the goal is 5; south of 0 is safe, east is quick, 4 is a pit."""
-    return SSP.from_transitions(
+    return model_of(
         {
             0: {"east": [(0.9, 1, 1.0), (0.1, 4, 1.0)], "south": [(0.5, 3, 1.0), (0.5, 0, 1.0)]},
             1: {"east": [(1.0, 2, 1.0)]},
@@ -61,9 +62,8 @@ def field() -> SSP:
             3: {"east": [(1.0, 5, 7.0)]},
             4: {},
         },
-        goal={5},
-        state_labels={"pit": [4]},
-        treat_actionless_as_dead_ends=True,
+        5,
+        labels={"pit": [4]},
     )
 
 
@@ -239,19 +239,13 @@ def test_the_tangent_has_the_slope_of_the_optimum(criterion: type[MCMP] | type[S
 def steep() -> SSP:
     """One state whose actions lie on a convex curve, so that there are many turning points."""
     pairs = {k: (0.05 * k, 1.0 + 9.0 * (1.0 - 0.05 * k) ** 3) for k in range(12)}
-    return SSP.from_transitions(
-        {"s": {k: [(1.0 - f, "g", c), (f, "d", c)] for k, (f, c) in pairs.items()}, "d": {}},
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+    return model_of(
+        {"s": {k: [(1.0 - f, "g", c), (f, "d", c)] for k, (f, c) in pairs.items()}, "d": {}}
     )
 
 
 def test_bars_are_the_law() -> None:
-    model = SSP.from_transitions(
-        {"s": {"try": [(0.5, "g", 1.0), (0.4, "s", 1.0), (0.1, "d", 1.0)]}, "d": {}},
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
-    )
+    model = model_of({"s": {"try": [(0.5, "g", 1.0), (0.4, "s", 1.0), (0.1, "d", 1.0)]}, "d": {}})
     problem = S3P(model, "s", failure_budget=0.5)
     policy = DeterministicPolicy.from_actions(model, {"s": "try"})
     law = success_costs(policy, problem)

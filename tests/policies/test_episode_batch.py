@@ -6,28 +6,8 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
-from ssp_lp import GIVE_UP, SSP, ModelError, evaluate, solve
-
-TRIES = SSP.from_transitions(
-    {
-        "door": {
-            "try": [(0.5, "out", 1.0), (0.5, "door", 1.0)],
-            "wait": [(1.0, "door", 3.0)],
-        },
-    },
-    goal={"out"},
-)
-FIRST = SSP.from_transitions(
-    {
-        "depot": {
-            "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-        },
-        "wreck": {},
-    },
-    goal={"home"},
-    treat_actionless_as_dead_ends=True,
-)
+from small_models import FIRST, TRIES
+from ssp_lp import GIVE_UP, ModelError, evaluate, solve
 
 
 def test_each_remembers_its_own_costs_and_gives_up_by_itself() -> None:
@@ -93,5 +73,5 @@ def test_what_cannot_be_played_is_named() -> None:
     batch.actions(["depot", "home"])
     with pytest.raises(ModelError, match="1 costs given for 2 episodes"):
         batch.observe(["home", "home"], [1.0])
-    with pytest.raises(ModelError, match="episodes must be at least 1"):
+    with pytest.raises(ModelError, match="episodes must be a whole number >= 1"):
         lottery.start_many(0, 0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
+from small_models import TRIES
 from ssp_lp import (
     GIVE_UP,
-    SSP,
     CostAwarePolicy,
     DeterministicPolicy,
     MixedPolicy,
@@ -19,16 +19,6 @@ from ssp_lp import (
     evaluate,
     simulate,
     solve,
-)
-
-TRIES = SSP.from_transitions(
-    {
-        "door": {
-            "try": [(0.5, "out", 1.0), (0.5, "door", 1.0)],
-            "wait": [(1.0, "door", 3.0)],
-        },
-    },
-    goal={"out"},
 )
 
 
@@ -149,25 +139,12 @@ class KindDoor:
 
 def test_a_world_of_the_users_own() -> None:
     policy = DeterministicPolicy.from_actions(TRIES, {"door": "try"})
-    report = simulate(
-        policy,
-        MCMP(TRIES, start="door"),
-        episodes=10,
-        rng=np.random.default_rng(0),
-        simulator=KindDoor(),
-        record=3,
-    )
+    problem, asked = MCMP(TRIES, start="door"), {"episodes": 10, "simulator": KindDoor()}
+    report = simulate(policy, problem, rng=np.random.default_rng(0), record=3, **asked)
     assert report.ends["goal"] == 10
     assert report.conditional_cost.value == 2.0
     assert [len(path) for path in report.paths] == [3, 3, 3]
-    short = simulate(
-        policy,
-        MCMP(TRIES, start="door"),
-        episodes=10,
-        rng=np.random.default_rng(0),
-        simulator=KindDoor(),
-        max_steps=1,
-    )
+    short = simulate(policy, problem, rng=np.random.default_rng(0), max_steps=1, **asked)
     assert short.ends["unfinished"] == 10
 
 

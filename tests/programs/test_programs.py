@@ -28,7 +28,7 @@ from small_models import FREE_PAIR, model_of
 from ssp_lp import GIVE_UP, SSP, InfeasibleError, ModelError, evaluate, solve
 from ssp_lp.problem import Problem
 
-DEPOT = SSP.from_transitions(
+DEPOT = model_of(
     {
         "depot": {
             "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
@@ -36,8 +36,7 @@ DEPOT = SSP.from_transitions(
         },
         "wreck": {},
     },
-    goal={"home"},
-    treat_actionless_as_dead_ends=True,
+    "home",
 )
 
 
@@ -382,7 +381,7 @@ def test_a_file_is_solved_by_highs_alone(ending: str, tmp_path) -> None:
             solver.setOptionValue(name, value)
         assert solver.readModel(str(path)) == highspy.HighsStatus.kOk
         solver.run()
-        found = program.worth(solver.getInfo().objective_function_value)
+        found = program.sense.worth(solver.getInfo().objective_function_value)
         assert found == pytest.approx(known, rel=1e-7, abs=1e-7)
     with pytest.raises(ModelError, match="is written as"):
         program.write(tmp_path / "program.txt")

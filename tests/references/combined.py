@@ -108,10 +108,8 @@ def program(task: Task, horizon: float, *, anywhere: bool = False) -> Program:
     parts: dict[str, list[float]] = {name: [] for name in Program._fields[2:10]}
     arrivals: list[list[tuple[float, Number]]] = []
     for (state, paid), row in place.items():
-        moves = [(a, outs) for a, outs in task.choices[state].items()]
-        if anywhere or state in may_stop:
-            moves.append((STOP, []))
-        for action, outs in moves:
+        stops = [(STOP, [])] if anywhere or state in may_stop else []
+        for action, outs in [*task.choices[state].items(), *stops]:
             column = len(arrivals)
             rows.append(row), columns.append(column), entries.append(1.0)
             taken = dict.fromkeys(parts, 0.0)

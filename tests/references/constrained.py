@@ -13,7 +13,6 @@ from scipy.optimize import linprog
 
 from references import mcmp
 from references.chain import (
-    STOP,
     Action,
     PlainModel,
     State,
@@ -53,16 +52,8 @@ def measured(
     """
     models = [plain_model(choices, goals)]
     models += [plain_model(priced(choices, charge), goals) for charge in charges]
-    begin, first = start_distribution(start), models[0]
-
-    def allowed(state: State) -> list[Action]:
-        if state in first.dead_ends:
-            return []
-        stop = give_up == "anywhere" or (give_up == "attention" and state in first.attention)
-        return [*first.choices[state], STOP] if stop else list(first.choices[state])
-
-    found = []
-    for policy in policies(first, begin, allowed):
+    begin, found = start_distribution(start), []
+    for policy in policies(models[0], begin, mcmp.allowed(models[0], give_up)):
         points = [
             mcmp.evaluate(model, begin, policy, give_up, charge_failing_step, discount)
             for model in models
@@ -100,14 +91,20 @@ def best_lottery(
 ) -> float | None:
     """Least cost of a lottery within the budget (None: no budget) and the bounds; None: none."""
     cost = np.array([one.cost for one in every])
-    rows = [[one.secondary[k] for one in every] for k in range(len(bounds))]
-    right = list(bounds)
-    if budget is not None:
-        rows.append([one.failure for one in every])
-        right.append(budget)
+    rows, right = limits(every, budget, bounds)
     limited = {"A_ub": np.array(rows), "b_ub": np.array(right)} if rows else {}
     answer = linprog(cost, A_eq=np.ones((1, len(cost))), b_eq=[1.0], method="highs", **limited)
     return float(answer.fun) if answer.status == 0 else None
+
+
+def limits(
+    every: Sequence[Measured], budget: float | None, bounds: Sequence[float]
+) -> tuple[list[list[float]], list[float]]:
+    """The rows of both programs over lotteries, and their right-hand sides."""
+    rows = [[one.secondary[k] for one in every] for k in range(len(bounds))]
+    if budget is None:
+        return rows, list(bounds)
+    return [*rows, [one.failure for one in every]], [*bounds, budget]
 
 
 def least_total(every: Sequence[Measured], row: int) -> float:
@@ -117,11 +114,7 @@ def least_total(every: Sequence[Measured], row: int) -> float:
 
 def least_excess(every: Sequence[Measured], budget: float | None, bounds: Sequence[float]) -> float:
     """The least sum of violations of the rows by a lottery."""
-    rows = [[one.secondary[k] for one in every] for k in range(len(bounds))]
-    right = list(bounds)
-    if budget is not None:
-        rows.append([one.failure for one in every])
-        right.append(budget)
+    rows, right = limits(every, budget, bounds)
     n, count = len(every), len(right)
     answer = linprog(
         np.append(np.zeros(n), np.ones(count)),

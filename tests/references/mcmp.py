@@ -6,7 +6,7 @@ the goal is unreachable under the policy ("anywhere", "attention"), or at the fi
 entry, under the third it costs what it costs, nothing or infinity (finite when discounted).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from math import inf
 
 from references.chain import (
@@ -42,17 +42,22 @@ def points(
     With a discount both numbers are the discounted ones.
     """
     begin = start_distribution(start)
+    return [
+        evaluate(model, begin, policy, give_up, charge_failing_step, discount)
+        for policy in policies(model, begin, allowed(model, give_up))
+    ]
 
-    def allowed(state: State) -> list[Action]:
+
+def allowed(model: PlainModel, give_up: str) -> Callable[[State], list[Action]]:
+    """What may be done in a state, giving up included where it is allowed."""
+
+    def actions(state: State) -> list[Action]:
         if state in model.dead_ends:
             return []
         stop = give_up == "anywhere" or (give_up == "attention" and state in model.attention)
         return [*model.choices[state], STOP] if stop else list(model.choices[state])
 
-    return [
-        evaluate(model, begin, policy, give_up, charge_failing_step, discount)
-        for policy in policies(model, begin, allowed)
-    ]
+    return actions
 
 
 def evaluate(

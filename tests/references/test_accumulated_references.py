@@ -5,7 +5,7 @@ from math import exp
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 import cost_law_models as models
@@ -13,17 +13,12 @@ from checks import plain
 from references import accumulated, accumulated_policies, accumulated_program, s3p, s3p_program
 from references.chain import plain_model
 from references.iteration import kept_actions, success
-from strategies import Draw, acyclic_problems, problems
+from strategies import Draw, acyclic_problems, often, problems
 
 EXACT = {"rel": 1e-11, "abs": 1e-12}
 CLOSE = {"rel": 1e-7, "abs": 1e-8}
 shares = st.sampled_from([0.5, 0.1, 0.25, 0.75, 1.0])
 levels = st.sampled_from([0.5, 0.9, 0.3, 0.75])
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def with_a_way_out(drawn):

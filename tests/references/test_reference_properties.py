@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from references import mcmp, s3p, s3p_program
@@ -14,10 +14,9 @@ from references.frontier import (
     lower_hull,
     price_interval,
 )
-from strategies import acyclic_problems, discounts, problems
+from strategies import acyclic_problems, discounts, meanings, often, problems
 
-drawn_often = settings(max_examples=120, deadline=None, derandomize=True)
-meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
+drawn_often = often(120)
 shares = st.sampled_from([0.01, 0.1, 0.25, 0.5, 0.75, 0.95])
 
 

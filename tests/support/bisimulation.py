@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp import SSP
-from ssp_lp.model.graph.reachability import dead_ends, reachable_states
+from ssp_lp.model.graph.reachability import dead_ends
 
 DIGITS = 12
 """Probabilities and costs that agree to so many digits are the same."""
@@ -49,9 +49,14 @@ def _steps(model: SSP, start: int, offset: int) -> tuple[dict[int, int], dict[in
     """First colours (goal 1, dead-end 2, others 0) and actions of the reachable states."""
     dead = dead_ends(model)
     colour, steps = {}, {}
-    for state in np.flatnonzero(reachable_states(model, np.array([start]))).tolist():
+    found, seen = [start], {start}
+    for state in found:  # which grows
         colour[offset + state] = 1 if model.goal_mask[state] else 2 * int(dead[state])
         pairs = range(model.pair_offsets[state], model.pair_offsets[state + 1])
+        ahead = np.arange(*model.outcome_offsets[[pairs.start, pairs.stop]])
+        new = set(model.successors[ahead[model.probabilities[ahead] > 0.0]].tolist()) - seen
+        found += sorted(new)
+        seen |= new
         steps[offset + state] = [] if dead[state] else [_outcomes(model, k, offset) for k in pairs]
     return colour, steps
 

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from formulations import MCMP, S3P, MaxProb
 from references.chain import PlainModel, plain_model
 from references.frontier import Point, least_failure, lower_hull
 from ssp_lp import SSP, certify, evaluate, solve
@@ -83,6 +84,12 @@ def check_price(price: float, low: float, high: float) -> None:
     """The price is a subgradient; at a kink these form an interval."""
     room = 1e-6 * (1.0 + abs(price))
     assert low - room <= price <= high + room
+
+
+def optima(model: SSP, start: Any, budget: float) -> list[float]:
+    """The values of three criteria."""
+    within = (criterion(model, start, failure_budget=budget) for criterion in (MCMP, S3P))
+    return [solve(problem).objective for problem in (*within, MaxProb(model, start))]
 
 
 def optimum(problem: Any) -> float:

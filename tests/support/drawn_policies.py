@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from small_models import model_of
 from ssp_lp import SSP, CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 
@@ -28,9 +29,7 @@ def drawn_model(draw: Draw, costs: list[float]) -> SSP:
         for s in range(n)
     }
     labels = {"pit": ["d"]}
-    return SSP.from_transitions(
-        steps | {"d": {}}, {"g"}, state_labels=labels, treat_actionless_as_dead_ends=True
-    )
+    return model_of(steps | {"d": {}}, labels=labels)
 
 
 def drawn_decisions(draw: Draw, model: SSP, layers: int) -> Any:

@@ -5,17 +5,26 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import pytest
 import scipy.optimize
 from hypothesis import reject
+from hypothesis import strategies as st
 
 from checks import library_model
+from formulations import MCMP, S3P
 from references.frontier import Point
 from small_models import model_of
-from ssp_lp import InfeasibleError
+from ssp_lp import InfeasibleError, evaluate
 from ssp_lp.game import Equilibrium, Game, bayes_adaptive
 from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.stationary import stationary_player
 from strategies import Draw
+
+gammas = st.sampled_from([0.9, 0.5, 0.99])
+shares = st.sampled_from([0.25, 0.1, 0.5, 0.02, 0.8])
+"""Where the budget lies between the least discounted failure (0) and 1."""
+
+criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
 
 RETRY = {
     "x": {
@@ -76,6 +85,14 @@ def stake(problem: Any, c: float) -> float:
 def game_at(problem: Any, c: float) -> Game:
     """The game of section 3.2 at c."""
     return Game(stake(problem, c), problem.failure_budget)
+
+
+def real_cost(problem: Any, policy: Any) -> float:
+    """J_MCMP, or J^gamma_S3P: J_obj undiscounted and L_d discounted."""
+    found = evaluate(policy, problem)
+    if problem.ratio:
+        return found.success_cost / (1.0 - found.discounted_failure)
+    return found.expected_cost
 
 
 def mixture(found: Equilibrium) -> tuple[float, float]:

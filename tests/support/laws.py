@@ -1,14 +1,13 @@
 """The law of success costs of one stationary policy, or of a model's only one; the goal is "G"."""
 
 from formulations import S3P
-from ssp_lp import SSP, DeterministicPolicy, success_costs
+from small_models import model_of
+from ssp_lp import DeterministicPolicy, success_costs
 
 
 def one_way(outcomes, **more):
     """The law of the only policy of a model in which each state has one action, "go"."""
-    model = SSP.from_transitions(
-        {"a": {"go": outcomes}, **more}, goal={"G"}, treat_actionless_as_dead_ends=True
-    )
+    model = model_of({"a": {"go": outcomes}, **more}, "G")
     return law_of(model, {s: "go" for s in ["a", *more] if s != "pit"})
 
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from formulations import MCMP, S3P
+from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -38,26 +39,20 @@ def hall(cost: float = 3.0) -> SSP:
         }
         for k in range(3)
     }
-    return SSP.from_transitions(
-        {**choices, "pit": {}, ("hall", 3): {}},
-        goal={("hall", 3)},
-        state_labels={"fall": ["pit"]},
-        treat_actionless_as_dead_ends=True,
-    )
+    return model_of({**choices, "pit": {}, ("hall", 3): {}}, ("hall", 3), labels={"fall": ["pit"]})
 
 
 def ferry() -> SSP:
     """Two hops, straight or diagonal at cost 1.4142...; the diagonal one sinks with 0.2."""
     across = [(0.8, "mid", ROOT), (0.2, "sea", 1.0)]
-    return SSP.from_transitions(
+    return model_of(
         {
             "quay": {"straight": [(1.0, "mid", 2.0)], "across": across},
             "mid": {"straight": [(1.0, "home", 2.0)], "across": [(0.8, "home", ROOT), *across[1:]]},
             "sea": {},
             "home": {},
         },
-        goal={"home"},
-        treat_actionless_as_dead_ends=True,
+        "home",
     )
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import library_model, plain
@@ -15,9 +15,9 @@ from ssp_lp import evaluate
 from ssp_lp.game import bayes_adaptive, stationary_game
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.timed import TimedPolicy
-from strategies import problems
+from strategies import often, problems
 
-few = settings(max_examples=30, deadline=None, derandomize=True)
+few = often(30)
 
 
 def _check(drawn, model, policy):

@@ -4,11 +4,21 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from formulations import MCMP, S3P
-from games import FORK, RETRY, Capped, drawn_problem, game_at, hand_problem, mixture
+from games import (
+    FORK,
+    RETRY,
+    Capped,
+    criteria,
+    drawn_problem,
+    game_at,
+    gammas,
+    hand_problem,
+    mixture,
+)
 from operators import cost_game, cost_tail
 from references import s3p
 from references.chain import plain_model
@@ -16,12 +26,10 @@ from ssp_lp.game import bayes_adaptive, play, stationary_game
 from ssp_lp.game.bayes_adaptive import bayes_player
 from ssp_lp.game.stationary import stationary_player
 from ssp_lp.game.threshold import extremes, find_threshold
-from strategies import problems
+from strategies import often, problems
 
-few = settings(max_examples=30, deadline=None, derandomize=True)
-gammas = st.sampled_from([0.9, 0.5, 0.99])
+few = often(30)
 shares = st.sampled_from([0.25, 0.1, 0.5, 0.02])
-criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
 ALPHAS = np.linspace(0.0, 1.0, 21)
 
 

@@ -4,19 +4,23 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import library_model, plain
 from formulations import MCMP, S3P
 from games import (
     RETRY,
+    criteria,
     drawn_problem,
     game_at,
+    gammas,
     hand_problem,
     least_payoff,
     matrix_game_value,
     max_min,
+    real_cost,
+    shares,
     stake,
     without_dead_choices,
 )
@@ -30,13 +34,10 @@ from ssp_lp.game import Game, play, stationary_game, thresholds
 from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.equilibrium import crossing
 from ssp_lp.game.stationary import stationary_player
-from strategies import Draw, acyclic_problems, problems
+from strategies import Draw, acyclic_problems, often, problems
 
-few = settings(max_examples=30, deadline=None, derandomize=True)
-some = settings(max_examples=50, deadline=None, derandomize=True)
-gammas = st.sampled_from([0.9, 0.5, 0.99])
-shares = st.sampled_from([0.25, 0.1, 0.5, 0.02, 0.8])
-criteria = pytest.mark.parametrize("criterion", [MCMP, S3P])
+few = often(30)
+some = often(50)
 NEAR_ONE = [0.9, 0.99, 0.999, 1 - 1e-4, 1 - 1e-5, 1 - 1e-6]
 
 
@@ -261,24 +262,13 @@ def test_t3_5_and_t3_11_on_a_closed_form(criterion, theorem):
         problem = hand_problem(criterion, RETRY, 0.12, gamma)
         found = stationary_game(problem)
         lottery = evaluate(found.policy, problem)
-        real = _real_cost(problem, lottery)
+        real = real_cost(problem, found.policy)
         errors.append((abs(found.objective - exact), abs(real - exact)))
         assert found.objective <= real * (1 + 1e-9), theorem
         assert lottery.failure_probability <= lottery.discounted_failure <= 0.12 + 1e-10
-    assert all(later <= 0.2 * earlier for earlier, later in _steps([e[0] for e in errors]))
-    assert all(later <= 0.2 * earlier for earlier, later in _steps([e[1] for e in errors]))
+    assert all(later <= 0.2 * earlier for earlier, later in pairwise([e[0] for e in errors]))
+    assert all(later <= 0.2 * earlier for earlier, later in pairwise([e[1] for e in errors]))
     assert max(errors[-1]) <= 1e-4
-
-
-def _real_cost(problem, lottery):
-    """J_MCMP, or J^gamma_S3P: J_obj undiscounted and L_d discounted."""
-    if problem.ratio:
-        return lottery.success_cost / (1.0 - lottery.discounted_failure)
-    return lottery.expected_cost
-
-
-def _steps(values):
-    return list(pairwise(values))
 
 
 @criteria
@@ -297,7 +287,7 @@ def test_t3_5_and_t3_11_on_paying_models(criterion, drawn, share):
     ).objective
     found = stationary_game(problem)
     assert found.objective == pytest.approx(exact, rel=1e-3, abs=1e-6)
-    real = _real_cost(problem, evaluate(found.policy, problem))
+    real = real_cost(problem, found.policy)
     assert real == pytest.approx(exact, rel=1e-3, abs=1e-6)
 
 

@@ -1,7 +1,7 @@
 """A user's own stationary policies: exact evaluation, and the paper's theorems of section 2.5."""
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import CLOSE, library_model, plain
@@ -10,10 +10,9 @@ from plain_policies import library_policy, stationary_policies
 from references import mcmp, s3p
 from references.chain import long_run_average, mean, start_distribution
 from ssp_lp import evaluate
-from strategies import discounts, problems
+from strategies import discounts, meanings, often, problems
 
-meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-drawn_settings = settings(max_examples=100, deadline=None, derandomize=True)
+drawn_settings = often(100)
 
 
 @drawn_settings

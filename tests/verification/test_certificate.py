@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
-from ssp_lp import SSP, DeterministicPolicy, MixedPolicy, ModelError, Solution, certify, solve
+from small_models import model_of
+from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, Solution, certify, solve
 from ssp_lp.problem import Problem
 
-MAZE = SSP.from_transitions(
+MAZE = model_of(
     {
         "start": {
             "cliff": [(0.8, "goal", 2.0), (0.2, "pit", 1.0)],
@@ -26,7 +27,7 @@ MAZE = SSP.from_transitions(
         },
         "pit": {"stay": [(1.0, "pit", 1.0)]},
     },
-    goal={"goal"},
+    "goal",
 )
 
 PROBLEMS: list[Problem] = [

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
+from small_models import FIRST
 from ssp_lp import (
     SSP,
     CrossCheck,
@@ -22,18 +23,7 @@ from ssp_lp.verification import method_result
 from ssp_lp.verification.cross_check import compare_methods
 from ssp_lp.verification.method_result import METHODS, result_of
 
-MODEL = SSP.from_transitions(
-    {
-        "depot": {
-            "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-        },
-        "wreck": {},
-    },
-    goal={"home"},
-    treat_actionless_as_dead_ends=True,
-)
-PROBLEM = MCMP(MODEL, start="depot", failure_budget=0.05, discount=0.999)
+PROBLEM = MCMP(FIRST, start="depot", failure_budget=0.05, discount=0.999)
 
 
 def results():
@@ -50,7 +40,7 @@ def judged(**changed):
 
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_three_roads_agree(criterion):
-    problem = criterion(MODEL, start="depot", failure_budget=0.05, discount=0.999)
+    problem = criterion(FIRST, start="depot", failure_budget=0.05, discount=0.999)
     found = cross_check(problem)
     assert isinstance(found, CrossCheck)
     assert found.agrees
@@ -77,7 +67,7 @@ def test_the_summary_is_an_aligned_table_with_a_verdict():
 
 
 def test_an_exact_problem_has_two_results():
-    found = cross_check(MCMP(MODEL, start="depot", failure_budget=0.05))
+    found = cross_check(MCMP(FIRST, start="depot", failure_budget=0.05))
     assert found.agrees
     game = found.methods[2]
     assert not game.answered
@@ -94,7 +84,7 @@ def test_a_budget_of_zero_has_two_results():
 
 
 def test_at_least_failure_there_is_one_road():
-    found = cross_check(MCMP(MODEL, start="depot", failure_budget=None))
+    found = cross_check(MCMP(FIRST, start="depot", failure_budget=None))
     assert [method.answered for method in found.methods] == [False, True, False]
     assert found.agrees
     assert found.summary().endswith("nothing to compare: one method answered")
@@ -125,7 +115,7 @@ def test_a_large_program_starts_at_the_policies_where_that_is_known(monkeypatch)
 
 
 def test_a_cap_of_the_users_leaves_the_game_out():
-    problem = S3P(MODEL, start="depot", failure_budget=0.05, discount=0.999, cost_cap=50.0)
+    problem = S3P(FIRST, start="depot", failure_budget=0.05, discount=0.999, cost_cap=50.0)
     found = cross_check(problem)
     assert found.agrees
     assert found.methods[2].note == "not asked: the game chooses its own cap M: leave cost_cap out"
@@ -146,7 +136,7 @@ def test_a_road_that_fails_is_listed(monkeypatch):
 
 def test_infeasible_for_all_is_raised():
     with pytest.raises(InfeasibleError) as caught:
-        cross_check(MCMP(MODEL, start="depot", failure_budget=0.005, discount=0.999))
+        cross_check(MCMP(FIRST, start="depot", failure_budget=0.005, discount=0.999))
     assert caught.value.least_discounted_failure == pytest.approx(0.01099)
 
 
@@ -202,7 +192,7 @@ def test_a_policy_that_does_not_attain_what_is_stated_is_named():
 
 
 def test_two_roads_that_differ_are_both_named():
-    problem = MCMP(MODEL, start="depot", failure_budget=0.05)
+    problem = MCMP(FIRST, start="depot", failure_budget=0.05)
     rows = [result_of(name, solve(problem, name)) for name in ("lp", "columns")]
     dearer = result_of("columns", solve(replace(problem, failure_budget=0.04)))
     found = compare_methods([rows[0], dearer], problem)

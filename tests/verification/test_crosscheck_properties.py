@@ -4,29 +4,20 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from checks import library_model
 from formulations import MCMP, S3P
-from ssp_lp import SSP, InfeasibleError, certify, evaluate, solve
+from small_models import model_of
+from ssp_lp import InfeasibleError, certify, evaluate, solve
 from ssp_lp.verification.cross_check import compare_methods
 from ssp_lp.verification.method_result import METHODS, result_of
-from strategies import acyclic_problems, problems
+from strategies import acyclic_problems, often, problems, semantics
 
 discounts = st.sampled_from([0.9, 0.99, 0.5, 0.999])
 shares = st.sampled_from([0.25, 0.02, 0.1, 0.5, 0.75, 0.95, 1.0])
 """Where the budget lies between the least discounted failure (0) and 1."""
-
-semantics = st.fixed_dictionaries({
-    "give_up": st.sampled_from(["attention", "anywhere", "dead_ends"]),
-    "charge_failing_step": st.booleans(),
-})  # fmt: skip
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def least_failure(problem):
@@ -149,7 +140,7 @@ def walk(cost=1.0, wait=None, slip=0.1):
         if wait is not None:
             choices[state]["wait"] = [(1.0, state, wait)]
     choices["wreck"] = {}
-    return SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+    return model_of(choices, "home")
 
 
 def test_a_slow_loop_takes_few_sweeps():
@@ -161,7 +152,7 @@ def test_a_slow_loop_takes_few_sweeps():
         },
         "wreck": {},
     }
-    model = SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices, "home")
     for give_up in ("anywhere", "dead_ends"):
         problem = MCMP(model, start="a", failure_budget=0.3, discount=0.999999, give_up=give_up)
         game = solve(problem, "game")
@@ -181,7 +172,7 @@ def test_free_steps_within_a_layer_take_no_time():
             "paid": [(0.5, moves[2], 1.0), (0.5, moves[3], 0.0)],
             "end": [(0.4, "home", 3.0), (0.6, "wreck" if i % 3 else moves[0], 1.0)],
         }
-    model = SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices, "home")
     problem = S3P(model, start="s0", failure_budget=0.4, discount=0.999)
     began = time.perf_counter()
     check_roads(problem)
@@ -217,7 +208,7 @@ def test_a_bracket_that_rounding_holds_open_is_left():
         },
         "wreck": {},
     }
-    model = SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices, "home")
     loose = MCMP(model, start="a", failure_budget=1.0, discount=0.9)
     budget = least_failure(loose) + 4e-10
     problem = MCMP(model, start="a", failure_budget=budget, discount=0.9)

@@ -11,6 +11,8 @@ from examples.checks.rational.question import NEAR, ROOM, ROUNDING, Question, to
 from formulations import ConstrainedCost, CostLimit
 from ssp_lp import SSP
 
+_NEARLY = Fraction(1, 10**8)  # relative; such a limit is an equation, which rounding decides
+
 
 def limited(exact: Exact, give_up: str, charged: bool) -> Iterator[Question]:
     """A limit on the second cost: at least failure, or within a budget."""
@@ -54,9 +56,7 @@ def _limit(
     share = Fraction(1, 2) if exact.model.index % 9 else Fraction(-3, 5)
     spent = min(inside, key=lambda p: (p.cost, p.second)).second
     bound = float(needed + share * (spent - needed if share > 0 else needed))
-    if share > 0 and spent - needed <= needed * Fraction(
-        1, 10**8
-    ):  # not an equation, which rounding would decide
+    if share > 0 and spent - needed <= needed * _NEARLY:
         bound *= 1.0 + 1e-6
     costs = {s: {a: float(c) for a, c in row.items()} for s, row in exact.model.second.items()}
 

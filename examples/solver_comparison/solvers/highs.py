@@ -15,13 +15,14 @@ from examples.solver_comparison.solvers.catalogue import Order
 from examples.solver_comparison.solvers.explicit import describe, size_of, written_out
 from ssp_lp.linear_programming.highs import highs_lp
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, program_residuals
-from ssp_lp.programs.program_rows import occupation_program
+from ssp_lp.programs.program_rows import rows_program
 
 
 def prepare(ready: ReadyInstance, order: Order, *, method: str) -> Prepared:
     """Assemble an instance's program; `method` is the value of HiGHS' option "solver"."""
     process, asked = written_out(ready), ready.instance
-    program = occupation_program(process, asked.failure_budget, asked.case == "S")
+    limits = {"failure": (process.failure, asked.failure_budget)}
+    program = rows_program(process, limits, asked.case == "S")
     options = {
         "output_flag": False,
         "solver": method,
@@ -52,11 +53,11 @@ def _answer(solver: highspy.Highs, program: LinearProgram) -> Answer:
     if status != highspy.HighsModelStatus.kOptimal:
         in_time = status != highspy.HighsModelStatus.kTimeLimit
         return Answer(math.nan, unsolved=f"HiGHS: {words}" if in_time else "", in_time=in_time)
-    check = program_residuals(program, LPAnswer("", x, dual, words, 0.0))
+    primal, dual, gap = program_residuals(program, LPAnswer("", x, dual, words, 0.0))
     return Answer(
         objective=float(program.cost @ x),
-        gap=check.gap,
-        note=f"residuals: primal {check.primal:.0e}, dual {check.dual:.0e}",
+        gap=gap,
+        note=f"residuals: primal {primal:.0e}, dual {dual:.0e}",
         excess=lambda: excess_failure(program, x),
     )
 

@@ -238,7 +238,9 @@ class Arrivals:
             active = np.arange(visits.size)
         first = moves.indptr[active].astype(np.int64)
         counts = moves.indptr[active + 1] - first
-        self._count(int(counts.sum()))
+        self._work += int(counts.sum()) + _WORK_OF_A_LAYER
+        if self._work > _MOST_WORK:
+            raise ModelError(self._too_large("the answer lies too far out"))
         if counts.sum() < waiting.size:
             taken = concatenated_ranges(first, counts)
             share = moves.data[taken] * np.repeat(visits[active], counts)
@@ -248,12 +250,6 @@ class Arrivals:
         sent, turn = moves[active].T @ visits[active], waiting.size - begin
         waiting[begin:] += sent[:turn]
         waiting[:begin] += sent[turn:]
-
-    def _count(self, moves: int) -> None:
-        """Count the work of following arrivals, and end it where it is too much."""
-        self._work += moves + _WORK_OF_A_LAYER
-        if self._work > _MOST_WORK:
-            raise ModelError(self._too_large("the answer lies too far out"))
 
     def _too_large(self, reason: str) -> str:
         """Why the table of arrivals is too large, as an error says it."""

@@ -215,9 +215,13 @@ class CostLaw:
             ModelError: a utility that is not a finite number for each cost, or one that falls so
                 slowly, of a policy that takes so long, that the table becomes too large.
         """
-        gain = _gain_by_cost_law(utility, at_infinity)
+        if not isfinite(at_infinity):
+            raise ModelError(f"at_infinity must be a finite number, not {at_infinity!r}")
         if self.goal == 0.0:
             return 0.0
+
+        def gain(costs: FloatArray) -> FloatArray:
+            return utilities(utility, costs) - at_infinity
 
         def gained(arrivals: Sweep) -> float:
             for _ in arrivals.followed():
@@ -281,13 +285,6 @@ class CostLaw:
     def __repr__(self) -> str:
         """One line: the goal probability and the mean."""
         return f"CostLaw(goal {self.goal:.6g}, mean cost given success {self.conditional_mean:.6g})"
-
-
-def _gain_by_cost_law(utility: Utility, at_infinity: float) -> Utility:
-    """What a total cost is worth beyond an infinite one, checked."""
-    if not isfinite(at_infinity):
-        raise ModelError(f"at_infinity must be a finite number, not {at_infinity!r}")
-    return lambda costs: utilities(utility, costs) - at_infinity
 
 
 def _check_cost_number(value: float | Fraction, name: str) -> None:

@@ -33,7 +33,7 @@ _EARLY = 2_000  # sums after which some of the runs must have arrived
 _SOME = 0.05  # share of those that succeed
 
 
-class TooManySumsError(ModelError):
+class _TooManySumsError(ModelError):
     """A question needs more sums than are followed one by one."""
 
 
@@ -92,7 +92,7 @@ class FollowedSums:
             How many layers are settled; at least once.
 
         Raises:
-            TooManySumsError: there are too many sums before it.
+            _TooManySumsError: there are too many sums before it.
         """
         yield self.settled
         while not self.exhausted:
@@ -104,12 +104,12 @@ class FollowedSums:
         """Settle all sums below the given layer.
 
         Raises:
-            TooManySumsError: there are too many sums below it.
+            _TooManySumsError: there are too many sums below it.
         """
         while self._next and self._next[0] < layers:
             self._followed += 1
             if not self._are_few:
-                raise TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
+                raise _TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
             self._settle_one(heappop(self._next))
         self.settled = max(self.settled, layers)
 
@@ -194,7 +194,7 @@ class Followed:
         """The answer to a question: exact, or of rounded costs where it needs too many sums."""
         try:
             return question(self._exact)
-        except TooManySumsError:
+        except _TooManySumsError:
             return question(self._rounded)
 
     @cached_property

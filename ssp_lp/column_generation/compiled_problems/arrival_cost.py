@@ -152,7 +152,7 @@ class CompiledArrivalCost(CompiledLayered):
 
     @cached_property
     def _tails(self) -> LayeredTails:
-        """The tails beyond the cap that arriving there is charged by."""
+        """The tail policies that are followed, and charged, beyond the cap."""
         at, moments = self.base.quotient.least_over_members, self._moments
         first: ReachPolicy | MomentReach = self.safest_policy if moments is None else moments
         last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None
@@ -238,7 +238,7 @@ class CompiledArrivalCost(CompiledLayered):
         return self._handing_on(replace(self, safest_only=True, cap=None))
 
     def for_program(self) -> CompiledArrivalCost:
-        """The compiled itself: its tails are optimal beyond it."""
+        """Itself: its tails are optimal beyond the cap."""
         return self
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:

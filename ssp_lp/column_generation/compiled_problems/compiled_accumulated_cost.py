@@ -139,7 +139,7 @@ class CompiledAccumulatedCost(CompiledLayered):
         return self._carry(replace(self, cap=values.shape[0]))
 
     def for_program(self) -> CompiledAccumulatedCost:
-        """The same problem with the exact tails: a program can do no better than they beyond it."""
+        """The same problem with exact tails: beyond the cap no program does better than they do."""
         if self._has_exact_tails:
             return self
         exact = self._carry(replace(self, exact_tails=True))

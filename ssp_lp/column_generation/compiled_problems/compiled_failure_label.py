@@ -119,11 +119,11 @@ class CompiledFailureLabel:
     def matching(
         self, values: FloatArray, levels: FloatArray | None = None
     ) -> CompiledFailureLabel:
-        """Itself."""
+        """Itself: all its value functions have one shape."""
         return self
 
     def for_program(self) -> CompiledFailureLabel:
-        """Itself."""
+        """Itself: nothing in it is truncated."""
         return self
 
     def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:

@@ -12,7 +12,7 @@ import numpy as np
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, required
-from ssp_lp.errors import InfeasibleError, ModelError
+from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -149,43 +149,26 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
     if not discounted:
         raise InfeasibleError(
             f"every policy fails with probability at least {failure:.12g}, above the budget "
-            f"{budget:g}; failure_budget=None asks for the least",
+            f"{budget:g}",
+            "; ",
+            Argument("failure_budget", None),
+            " asks for the least",
             failure_budget=budget,
             least_failure=failure,
             conflicting_rows=("failure",),
         )
     greatest = float(compiled.start @ greatest_goal_reach(compiled.model).goal)
     real = max(1.0 - greatest, 0.0)
+    nearer = ("; ", Argument("discount", None), " or a discount nearer to 1 is feasible")
     raise InfeasibleError(
         f"the discounted failure of every policy is at least {failure:.12g}, above the budget "
-        f"{budget:g}; the least real failure probability is {real:.12g}"
-        + ("; discount=None or a discount nearer to 1 is feasible" if real <= budget else ""),
+        f"{budget:g}; the least real failure probability is {real:.12g}",
+        *(nearer if real <= budget else ()),
         failure_budget=budget,
         least_failure=real,
         least_discounted_failure=failure,
         conflicting_rows=("failure",),
     )
-
-
-_ROUNDED = 4e-15  # of what a complement is taken from
-
-
-@dataclass(frozen=True)
-class ObjectiveSense:
-    """A minimum in place of a maximum, or of a quantity with negative weights on ends."""
-
-    constant: float | None = None  # what is maximised is this, less what is minimised
-    shift: float = 0.0  # what every episode is charged on top, so that no charge is negative
-    offset: float = 0.0  # what is minimised is so much more than what is asked
-
-    def worth(self, value: float) -> float:
-        """The compiled problem's objective where what is minimised has a value."""
-        return value - self.offset if self.constant is None else self.constant - value
-
-    def settled_bound(self, value: float, bound: float) -> float:
-        """The bound, or the value where only the rounding of a complement parts them."""
-        taken = self.offset if self.constant is None else self.constant
-        return value if abs(value - bound) <= _ROUNDED * abs(taken) else bound
 
 
 MOST_ENTRIES = 800_000_000

@@ -12,14 +12,18 @@ from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     LeastFailure,
-    ObjectiveSense,
     checked_least_failure,
 )
 from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
 from ssp_lp.errors import InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    ObjectiveSense,
+    survival_of,
+)
 from ssp_lp.processes.goal_reach import cheapest_reach, greatest_goal_reach, least_goal_reach
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import Charge
@@ -260,10 +264,8 @@ class CompiledConstrained:
             enough = self.charge.lossless(price) if cut else None
             finer = self.rungs.finer(self.ladder, enough, self._room)
             return None if finer is None else self._handing_on(replace(self, rungs=finer))
-        if not cut:
-            return None
         wanted = 2 * self.layers
-        if (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
+        if not cut or (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
             return None
         return self.with_layers(wanted)
 

@@ -116,7 +116,10 @@ class ExplicitPricing:
         try:
             settled = run(smaller.dynamics, priced, _UNIT, choice, about)
         except Stop as stop:
-            raise Stop(_expanded_pricing(smaller, self.process, stop.choice)) from stop
+            come_to = stop.choice
+            if come_to is not None:
+                come_to = smaller.expanded(self.process, come_to)
+            raise Stop(come_to) from stop
         return self.measure(smaller.expanded(self.process, settled.choice), settled.work, at)
 
     def _begun(
@@ -234,13 +237,6 @@ class ExplicitPricing:
         if column.policy is not None:
             return column.policy
         return self.augmented.policy(required(column.choice))
-
-
-def _expanded_pricing(
-    smaller: Contraction, process: ExplicitProcess, choice: IntArray | None
-) -> IntArray | None:
-    """The policy that a stopped improvement had come to, on the whole process, [states]."""
-    return None if choice is None else smaller.expanded(process, choice)
 
 
 def _pricing_weights(price: float | FloatArray) -> FloatArray:

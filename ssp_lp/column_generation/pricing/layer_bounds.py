@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.bellman import PairCost, backup_rounding, safe_minima
+from ssp_lp.dynamic_programming.bellman import PairCost, backup_rounding
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 
+Summands = tuple[PairCost, FloatArray, FloatArray]
+"""The parts of each pair's backup, for counting rounding: cost, magnitude and what is counted once
+(see ``safe_minima``), [pairs] each."""
+
 _ONE = np.ones(1)
-
-
-def bound_layer(base: AccumulatedCost, sums: Summands, ahead: FloatArray) -> FloatArray:
-    """Lower bounds of a layer whose steps all lead on to later ones, [nodes].
-
-    Args:
-        base: one layer of the process.
-        sums: what its pairs cost.
-        ahead: bounds of what they lead to, as the columns of steps are, [layers * nodes].
-    """
-    return safe_minima(base.pair_offsets, base.later, sums.cost, sums.magnitude, sums.alone, ahead)
 
 
 def bound_free_steps(
@@ -46,22 +39,14 @@ def bound_free_steps(
         inner: a choice to begin with, [nodes].
         floor: no value is less.
     """
-    growth = 0.0 if sums.cost.slope is None else sums.cost.factor * sums.cost.slope
-    size = (sums.magnitude + growth) + base.later @ np.abs(ahead)
-    onward = (sums.cost.fixed + growth) + base.later @ ahead
-    onward = np.where(size == sums.alone, onward, onward - backup_rounding(base.later) * size)
+    cost, magnitude, alone = sums
+    growth = 0.0 if cost.slope is None else cost.factor * cost.slope
+    size = (magnitude + growth) + base.later @ np.abs(ahead)
+    onward = (cost.fixed + growth) + base.later @ ahead
+    onward = np.where(size == alone, onward, onward - backup_rounding(base.later) * size)
     settled = iterate_policy(base.instant_dynamics, onward[:, None], _ONE, inner)
     given = np.minimum(settled.values, given)
     return sub_solution(base.instant_dynamics, onward, given, floor), settled.choice
-
-
-@dataclass(frozen=True, eq=False)
-class Summands:
-    """The parts of each pair's backup, for counting rounding (see ``safe_minima``)."""
-
-    cost: PairCost
-    magnitude: FloatArray  # [pairs]
-    alone: FloatArray  # [pairs]
 
 
 def priced_layers(process: LayeredProcess, owed: FloatArray) -> Callable[[int], PairCost]:
@@ -91,11 +76,11 @@ def summed_layers(
     if process.grows_evenly:
         even, totals = process.charged(0), process.levels.totals
         paid = even.fixed + owed
-        sums = Summands(PairCost(paid - saved, even.slope), paid + saved, owed)
-        return lambda layer: replace(sums, cost=replace(sums.cost, factor=float(totals[layer])))
+        cost, whole = PairCost(paid - saved, even.slope), paid + saved
+        return lambda layer: (replace(cost, factor=float(totals[layer])), whole, owed)
 
     def summed(layer: int) -> Summands:
         fixed = process.charged(layer).fixed
-        return Summands(PairCost(fixed + owed - saved), np.abs(fixed) + owed + saved, owed)
+        return PairCost(fixed + owed - saved), np.abs(fixed) + owed + saved, owed
 
     return summed

@@ -11,7 +11,6 @@ import numpy as np
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.column_generation.pricing.layer_bounds import (
     bound_free_steps,
-    bound_layer,
     priced_layers,
     summed_layers,
 )
@@ -25,7 +24,7 @@ from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed
-from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.dynamic_programming.bellman import Work, safe_minima
 from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
@@ -72,7 +71,9 @@ class LayeredPricing:
 
     def minimise(self, failure_price: float, *warm: Column | None) -> Column:
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
-        base, choice = self.process.base, self._blank_choice()
+        base = self.process.base
+        most = int(np.diff(base.pair_offsets).max(initial=1))
+        choice = np.empty(self.value_shape, dtype=least_integer_type(most))
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
         if self._one_pass is not None:
@@ -173,11 +174,6 @@ class LayeredPricing:
         cost += self.process.start_charge
         return Column(cost, failure, goal, choice, tail_price, work=work)
 
-    def _blank_choice(self) -> IntArray:
-        """A choice in all layers, still to be filled."""
-        most = int(np.diff(self.process.base.pair_offsets).max(initial=1))
-        return np.empty(self.value_shape, dtype=least_integer_type(most))
-
     def aligned(self, column: Column, price: float) -> Column:
         """The column with its tails chosen by this price, measured again."""
         if column.choice is None:
@@ -239,7 +235,8 @@ class LayeredPricing:
             check_time()
             given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
             if self._acyclic:
-                lowest = np.minimum(bound_layer(base, summed(layer), window.flat), given)
+                sums = base.pair_offsets, base.later, *summed(layer)
+                lowest = np.minimum(safe_minima(*sums, window.flat), given)
             else:
                 lowest, inner = bound_free_steps(
                     base, summed(layer), window.flat, given, inner, floor

@@ -56,26 +56,14 @@ def precise_advantages(
     Returns:
         Advantages and bounds of what each may be wrong by, [pairs] each.
     """
-    if not accelerated(transitions.nnz):
-        return _advantages(home, transitions, exits, cost, high, low)
-    from ssp_lp.compiled.precision import advantages_precisely
+    if accelerated(transitions.nnz):
+        from ssp_lp.compiled.precision import advantages_precisely
 
-    result, rounding = np.empty(len(cost)), np.empty(len(cost))
-    parts = unsigned_parts(home, transitions)
-    run = advantages_precisely(transitions.nnz)
-    run(*parts, exits, cost, high, low, MACHINE_EPSILON, result, rounding)
-    return result, rounding
-
-
-def _advantages(
-    home: IntArray,
-    transitions: sp.csr_array,
-    exits: FloatArray,
-    cost: FloatArray,
-    high: FloatArray,
-    low: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Advantages of some pairs, and bounds of their rounding."""
+        result, rounding = np.empty(len(cost)), np.empty(len(cost))
+        parts = unsigned_parts(home, transitions)
+        run = advantages_precisely(transitions.nnz)
+        run(*parts, exits, cost, high, low, MACHINE_EPSILON, result, rounding)
+        return result, rounding
     here, here_low = high[home], low[home]
     term, lost = exact_product(-exits, here)
     total, slip = exact_sum(cost, term)

@@ -124,6 +124,7 @@ def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | Non
     factors = factorised(system, in_order=order is not None)
 
     def solve(right: FloatArray) -> FloatArray:
+        """The totals of a right side, refined once, like ``right``."""
         ordered = right if order is None else right[order]
         found = factors.solve(ordered)
         found = found + factors.solve(ordered - system @ found)
@@ -158,6 +159,7 @@ def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width:
         raise SolverError(HOLDS_MASS)
 
     def solve(right: FloatArray) -> FloatArray:
+        """The totals of a right side, like ``right``."""
         ordered = right[order]
         solve_band(band, departs, ordered)
         return _solved_in_place(ordered, order)

@@ -232,6 +232,7 @@ class LargeComponent:
             return step
 
         def missed(y: FloatArray) -> FloatArray:
+            """By how much y exceeds what the component's own steps make of it."""
             self._products += 1
             return np.asarray(y - self.own @ y)
 

@@ -126,7 +126,8 @@ class System:
             SolverError: the chain holds mass for ever, or no method gets anywhere.
         """
         if self.size == 0 or self.matrix.nnz == 0:
-            self._check_exits()
+            if (self.exits <= 0.0).any():
+                raise SolverError(HOLDS_MASS)
             return rewards / (self.exits if rewards.ndim == 1 else self.exits[:, None])
         columns = rewards.reshape(self.size, -1)
         self.products += 1
@@ -220,11 +221,6 @@ class System:
         if begin < len(sizes):
             runs.append((begin, len(sizes)))
         return runs
-
-    def _check_exits(self) -> None:
-        """Raise :class:`SolverError` for a linear system of a chain that is never left."""
-        if (self.exits <= 0.0).any():
-            raise SolverError(HOLDS_MASS)
 
     @cached_property
     def _factors(self) -> Solver:

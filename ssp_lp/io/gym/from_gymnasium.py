@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ssp_lp.arrays import SINGLE_PRECISION_SUM
-from ssp_lp.errors import ModelError, in_short, optional_module
+from ssp_lp.errors import Argument, ModelError, wrong_argument
+from ssp_lp.io.gym.environment import name_of_environment, step_limit_of
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.ssp import SSP
 from ssp_lp.model.within_steps import HorizonSSP, within_steps
@@ -28,6 +29,8 @@ CostFunction = Callable[[Any, Any, Any, float], float]
 
 Outcome = tuple[float, Hashable, float, bool]
 """Probability, next state, reward, terminated."""
+
+_SAY_GOALS = "say which states are goals: ", Argument("goal")
 
 Table = dict[Hashable, dict[Hashable, list[Outcome]]]
 
@@ -107,7 +110,7 @@ def from_gymnasium(
     model = _model_of_environment(_GymListing(table, begin, goal), _cost_function(cost))
     logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
-        raise ModelError(f"horizon must be 'env', a number of steps or None, not {horizon!r}")
+        raise wrong_argument("horizon", "be 'env', a number of steps or None", horizon)
     steps = limit if horizon == "env" else horizon
     if steps is None:
         return GymnasiumWorld(model, begin, limit, None)
@@ -115,30 +118,12 @@ def from_gymnasium(
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps)
 
 
-def step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
-    """The steps after which the environment's ``TimeLimit`` cuts an episode off; None: never.
-
-    Raises:
-        MissingDependencyError: gymnasium is not installed.
-        ModelError: it is no environment.
-    """
-    base, wrappers = (optional_module(name, "gym") for name in ("gymnasium", "gymnasium.wrappers"))
-    if not hasattr(env, "unwrapped"):
-        told = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
-        raise ModelError(f"{told}{in_short(env)}")
-    limits, layer = [], env
-    while isinstance(layer, base.Wrapper):
-        if isinstance(layer, wrappers.TimeLimit):
-            limits.append(int(layer._max_episode_steps))
-        layer = layer.env
-    return min(limits, default=None)
-
-
 def _table_of(env: gymnasium.Env[Any, Any]) -> Table:
     """The environment's table, with plain numbers, and probabilities that sum to one."""
     listed = getattr(env.unwrapped, "P", None)
     if listed is None:
-        raise ModelError(f"{env.unwrapped!r} has no table of transitions, env.unwrapped.P")
+        name = name_of_environment(env)
+        raise ModelError(f"{name} is not tabular: it has no table of transitions, env.unwrapped.P")
     return {
         state: {action: _gym_outcomes(state, action, rows) for action, rows in _entries(actions)}
         for state, actions in _entries(listed)
@@ -174,7 +159,8 @@ def _start_of_environment(
     if start is None:
         shares = getattr(env.unwrapped, "initial_state_distrib", None)
         if shares is None:
-            raise ModelError("the environment has no initial_state_distrib: give start=")
+            told = "the environment has no initial_state_distrib: give "
+            raise ModelError(told, Argument("start"))
         start = {state: float(share) for state, share in _entries(shares)}
     if not isinstance(start, Mapping):
         return {gym_value(start): 1.0}
@@ -191,7 +177,7 @@ def _cost_function(cost: str | CostFunction) -> CostFunction:
     if callable(cost):
         return cost
     if cost not in _COSTS:
-        raise ModelError(f"cost must be 'step', 'reward' or a function, not {cost!r}")
+        raise wrong_argument("cost", "be 'step', 'reward' or a function", cost)
     return _COSTS[cost]
 
 
@@ -250,7 +236,8 @@ class _GymListing:
         """The environment's states that are goals, or end in one."""
         if self.goal is None:
             return frozenset(_rewarded(self.steps))
-        return frozenset(s for s in self._states if self.goal(s))
+        every = {*self.table, *(to for _, to, _, _ in self.steps)}
+        return frozenset(s for s in every if self.goal(s))
 
     def label(self, state: Hashable, over: bool) -> Hashable:
         """The model's state for one of the environment's: an end of its own where it needs one."""
@@ -264,10 +251,6 @@ class _GymListing:
     @cached_property
     def _only_ends(self) -> frozenset[Hashable]:
         return frozenset(to for _, to, _, over in _gym_steps(self.table) if over) - self._goes_on
-
-    @cached_property
-    def _states(self) -> list[Hashable]:
-        return list(dict.fromkeys([*self.table, *(to for _, to, _, _ in self.steps)]))
 
 
 def _gym_steps(table: Table) -> list[Outcome]:
@@ -288,13 +271,11 @@ def _rewarded(steps: Iterable[Outcome]) -> list[Hashable]:
     for to, given in rewards.items():
         if min(given) <= 0.0 < max(given):
             raise ModelError(
-                f"state {to!r} ends some episodes with a reward and some without: "
-                "say which states are goals, goal=lambda state: ..."
+                f"state {to!r} ends some episodes with a reward and some without: ", *_SAY_GOALS
             )
     goals = [to for to, given in rewards.items() if min(given) > 0.0]
     if not goals:
-        raise ModelError(
-            f"no step into one of the environment's ends {list(rewards)[:5]} is rewarded: "
-            "say which states are goals, goal=lambda state: ..."
-        )
+        ends = list(rewards)[:5]
+        told = f"no step into one of the environment's ends {ends} is rewarded: "
+        raise ModelError(told, *_SAY_GOALS)
     return goals

@@ -9,7 +9,8 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError, optional_module
-from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, gym_value, step_limit_of
+from ssp_lp.io.gym.environment import step_limit_of
+from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, gym_value
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy

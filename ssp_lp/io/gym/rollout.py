@@ -11,8 +11,9 @@ import numpy as np
 
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.arrays import FloatArray, read_only
-from ssp_lp.errors import ModelError
-from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, step_limit_of
+from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
+from ssp_lp.io.gym.environment import name_of_environment, step_limit_of
+from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP
 from ssp_lp.io.gym.gym_episodes import (
     GymEpisode,
     GymParty,
@@ -25,7 +26,6 @@ from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import on_original
-from ssp_lp.problem import is_whole
 
 if TYPE_CHECKING:
     import gymnasium
@@ -102,12 +102,10 @@ def rollout(
         StepLimitWarning: the environment cut off episodes by a step limit that the policy does
             not know of, so that what is certified for it need not hold there.
     """
-    if not 0.0 < confidence < 1.0:
-        raise ModelError(f"confidence must lie strictly between 0 and 1, not {confidence!r}")
-    if episodes < 1 or (max_steps is not None and max_steps < 1):
-        raise ModelError("episodes and max_steps must be at least 1")
-    if not is_whole(seed) or seed < 0:
-        raise ModelError(f"seed must be a whole number >= 0, not {seed!r}")
+    check_between_0_and_1("confidence", confidence)
+    check_whole("episodes", episodes)
+    check_whole("max_steps", MOST_STEPS if max_steps is None else max_steps)
+    check_whole("seed", seed, 0)
     played, horizon = _on_environment(policy)
     limit = step_limit_of_vector(env) if is_vector(env) else step_limit_of(env)
     most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
@@ -154,11 +152,11 @@ def _rollout_episodes(
 
 def _warn_of_rollout(env: Any, limit: int | None, cut_off: int, episodes: int) -> None:
     """Warn of a rollout whose episodes were cut off."""
-    name = env.spec.id if env.spec is not None else type(env.unwrapped).__name__
+    name = name_of_environment(env)
     told = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
     warnings.warn(
         f"{name} cut off {cut_off:,} of {episodes:,} episodes ({told}), which the policy does not "
-        "know of: from_gymnasium(env, horizon=...) counts steps",
+        "know of: a model with a horizon counts steps",
         StepLimitWarning,
         stacklevel=4,  # beyond this function, the rollout and what explains its errors
     )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.raw_model import (
     ModelFile,
@@ -111,7 +111,8 @@ def _drn_reward_column(rewards: Sequence[str], cost: str | None, file: TextFile)
         return None  # Storm's model without a name, which the header does not show
     known = ", ".join(map(repr, rewards)) or "none"
     if cost is None and len(rewards) > 1:
-        raise ModelError(f"{file.path}: choose one of the reward models, cost=...: {known}")
+        told = f"{file.path}: choose one of the reward models ("
+        raise ModelError(told, Argument("cost"), f"): {known}")
     if cost is None:
         return 0 if rewards else None
     if cost not in rewards:

@@ -11,7 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ssp_lp.errors import ModelError, did_you_mean
+from ssp_lp.errors import Argument, ModelError, did_you_mean
 from ssp_lp.model import SSP
 
 EXPLICIT = "explicit-mdp-v1"
@@ -176,7 +176,8 @@ def stated_model(
         ModelError: see :func:`named_model`.
     """
     if not goal:
-        raise ModelError(f"{source} does not say which states are goals: name them")
+        told = f"{source} does not say which states are goals: name them by "
+        raise ModelError(told, Argument("goal"))
     transitions: dict[Hashable, Any] = {
         state: _json_actions(state, actions, cost) for state, actions in table.items()
     }
@@ -232,7 +233,7 @@ def chosen_cost(where: str, costs: Mapping[Any, Any], cost: str | None) -> Any:
     if not known:
         raise ModelError(f"{where}: the cost has no name, there is none called {cost!r}")
     said = "" if cost is None else f", not {cost!r}"
-    raise ModelError(f"{where}: choose one of the costs by its name (cost=, --cost): {known}{said}")
+    raise ModelError(f"{where}: choose one of the costs (", Argument("cost"), f"): {known}{said}")
 
 
 def _json_number(value: Any) -> Any:

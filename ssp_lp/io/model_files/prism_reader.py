@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.prism_text import (
     Table,
@@ -145,7 +145,8 @@ def _chosen_prism_rewards(base: Path, cost: str | None) -> tuple[Path | None, Pa
     if len(chosen) == 1 or (cost is None and not chosen):
         return chosen[0] if chosen else None
     names = ", ".join(map(repr, found.values())) or "none"
-    raise ModelError(f"{base}: choose one of the reward structures, cost=...: {names}")
+    told = f"{base}: choose one of the reward structures ("
+    raise ModelError(told, Argument("cost"), f"): {names}")
 
 
 def _prism_costs(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterator, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Sequence
 
 import numpy as np
 
@@ -32,11 +32,12 @@ def write_prism(model: SSP, path: FilePath, *, start: Hashable) -> None:
         ModelError: the start is no state, or a label cannot be written.
     """
     base, process = without_ending(path), exported(model, start)
-    texts = {
+    no_rewards = f'# Reward structure "cost"\n# State rewards\n{process.pair_offsets.size - 1} 0\n'
+    texts: dict[str, Iterable[str]] = {
         ".tra": _prism_transitions(process),
         ".lab": _prism_label_lines(process),
         ".trew": _prism_rewards(process),
-        ".srew": _no_prism_rewards(process),
+        ".srew": [no_rewards],
         ".sta": _prism_state_lines(process, model),
     }
     for ending, text in texts.items():
@@ -92,11 +93,6 @@ def _prism_label_lines(process: Exported) -> Iterator[str]:
             borne.setdefault(state, []).append(str(number))
     for state in sorted(borne):
         yield f"{state}: {' '.join(borne[state])}\n"
-
-
-def _no_prism_rewards(process: Exported) -> Iterator[str]:
-    """The file of state rewards: there are none."""
-    yield f'# Reward structure "cost"\n# State rewards\n{process.pair_offsets.size - 1} 0\n'
 
 
 def _prism_state_lines(process: Exported, model: SSP) -> Iterator[str]:

@@ -196,7 +196,7 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
             treat_actionless_as_dead_ends=True,
         )
     except ModelError as error:
-        raise ModelError(f"{source}: {error}") from error
+        raise ModelError(f"{source}: ", *error.args) from error
 
 
 def _leaves_in_raw_model(raw: RawModel, state: IntArray, n_states: int) -> BoolArray:

@@ -41,9 +41,13 @@ def ask_storm(source: object, call: Callable[..., Any], *arguments: Any, **optio
             return call(*arguments, **options)
     except ModelError:
         raise
-    except _refusals_of_storm() as error:
+    except (*_REFUSALS, storm().exceptions.StormError) as error:
         hint = _AVERAGED if _OF_OUTCOMES in str(error) else ""
         raise ModelError(f"{source}: Storm refuses it: {error}{hint}") from error
+
+
+_REFUSALS = (RuntimeError, ValueError, IndexError, TypeError, OverflowError, MemoryError)
+"""Errors of Storm arrive as errors of Python's own classes, too."""
 
 
 @contextmanager
@@ -56,9 +60,3 @@ def _quiet_storm() -> Iterator[None]:
         yield
     finally:
         log.set_log_level(level)
-
-
-def _refusals_of_storm() -> tuple[type[Exception], ...]:
-    """What stormpy raises: errors of Storm arrive as errors of Python's own classes, too."""
-    own = storm().exceptions.StormError
-    return RuntimeError, ValueError, IndexError, TypeError, OverflowError, MemoryError, own

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.raw_model import (
     ModelFile,
@@ -159,7 +159,9 @@ def _chosen_storm_reward(model: Any, cost: str | None, source: str) -> tuple[Any
     chosen = next(iter(rewards)) if cost is None and len(rewards) == 1 else cost
     if chosen is None or chosen not in rewards:
         names = ", ".join(sorted(map(repr, rewards))) or "none"
-        raise ModelError(f"{source}: choose one of the reward models, cost=...: {names}")
+        raise ModelError(
+            f"{source}: choose one of the reward models (", Argument("cost"), f"): {names}"
+        )
     return rewards[chosen], chosen
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, ModelFile
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.storm.bindings import ask_storm, storm
@@ -70,7 +70,7 @@ def _archived_program(
 ) -> ModelFile:
     """The model of a UMB archive."""
     if constants:
-        raise ModelError(f"{file} has no constants left open")
+        raise ModelError(f"{file} has no constants: leave ", Argument("constants"), " out")
     options = stormpy.io.UmbImportOptions()
     options.build_choice_labeling = options.build_state_valuations = True
     model = ask_storm(file, stormpy.build_model_from_umb, str(file), options=options)

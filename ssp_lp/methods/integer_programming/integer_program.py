@@ -19,18 +19,17 @@ from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import SolverError
-from ssp_lp.linear_programming.highs import highs_lp
+from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.methods.integer_programming.process_view import steps_between, within_reach
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.programs.program_rows import occupation_program
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.programs.program_rows import rows_program
 
 _LEAST_GAP = 1e-10
 _POLL = 0.1  # seconds between two looks at whether HiGHS has ended
 
-_OPTIONS: dict[str, bool | int | float] = {
-    "output_flag": False,
-    "threads": 1,
+_OPTIONS: HighsOptions = {
     "mip_rel_gap": _LEAST_GAP,
     "mip_abs_gap": _LEAST_GAP,
     "mip_feasibility_tolerance": 1e-9,
@@ -67,7 +66,7 @@ class IntegerAnswer:
 
 
 class IntegerProgram:
-    """The program of a process, to which policies that must not come again are told."""
+    """The mixed-integer program of a process, from which policies can be excluded one by one."""
 
     def __init__(
         self, process: ExplicitProcess, budget: float, visits: FloatArray, free: BoolArray
@@ -83,24 +82,19 @@ class IntegerProgram:
         self.process = process
         decided = (np.diff(process.pair_offsets) > 1) & (visits > 0.0) & ~free
         self.pairs = np.flatnonzero(decided[process.pair_state])
-        self._solver = highspy.Highs()  # type: ignore[no-untyped-call]
-        self._solver.HandleUserInterrupt = True
-        for name, value in _OPTIONS.items():
-            if self._solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
-                raise SolverError(f"HiGHS refuses the option {name}={value!r}")
         lp = highs_lp(self._stated(budget, visits))
         upper = np.where(visits > 0.0, highspy.kHighsInf, 0.0)[process.pair_state]
         lp.col_upper_ = np.append(upper, np.ones(self.pairs.size))
         lp.integrality_ = [highspy.HighsVarType.kContinuous] * process.n_pairs + [
             highspy.HighsVarType.kInteger
         ] * self.pairs.size
-        if self._solver.passModel(lp) == highspy.HighsStatus.kError:
-            raise SolverError("HiGHS refuses the mixed-integer program")
+        self._solver = highs_solver(lp, _OPTIONS)
+        self._solver.HandleUserInterrupt = True
 
     def _stated(self, budget: float, visits: FloatArray) -> LinearProgram:
         """The occupation-measure program with the rows of y below it."""
         process, n_y = self.process, self.pairs.size
-        base = occupation_program(process, budget, ratio=False)
+        base = rows_program(process, {FAILURE_ROW: (process.failure, budget)}, ratio=False)
         state = process.pair_state[self.pairs]
         picks, group = np.unique(state, return_inverse=True)
         each, one = np.arange(n_y), np.ones(n_y)
@@ -219,15 +213,11 @@ def _prepared_integer_program(
     process: ExplicitProcess, budget: float, most: float, ratio: float
 ) -> highspy.Highs:
     """The policies within the limit, as a program whose objective is still to be said."""
-    program = occupation_program(process, budget + _ROOM, ratio=False)
+    limits = {FAILURE_ROW: (process.failure, budget + _ROOM)}
+    program = rows_program(process, limits, ratio=False)
     lp = highs_lp(program)
     lp.sense_ = highspy.ObjSense.kMaximize
-    solver = highspy.Highs()  # type: ignore[no-untyped-call]
-    for name, value in {"output_flag": False, "threads": 1}.items():
-        if solver.setOptionValue(name, value) != highspy.HighsStatus.kOk:
-            raise SolverError(f"HiGHS refuses the option {name}={value!r}")
-    if solver.passModel(lp) == highspy.HighsStatus.kError:
-        raise SolverError("HiGHS refuses the linear program")
+    solver = highs_solver(lp, {})
     row = process.cost - ratio * process.goal
     filled = np.flatnonzero(row).astype(np.int32)
     room = _ROOM * (1.0 + abs(most))

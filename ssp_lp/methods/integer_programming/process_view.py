@@ -16,12 +16,13 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.pricing.pricing_problem import Column
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 from ssp_lp.processes.quotient import Quotient
 
 _MOST_PAIRS = 500_000
+_METHOD = Argument("method", "deterministic")
 _ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, by which no tail fails at will
 
 
@@ -58,7 +59,7 @@ def process_view(compiled: CompiledProblem, price: float) -> ProcessView:
         return _view_of_case_m(here, price)
     if isinstance(here, CompiledAccumulatedCost):
         return _view_of_case_s(here, price)
-    raise ModelError(f"policy_class='deterministic' does not know {type(compiled).__name__}")
+    raise ModelError(_METHOD, f" does not know {type(compiled).__name__}")
 
 
 def _view_of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
@@ -138,8 +139,11 @@ def _check_view_size(n_pairs: int) -> None:
     """Raise :class:`ModelError` where the view of a process is too large for an integer program."""
     if n_pairs > _MOST_PAIRS:
         raise ModelError(
-            f"policy_class='deterministic': a mixed-integer program of {n_pairs:,} pairs is too "
-            f"large (at most {_MOST_PAIRS:,}); a coarser grid of costs or a cost_cap makes it less"
+            _METHOD,
+            f": a mixed-integer program of {n_pairs:,} pairs is too large (at most "
+            f"{_MOST_PAIRS:,}); a coarser grid of costs or a lower ",
+            Argument("cost_cap"),
+            " makes it less",
         )
 
 

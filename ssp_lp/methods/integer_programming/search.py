@@ -19,6 +19,7 @@ from ssp_lp.methods.integer_programming.integer_program import (
     most_visits,
 )
 from ssp_lp.methods.integer_programming.process_view import ProcessView, process_view, within_reach
+from ssp_lp.methods.policy_basis import mixed_choice
 from ssp_lp.methods.refinement import RefinedOutcome
 from ssp_lp.processes.explicit import ExplicitProcess
 
@@ -120,7 +121,7 @@ def best_single_policy(
 
 
 def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
-    """The walk and the programs; the best policy so far is kept by the search."""
+    """Walk between two policies, then solve the programs; the search keeps the best policy."""
     view, tolerance = search.view, search.tolerance
     _search_between(search, found.price)
     if relative_gap(search.best.value, found.lower_bound) <= tolerance:
@@ -133,7 +134,7 @@ def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bo
 
 
 def _allowed_in_search(row: FailureRow) -> float:
-    """The budget with its rounding."""
+    """The budget, with room for rounding."""
     return row.budget + min(_ROUNDING, _SMALL * row.budget)
 
 
@@ -172,18 +173,11 @@ def _search_walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: 
         kept, broken = 0, order.size + 1  # states changed, and too many
         while broken - kept > 1 and not is_late():
             middle = (kept + broken) // 2
-            within = search.offer(_changed_in_search(here, risky, order[:middle]))
+            within = search.offer(mixed_choice(here, risky, order[:middle]))
             kept, broken = (middle, broken) if within else (kept, middle)
-        here, order = _changed_in_search(here, risky, order[:kept]), order[kept + 1 :]
+        here, order = mixed_choice(here, risky, order[:kept]), order[kept + 1 :]
         if order.size == 0:
             return
-
-
-def _changed_in_search(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
-    """The first choice, in some states the second, [states]."""
-    changed = first.copy()
-    changed[states] = second[states]
-    return changed
 
 
 def _minimised_in_search(
@@ -218,9 +212,10 @@ def _minimised_in_search(
         bound = max(bound, min(_bound_of_search(row, ratio, answer.bound), known))
         if not answer.finished:
             return bound, False
-        better = (
-            _ratio_in_search(process, answer.x) if row.ratio and answer.x is not None else ratio
-        )
+        better = ratio
+        if row.ratio and answer.x is not None:
+            goal = float(process.goal @ answer.x)
+            better = float(process.cost @ answer.x) / goal if goal > 0.0 else np.inf
         if not better < ratio * (1.0 - _DUAL):
             return bound, True
         ratio = better
@@ -263,9 +258,3 @@ def _bound_of_search(row: FailureRow, ratio: float, value: float) -> float:
     if safe >= 0.0:
         return ratio
     return max(ratio + safe / share, 0.0) if share > 0.0 else 0.0
-
-
-def _ratio_in_search(process: ExplicitProcess, x: FloatArray) -> float:
-    """The cost given success of visits that the search found."""
-    goal = float(process.goal @ x)
-    return float(process.cost @ x) / goal if goal > 0.0 else np.inf

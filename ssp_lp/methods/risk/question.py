@@ -167,7 +167,7 @@ class _QuestionWithinRows:
 
     @property
     def note(self) -> str:
-        """Nothing."""
+        """No note: nothing is rounded here."""
         return ""
 
     def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:

@@ -44,7 +44,7 @@ _NEAR = 0.02  # relative distance of prices at which trying others ends
 
 
 @dataclass(frozen=True, eq=False)
-class BestTailMean:
+class _BestTailMean:
     """The least value so far, who attains it, and what its search took."""
 
     value: float
@@ -70,7 +70,7 @@ class _TailMeanSearch:
     question: Question
     level: float
     options: SolveOptions
-    best: BestTailMean | None = None
+    best: _BestTailMean | None = None
     tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
     kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
     sweeps: int = 0
@@ -80,7 +80,7 @@ class _TailMeanSearch:
         """Whether there is time left."""
         return not is_late()
 
-    def attempt(self, threshold: int) -> BestTailMean:
+    def attempt(self, threshold: int) -> _BestTailMean:
         """The better of the best so far and the best policy at a threshold."""
         best = self.best
         charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
@@ -95,7 +95,7 @@ class _TailMeanSearch:
             self.best = replace(best, calls=calls)
         else:
             found = value, trial.policy, 1.0 - law.goal, quantile, trial.kappa, calls
-            self.best = BestTailMean(*found, trial.prices)
+            self.best = _BestTailMean(*found, trial.prices)
         return self.best
 
     def refuted(self, first: int, last: int) -> float:
@@ -200,7 +200,7 @@ def tail_mean_bound(
 
 def _proved_tail_mean(
     search: _TailMeanSearch, near: Near | None = None
-) -> tuple[BestTailMean, float]:
+) -> tuple[_BestTailMean, float]:
     """The best policy, and a lower bound of every policy's tail mean."""
     places, best = search.question.thresholds, search.attempt(0)
     whole = search.tried[0].lower_bound

@@ -21,11 +21,11 @@ class ThresholdMultiples:
     sharp: bool = True  # no total can occur between two of them
 
     def total(self, number: int) -> float:
-        """The multiple, as the nearest float."""
+        """The total of a number, as the nearest float."""
         return float(number * self.unit)
 
     def number(self, total: float) -> int:
-        """The nearest multiple."""
+        """The number of the multiple nearest to a total."""
         return round(total / float(self.unit))
 
 

@@ -158,7 +158,7 @@ def truth_of(problem: Problem, stated: CompiledConstrained) -> Truth | None:
         return None
 
     def value(policy: MixedPolicy) -> float:
-        """Of a lottery, in what is minimised."""
+        """What a lottery is worth, in what is minimised."""
         attained = evaluate(policy, problem).objective
         return attained if stated.sense.constant is None else stated.sense.constant - attained
 

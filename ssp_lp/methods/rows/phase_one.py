@@ -49,7 +49,7 @@ def phase_one_opening(
     _refuse_empty(compiled, stated, limited)
     rows = pool.rows(1 + limited, compiled.bounds[limited])
     ended = generate(violation_in_master(pool, rows), options)
-    if kept_to(ended, rows):
+    if _kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
         ratio = _first_ratio(pool, ended) if compiled.ratio else 0.0
         at_none = np.zeros(len(limited)), cheapest.cost
@@ -60,7 +60,7 @@ def phase_one_opening(
             anyhow, anyhow, options
         )  # raises where the limits contradict each other anyhow
     with closing():
-        first = proved_conflict(pool, rows, ended)
+        first = _proved_conflict(pool, rows, ended)
     if first is None and not ended.finished:
         raise Stop
     if first is None:
@@ -68,7 +68,7 @@ def phase_one_opening(
             "no policy within all limits was found, and it was not proved that there is none: "
             "rounding ended the search"
         )
-    conflict = smallest_conflict(pool, rows, first, options)
+    conflict = _smallest_conflict(pool, rows, first, options)
     raise _refusal_in_phase_one(compiled, stated, conflict, rows)
 
 
@@ -102,7 +102,7 @@ def _refuse_empty(
 
 
 def _refusal_in_phase_one(
-    compiled: CompiledConstrained, stated: CompiledConstrained, conflict: Conflict, rows: Rows
+    compiled: CompiledConstrained, stated: CompiledConstrained, conflict: _Conflict, rows: Rows
 ) -> InfeasibleError:
     """The conflict as an error, with the least failure of all policies."""
     at_least, budget = compiled.budget is None, stated.budget
@@ -137,7 +137,7 @@ _MOST_SETS = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Conflict:
+class _Conflict:
     """Rows that no lottery keeps to together, with the proof."""
 
     rows: tuple[int, ...]  # positions
@@ -169,7 +169,7 @@ class Conflict:
         )
 
 
-def proved_conflict(pool: Pool, rows: Rows, found: Generated) -> Conflict | None:
+def _proved_conflict(pool: Pool, rows: Rows, found: Generated) -> _Conflict | None:
     """The conflict that phase 1 ended with, if its bound can be certified.
 
     Args:
@@ -189,10 +189,12 @@ def proved_conflict(pool: Pool, rows: Rows, found: Generated) -> Conflict | None
     if least <= allowed + room:
         return None
     kept = tuple(np.flatnonzero(shares).tolist())
-    return Conflict(kept, shares[list(kept)], least, allowed)
+    return _Conflict(kept, shares[list(kept)], least, allowed)
 
 
-def smallest_conflict(pool: Pool, rows: Rows, first: Conflict, options: SolveOptions) -> Conflict:
+def _smallest_conflict(
+    pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions
+) -> _Conflict:
     """The smallest conflict that can be found.
 
     Args:
@@ -215,17 +217,17 @@ def smallest_conflict(pool: Pool, rows: Rows, first: Conflict, options: SolveOpt
 
 def _conflict_among(
     pool: Pool, rows: Rows, some: tuple[int, ...], options: SolveOptions
-) -> Conflict | None:
+) -> _Conflict | None:
     """A conflict among some rows, by position among all; None where they can be kept together."""
     part = rows.among(some)
     ended = generate(violation_in_master(pool, part), options)
-    found = None if kept_to(ended, part) else proved_conflict(pool, part, ended)
+    found = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
     if found is None:
         return None
-    return Conflict(tuple(some[k] for k in found.rows), found.shares, found.least, found.allowed)
+    return _Conflict(tuple(some[k] for k in found.rows), found.shares, found.least, found.allowed)
 
 
-def _thinned_conflict(pool: Pool, rows: Rows, first: Conflict, options: SolveOptions) -> Conflict:
+def _thinned_conflict(pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions) -> _Conflict:
     """A conflict none of whose rows can be left out."""
     conflict = first
     for row in first.rows:
@@ -237,7 +239,7 @@ def _thinned_conflict(pool: Pool, rows: Rows, first: Conflict, options: SolveOpt
     return conflict
 
 
-def kept_to(ended: Generated, rows: Rows) -> bool:
+def _kept_to(ended: Generated, rows: Rows) -> bool:
     """Whether phase 1 ended with every row kept, but for an excess that counts as none."""
     return bool((ended.excess * rows.scales <= ATTAINABLE * rows.bounds).all())
 

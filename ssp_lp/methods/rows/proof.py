@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, read_only
+from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, FloatArray, read_only
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.pool import Pool, Rows
 from ssp_lp.column_generation.pricing.pricing_problem import Proof
 from ssp_lp.compiled.deadline import STOPS, closing, heed
-
-_BELOW = 2.5e-10  # relative step below a ratio, where it is strictly best to fail
 
 
 def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> float:
@@ -72,7 +70,7 @@ def bound_in_time(
 
 def ratios_below(ratio: float) -> tuple[float, float]:
     """Ratios at which a proof is tried: the value itself, and one at which failing is best."""
-    return ratio, ratio * (1.0 - _BELOW)
+    return ratio, ratio * BELOW_RATIO
 
 
 def rows_bound(

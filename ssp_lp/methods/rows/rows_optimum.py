@@ -20,7 +20,7 @@ from ssp_lp.column_generation.pool import Rows
 from ssp_lp.column_generation.stabilised_master import StabilisedMaster, without_trifles
 from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import SolverError
+from ssp_lp.errors import Argument, SolverError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.full_program import ProgramOptimum, check_agreement
 from ssp_lp.methods.rows.lottery import Truth, best_lottery, true_lottery, truth_of
@@ -52,7 +52,7 @@ class RowsOptimum(Found):
 
     @property
     def kappa(self) -> float:
-        """What failing is worth."""
+        """What a failure may cost: the failure row's price, in case S with the ratio."""
         ratio = self.value if self.compiled.ratio else 0.0
         return ratio + self.prices.get(FAILURE_ROW, 0.0)
 
@@ -109,7 +109,8 @@ def rows_optimum(
     best: RowsOptimum | None = None
     guess: RowsOptimum | None = None
     if stated.rungs is not None:
-        guess = _coarse_guess_for_rows(stated, options)
+        coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
+        guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
         stated = stated.up_to(guess.kappa)
     while True:
         try:
@@ -155,17 +156,12 @@ def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
         levels = f"{levels} up to {found.compiled.ladder.rungs[-1]:.6g}"
     if not np.isfinite(found.value):
         raise SolverError(
-            f"no policy on {levels} of accumulated cost keeps to the limits: more cost_levels, or "
-            "more time, make them finer"
+            f"no policy on {levels} of accumulated cost keeps to the limits: more ",
+            Argument("cost_levels"),
+            ", or more time, make them finer",
         )
-    told = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
+    told = f"totals are rounded to {levels}: more of them leave a smaller gap"
     return replace(found, note=told)
-
-
-def _coarse_guess_for_rows(stated: CompiledConstrained, options: SolveOptions) -> RowsOptimum:
-    """Ratio and prices on a coarse grid of totals: from these the true ones are near."""
-    coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
-    return _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
 
 
 def _rows_attempt(

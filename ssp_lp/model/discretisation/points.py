@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, check_whole
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel
 from ssp_lp.model.discretisation.distribution import Distribution
@@ -106,8 +106,7 @@ class Samples:
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for less than one sample, or for a seed that is none."""
-        if not isinstance(self.number, (int, np.integer)) or self.number < 1:
-            raise ModelError(f"a number of samples must be a whole number >= 1: {self.number!r}")
+        check_whole("number", self.number)
         seed = isinstance(self.rng, (int, np.integer)) and self.rng >= 0
         if not (seed or isinstance(self.rng, np.random.Generator)):
             raise ModelError(f"rng must be a generator or a seed such as 0, not {self.rng!r}")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
@@ -10,19 +12,8 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces_of_chunks
 from ssp_lp.model.graph.kept import kept
-from ssp_lp.model.graph.predecessors import Predecessors, narrow, possible_steps
+from ssp_lp.model.graph.predecessors import Predecessors, narrow
 from ssp_lp.model.ssp import SSP
-
-
-def reachable_states(model: SSP, start: IntArray) -> BoolArray:
-    """States that some policy visits with positive probability from the start states, [states]."""
-    arrays = model.outcome_offsets, model.successors, model.probabilities
-    if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graph_searches import reached
-
-        return reached(model.pair_offsets, *arrays, start)
-    ends, columns = possible_steps(*arrays)
-    return reached_along(columns, ends[model.pair_offsets], start)
 
 
 @kept
@@ -172,35 +163,17 @@ def nearer_pairs(
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
     free = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
-    choice = np.full(len(pair_offsets) - 1, -1, dtype=np.int64)
+    n = len(pair_offsets) - 1
+    choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = np.flatnonzero(leaving & free)
     if accelerated(len(before.pairs)):
         from ssp_lp.compiled.graph_searches import approach
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice)
         return choice
-    return _reachable_by_distance(before, pair_offsets, pair_state, useful, free)
-
-
-def _reachable_by_distance(
-    before: Predecessors,
-    pair_offsets: IntArray,
-    pair_state: IntArray,
-    useful: IntArray,
-    usable: BoolArray,
-) -> IntArray:
-    """The same from the distance of each state, found by scipy from a node added behind all ends.
-
-    Args:
-        before: the graph turned round.
-        pair_offsets: [states + 1].
-        pair_state: [pairs].
-        useful: usable pairs that leave.
-        usable: [pairs].
-    """
-    n = len(pair_offsets) - 1
+    # by the distance of each state, found by scipy from a node added behind all ends
     reached = np.repeat(np.arange(n), np.diff(before.offsets))
-    kept = usable[before.pairs]
+    kept = free[before.pairs]
     pairs, reached = before.pairs[kept], reached[kept]
     source = np.concatenate([reached, np.full(useful.size, n)])
     target = np.concatenate([pair_state[pairs], pair_state[useful]])
@@ -211,7 +184,6 @@ def _reachable_by_distance(
     near = np.full(len(pair_state), np.inf)
     np.minimum.at(near, pairs, distance[reached] + 1.0)
     near[useful] = 1.0
-    choice = np.full(n, -1, dtype=np.int64)
     best = np.flatnonzero((near == distance[pair_state]) & np.isfinite(near))
     first = np.flatnonzero(np.diff(pair_state[best], prepend=-1))
     choice[pair_state[best[first]]] = best[first]
@@ -267,3 +239,18 @@ def end_marks(model: SSP) -> IntArray:
         mark[members[dead[members]]] = number
     mark[model.goal_mask] = 0
     return mark
+
+
+def dead_end_labels(model: SSP) -> frozenset[Hashable]:
+    """The states from which no policy reaches the goal, X_{d,all} of the paper, by their labels."""
+    return _labels_of_states(model, dead_ends(model))
+
+
+def attention_labels(model: SSP) -> frozenset[Hashable]:
+    """The states from which some policy surely avoids the goal, X_{d,or}, by their labels."""
+    return _labels_of_states(model, attention_states(model))
+
+
+def _labels_of_states(model: SSP, states: BoolArray) -> frozenset[Hashable]:
+    """The labels of states."""
+    return frozenset(model.states[i] for i in np.flatnonzero(states).tolist())

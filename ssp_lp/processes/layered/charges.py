@@ -93,7 +93,7 @@ class Charge(ABC):
 
     @property
     def slope(self) -> float:
-        """See ``offset``."""
+        """Charge per unit of cost from ``settled`` on."""
         return 0.0
 
     @property
@@ -136,16 +136,16 @@ class TotalCostCharge(Charge):
 
     @property
     def is_concave(self) -> bool:
-        """It is a line."""
+        """True: a line is concave."""
         return True
 
     @property
     def slope(self) -> float:
-        """1."""
+        """1: the charge is the cost."""
         return 1.0
 
     def at(self, totals: FloatArray) -> FloatArray:
-        """The cost."""
+        """The costs themselves."""
         return np.asarray(totals)
 
 
@@ -197,12 +197,12 @@ class ExcessCharge(Charge):
 
     @property
     def offset(self) -> float:
-        """Of the line beyond z."""
+        """Where the line beyond z meets cost 0."""
         return self.threshold * (1.0 - self.slope)
 
     @property
     def slope(self) -> float:
-        """Of the line beyond z."""
+        """The slope of the line beyond z."""
         return 1.0 / self.share
 
     def at(self, totals: FloatArray) -> FloatArray:
@@ -257,7 +257,7 @@ class UtilityCharge(Charge):
 
     @property
     def settled(self) -> None:
-        """Never, as far as is known."""
+        """None: where a utility becomes constant is not known."""
         return
 
 
@@ -270,7 +270,7 @@ class ExponentialCharge(Charge):
 
     @property
     def is_concave(self) -> bool:
-        """As exponentials are convex."""
+        """True: it is minus a convex exponential."""
         return True
 
     @property

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 from ssp_lp.processes.layered.charges import (
     TOTAL_COST,
@@ -78,7 +78,7 @@ class Measure(Protocol):
         ...
 
     def of(self, law: Law) -> float:
-        """The number."""
+        """The measure of a law of costs."""
         ...
 
 
@@ -87,8 +87,8 @@ class WithinBound:
     """Pr(the goal is reached at a total cost of at most ``bound``)."""
 
     bound: float | Fraction
-    maximised: bool = True
-    failing: float = 0.0
+    maximised: ClassVar[bool] = True
+    failing: ClassVar[float] = 0.0
 
     @property
     def words(self) -> str:
@@ -97,7 +97,7 @@ class WithinBound:
 
     @property
     def charge(self) -> Charge:
-        """Less 1 for arriving in time."""
+        """Minus 1 for arriving in time."""
         return LateCharge(self.bound, rewarded=True)
 
     def of(self, law: Law) -> float:
@@ -112,7 +112,7 @@ class ExpectedUtility:
     utility: Utility
     bonus: float
     at_infinity: float
-    maximised: bool = True
+    maximised: ClassVar[bool] = True
 
     @property
     def failing(self) -> float:
@@ -126,7 +126,7 @@ class ExpectedUtility:
 
     @property
     def charge(self) -> Charge:
-        """Less what arriving is worth more than failing."""
+        """Minus what arriving is worth beyond failing."""
         return UtilityCharge(self.utility, self.at_infinity, self.bonus)
 
     def of(self, law: Law) -> float:
@@ -141,8 +141,8 @@ class ExponentialUtility:
 
     rate: float
     bonus: float
-    maximised: bool = True
-    failing: float = 0.0
+    maximised: ClassVar[bool] = True
+    failing: ClassVar[float] = 0.0
 
     @property
     def words(self) -> str:
@@ -151,7 +151,7 @@ class ExponentialUtility:
 
     @property
     def charge(self) -> Charge:
-        """Less what arriving is worth."""
+        """Minus what arriving is worth."""
         return ExponentialCharge(self.rate, self.bonus)
 
     def of(self, law: Law) -> float:
@@ -164,8 +164,8 @@ class CostQuantileOf:
     """The level-quantile of the total cost given success."""
 
     level: float
-    maximised: bool = False
-    failing: float = float("inf")
+    maximised: ClassVar[bool] = False
+    failing: ClassVar[float] = float("inf")
 
     @property
     def words(self) -> str:
@@ -191,8 +191,8 @@ class TailMeanOf:
     """
 
     level: float
-    maximised: bool = False
-    failing: float = float("inf")
+    maximised: ClassVar[bool] = False
+    failing: ClassVar[float] = float("inf")
 
     @property
     def words(self) -> str:

@@ -105,7 +105,7 @@ class OpenEnded:
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
 
     def nearer_goal(self, *, safely: bool = False) -> None:
-        """Has to be found on the process itself."""
+        """None: such pairs have to be found on the process itself."""
         return
 
     @cached_property

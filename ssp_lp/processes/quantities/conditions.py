@@ -39,7 +39,7 @@ _ROOM = 1e-14  # of a bound and of what its complement is made from
 
 @dataclass(frozen=True, eq=False)
 class StepTerm:
-    """A cost of steps: that of a model which has it in place of its own."""
+    """A cost of steps, as the own cost of a copy of the model."""
 
     model: SSP
 
@@ -101,7 +101,7 @@ class UpperRow:
         return result
 
     def activity(self, value: float) -> float:
-        """What the row takes where the quantity has a value."""
+        """The row's left side where the quantity has a value."""
         return self.offset + self.sign * value
 
     def at(self, counting: Counting) -> tuple[FloatArray, float]:
@@ -177,8 +177,8 @@ class Condition:
                 if not (isinstance(term, ArrivalTerm) and term.final):
                     raise ModelError(
                         f"constraint {self.name!r} bounds a cost or visits from below, which takes "
-                        "a policy that tosses coins on the way; without accumulated costs, add "
-                        "such a row to program().to_cvxpy()"
+                        "a policy that tosses coins on the way; without accumulated costs, a row "
+                        "added to the linear program says so"
                     )
                 offset -= weight
                 term, weight = replace(term, others=not term.others), -weight

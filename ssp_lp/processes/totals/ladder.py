@@ -203,7 +203,7 @@ def _wanted_of_ladder(model: SSP, last: FloatArray) -> Rungs | None:
 
 
 def _is_far_below_rungs(model: SSP, steps: FloatArray) -> Rungs | None:
-    """Where a unit is near the steps: sums only if a last step passes too many multiples of it."""
+    """Sums, where a last step passes too many multiples of the unit and the sums are few enough."""
     ahead = _STEPS_AHEAD * float(last_steps(model)[1][-1])
     unit = float(common_unit(steps, model.exact_costs))
     if not steps[-1] > 0.0 or ahead * model.n_pairs <= _MOST_ENTRIES * unit:

@@ -42,7 +42,7 @@ def step_lattice(model: SSP) -> tuple[Lattice, FloatArray]:
 
 @kept
 def last_steps(model: SSP) -> tuple[Lattice, FloatArray]:
-    """The same of the last steps, which no sum below the cap has to be made of."""
+    """The distinct costs of steps into a goal, likewise: no sum goes on from them."""
     return _kinds_of_steps_to_sum(model, model.goal_mask)
 
 

@@ -1,16 +1,16 @@
 """ConstrainedCost (C-SSP) on drawn models: all policies enumerated, and a program of lotteries."""
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from charged_problems import charged_problems, limits_of, meanings
+from charged_problems import charged_problems, limits_of
 from checks import CLOSE, GAP, library_model, plain
 from formulations import ConstrainedCost
 from references import constrained, mcmp
 from references.frontier import least_failure
 from ssp_lp import InfeasibleError, certify, solve
-from strategies import discounts
+from strategies import discounts, often, semantics
 
 METHODS = ("columns", "lp")
 shares = st.sampled_from([0.5, 0.25, 0.9, 0.75, 0.1, 0.5, 0.0, 1.0, 2.0, -0.5, "zero"])
@@ -18,11 +18,6 @@ shares = st.sampled_from([0.5, 0.25, 0.9, 0.75, 0.1, 0.5, 0.0, 1.0, 2.0, -0.5, "
 
 budgets = st.sampled_from([0.1, None, 0.0, 0.25, 0.5, 1.0, "below"])
 """Where the failure budget lies between the least failure (0) and sure failure (1)."""
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def bounds_of(every, places, budget):
@@ -73,7 +68,7 @@ def check_optimal(solution, bounds, budget):
     charged_problems(),
     st.tuples(shares, shares, shares),
     budgets,
-    meanings,
+    semantics,
     discounts,
 )
 def test_the_best_lottery_over_all_policies(drawn_charges, places, place, meaning, discount):

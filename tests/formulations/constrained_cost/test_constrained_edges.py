@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.sparse as sp
-from hypothesis import given, settings
+from hypothesis import given
 from scipy.optimize import linprog
 
-from charged_problems import charged_problems, limits_of, meanings
+from charged_problems import charged_problems, limits_of
 from checks import CLOSE, library_model
 from constrained_models import FUEL, RISKY, THREE, TIME, attempt, check
 from formulations import MCMP, ConstrainedCost, CostLimit
@@ -37,7 +37,7 @@ from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.program_rows import rows_program
-from strategies import discounts, problems
+from strategies import discounts, often, problems, semantics
 
 
 def ring_model(n, rng):
@@ -85,8 +85,8 @@ def test_free_rings_in_a_larger_model(n):
             assert price * (allowed - spent) <= 1e-8 * solution.objective
 
 
-@settings(max_examples=60, deadline=None, derandomize=True)
-@given(problems(), meanings, discounts)
+@often(60)
+@given(problems(), semantics, discounts)
 def test_without_limits_it_is_mcmp(drawn, meaning, discount):
     """No limits at all: the same optimum, the same price, the same failure."""
     model = library_model(drawn)
@@ -104,8 +104,8 @@ def test_without_limits_it_is_mcmp(drawn, meaning, discount):
         assert set(found.prices) <= {"failure"}
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
-@given(charged_problems(), meanings, discounts)
+@often(80)
+@given(charged_problems(), semantics, discounts)
 def test_a_secondary_cost_is_the_cost_of_the_model_that_has_it(drawn_charges, meaning, discount):
     """Of every stationary policy, by every semantics: evaluated with the costs exchanged."""
     drawn, charges = drawn_charges

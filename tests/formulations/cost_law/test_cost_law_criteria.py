@@ -2,19 +2,18 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from checks import GAP, library_model, plain
+from cost_law_models import SHARP
 from formulations import EGUBS, GUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from references import accumulated, accumulated_program
 from ssp_lp import InfeasibleError, certify, evaluate, solve
-from strategies import Draw, problems
+from strategies import Draw, often, problems
 
 CLOSE = {"rel": 1e-7, "abs": 1e-8}
 """The library certifies 1e-8; HiGHS is right to 1e-10, magnified by the price of the budget."""
-SHARP = {"rel": 2e-8, "abs": 1e-10}
-"""The sweeps are right to 1e-12, so that only the certified gap is left."""
 AROUND = 1e-8
 """Within a budget the reference cannot tell a level from a neighbour as near as this."""
 
@@ -23,11 +22,6 @@ levels = st.sampled_from([0.5, 0.9, 0.29, 0.75])
 bounds = st.integers(0, 7)
 risks = st.sampled_from([-0.5, -0.1, -2.0])
 bonuses = st.sampled_from([0.3, 0.0, 1.0, 20.0])
-
-
-def often(examples):
-    """The same settings everywhere; only the number of examples differs."""
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def budget_within(model, start, share):

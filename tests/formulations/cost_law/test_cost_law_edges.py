@@ -8,6 +8,7 @@ import pytest
 
 import cost_law_models as models
 from checks import optimum
+from cost_law_models import SAFE_OR_FAST, SHARP, falling
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
 from small_models import model_of
 from ssp_lp import (
@@ -19,9 +20,6 @@ from ssp_lp import (
     evaluate,
     solve,
 )
-
-CLOSE = {"rel": 2e-8, "abs": 1e-10}
-SAFE_OR_FAST = model_of(models.FAST_OR_SAFE)
 
 
 def test_starts_at_the_goal_at_a_dead_end_and_in_between():
@@ -36,12 +34,12 @@ def test_starts_at_the_goal_at_a_dead_end_and_in_between():
     check_hopeless(model, "d")
     start = {"g": 0.5, "d": 0.25, "x": 0.25}
     for bound, value in enumerate((0.5, 0.6875, 0.6875, 0.75)):
-        assert optimum(CostBoundedReach(model, start, bound)) == pytest.approx(value, **CLOSE)
+        assert optimum(CostBoundedReach(model, start, bound)) == pytest.approx(value, **SHARP)
     assert optimum(CostQuantile(model, start, 0.6)) == 0.0
     assert optimum(CostQuantile(model, start, 0.7)) == 3.0
     value = 0.5 * 3.0 + 0.25 * (exp(-1.5) + 2.0)
-    assert optimum(EGUBS(model, start, -0.5, 2.0)) == pytest.approx(value, **CLOSE)
-    assert optimum(CVaR(model, start, 0.0)) == pytest.approx(1.0, **CLOSE)
+    assert optimum(EGUBS(model, start, -0.5, 2.0)) == pytest.approx(value, **SHARP)
+    assert optimum(CVaR(model, start, 0.0)) == pytest.approx(1.0, **SHARP)
 
 
 def check_hopeless(model, start):
@@ -67,13 +65,13 @@ def test_free_cycles():
     """Trying for nothing in a loop reaches the goal at cost 0; a bound of 0 is a bound."""
     model = model_of(models.FREE_CYCLE)
     for start in ("x", "y"):
-        assert optimum(CostBoundedReach(model, start, 0)) == pytest.approx(1.0, **CLOSE)
+        assert optimum(CostBoundedReach(model, start, 0)) == pytest.approx(1.0, **SHARP)
         assert optimum(CostQuantile(model, start, 0.99)) == 0.0
         assert optimum(CostQuantile(model, start, 0.9, 0.3)) == 0.0
         assert optimum(CVaR(model, start, 0.9)) == pytest.approx(0.0, abs=1e-9)
-        assert optimum(EGUBS(model, start, -1.0, 0.5)) == pytest.approx(1.5, **CLOSE)
+        assert optimum(EGUBS(model, start, -1.0, 0.5)) == pytest.approx(1.5, **SHARP)
     loop = model_of({"x": {"loop": [(1.0, "x", 0)], "out": [(1.0, "g", 5)]}})
-    assert optimum(CVaR(loop, "x", 0.5)) == pytest.approx(5.0, **CLOSE)
+    assert optimum(CVaR(loop, "x", 0.5)) == pytest.approx(5.0, **SHARP)
     assert optimum(CostQuantile(loop, "x", 0.5, 0.9)) == 5.0
     assert optimum(CostBoundedReach(loop, "x", 4)) == 0.0
     assert optimum(GUBS(loop, "x", lambda c: -np.minimum(c, 9.0), 0.0, -9.0)) == -5.0
@@ -85,8 +83,8 @@ def test_levels_met_exactly():
     for budget in (None, 0.4):
         for level, cost in ((0.5, 1), (0.51, 2), (0.75, 2), (0.76, 5)):
             assert optimum(CostQuantile(model, "x", level, budget)) == cost
-        assert optimum(CVaR(model, "x", 0.5, budget)) == pytest.approx(3.5, **CLOSE)
-        assert optimum(CVaR(model, "x", 0.75, budget)) == pytest.approx(5.0, **CLOSE)
+        assert optimum(CVaR(model, "x", 0.5, budget)) == pytest.approx(3.5, **SHARP)
+        assert optimum(CVaR(model, "x", 0.75, budget)) == pytest.approx(5.0, **SHARP)
     assert optimum(CostQuantile(model_of(models.retry(0.3)), "x", 0.51)) == 2.0  # 0.7^2 = 0.49
 
 
@@ -99,7 +97,7 @@ def test_a_plain_policy_is_evaluated_and_a_worse_one_widens_the_gap():
         (CostQuantile(SAFE_OR_FAST, "x", 0.9, 0.5), 1.0),
         (CVaR(SAFE_OR_FAST, "x", 0.9, 0.5), 1.0),
     ):
-        assert evaluate(fast, problem).objective == pytest.approx(worth, **CLOSE)
+        assert evaluate(fast, problem).objective == pytest.approx(worth, **SHARP)
     bounded = CostBoundedReach(SAFE_OR_FAST, "x", 3)
     timid = certify(replace(solve(bounded), policy=MixedPolicy((fast,), np.ones(1))))
     assert timid.objective == pytest.approx(0.75)
@@ -110,11 +108,6 @@ def test_a_plain_policy_is_evaluated_and_a_worse_one_widens_the_gap():
     late = certify(replace(solve(quantile), policy=MixedPolicy((safe,), np.ones(1))))
     assert late.objective == 3.0
     assert late.gap > 0.5
-
-
-def falling(cost):
-    """A utility that is in order."""
-    return np.exp(-np.asarray(cost, dtype=float))
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from checks import optimum
+from cost_law_models import falling
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, compare_criteria
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
@@ -93,11 +94,6 @@ def test_an_infinite_price_is_refused(price):
         assert not proved.accepted
         assert "price" in proved.reason
         assert proved.gap == inf
-
-
-def falling(cost):
-    """A utility in order."""
-    return np.exp(-np.asarray(cost, dtype=float))
 
 
 @pytest.mark.parametrize(

@@ -1,16 +1,15 @@
 """The best single deterministic policy: enumeration, closed forms, honest gaps."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given
 
 from checks import CLOSE, budget_of, library_model, plain
 from formulations import MCMP, S3P, MaxProb
 from references import mcmp, s3p
 from references.chain import plain_model
 from references.frontier import least_failure
+from small_models import model_of
 from ssp_lp import (
-    SSP,
     ColumnGeneration,
     DeterministicPolicies,
     InfeasibleError,
@@ -19,10 +18,7 @@ from ssp_lp import (
     evaluate,
     solve,
 )
-from strategies import acyclic_problems, budgets, discounts, problems
-
-meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
-semantics = st.fixed_dictionaries({"give_up": meanings, "charge_failing_step": st.booleans()})
+from strategies import acyclic_problems, budgets, discounts, often, problems, semantics
 
 TWO_ROADS = {
     "road": {
@@ -41,14 +37,6 @@ THREE_BRIDGES = {
     for k, share in enumerate((0.1, 0.2, 0.3))
 } | {"river": {}}
 """Three decisions in a row: eight policies."""
-
-
-def roads(choices, goal):
-    return SSP.from_transitions(choices, goal={goal}, treat_actionless_as_dead_ends=True)
-
-
-def often(examples):
-    return settings(max_examples=examples, deadline=None, derandomize=True)
 
 
 def check_single(solution, mixed, budget):
@@ -149,7 +137,7 @@ def test_ways_out_of_a_free_cycle_that_depend_on_the_way_in(formulation):
         "b": {"swap": [(1.0, "a", 0.0)], "walk": [(1.0, "home", 4.0)]},
         "pit": {},
     }
-    problem = formulation(roads(choices, "home"), start="s", failure_budget=0.06)
+    problem = formulation(model_of(choices, "home"), start="s", failure_budget=0.06)
     solution = solve(problem, method="deterministic")
     check_single(solution, solve(problem), 0.06)
     best = 3.5 if formulation is MCMP else (0.5 * 5 + 0.45 * 2) / 0.95
@@ -161,7 +149,7 @@ def test_ways_out_of_a_free_cycle_that_depend_on_the_way_in(formulation):
 @pytest.mark.parametrize("formulation", [MCMP, S3P])
 @pytest.mark.parametrize("relaxation", [ColumnGeneration(), LinearProgramming()])
 def test_a_budget_between_two_policies_buys_the_safer_one(formulation, relaxation):
-    problem = formulation(roads(TWO_ROADS, "home"), start="road", failure_budget=0.05)
+    problem = formulation(model_of(TWO_ROADS, "home"), start="road", failure_budget=0.05)
     solution = solve(problem, DeterministicPolicies(relaxation))
     assert solution.objective == pytest.approx(3.0, abs=1e-12)
     assert solution.budget_used == 0.0
@@ -172,7 +160,7 @@ def test_a_budget_between_two_policies_buys_the_safer_one(formulation, relaxatio
 @pytest.mark.parametrize("budget", [0.05, 0.1, 0.15, 0.28, 0.3, 0.45])
 def test_bridges(budget):
     """Running over some of three bridges: costs and failures by hand."""
-    model = roads(THREE_BRIDGES, "bridge3")
+    model = model_of(THREE_BRIDGES, "bridge3")
     problem = MCMP(model, start="bridge0", failure_budget=budget, charge_failing_step=False)
     best = min(cost for failure, cost in _bridges() if failure <= budget + 1e-12)
     assert best == pytest.approx(solve_single(problem), rel=1e-9)
@@ -208,7 +196,7 @@ def test_a_loop_is_bounded_by_what_it_may_cost():
         },
         "pit": {},
     }
-    problem = MCMP(roads(choices, "home"), start="a", failure_budget=0.25)
+    problem = MCMP(model_of(choices, "home"), start="a", failure_budget=0.25)
     points = mcmp.points(plain_model(choices, {"home"}), "a")
     best = min(cost for failure, cost in points if failure <= 0.25)
     assert solve_single(problem) == pytest.approx(best, rel=1e-9)
@@ -227,14 +215,14 @@ def test_ways_between_two_policies_may_go_in_circles():
         points = mcmp.points(plain_model(choices, {"home"}), start, give_up="dead_ends")
         for budget in (0.03, 0.08, 0.12, 0.2):
             problem = MCMP(
-                roads(choices, "home"), start=start, failure_budget=budget, give_up="dead_ends"
+                model_of(choices, "home"), start=start, failure_budget=budget, give_up="dead_ends"
             )
             best = min(cost for failure, cost in points if failure <= budget)
             assert solve_single(problem) == pytest.approx(best, rel=1e-8)
 
 
 def test_no_time_gives_the_safest_member_and_an_honest_gap():
-    problem = MCMP(roads(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
+    problem = MCMP(model_of(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
     mixed = solve(problem)
     solution = solve(problem, method="deterministic", time_limit=1e-9)
     best = solve(problem, method="deterministic")
@@ -247,7 +235,7 @@ def test_no_time_gives_the_safest_member_and_an_honest_gap():
 
 @pytest.mark.parametrize("tolerance", [0.5, 0.1, 1e-3])
 def test_a_tolerance_ends_the_search_early(tolerance):
-    problem = MCMP(roads(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
+    problem = MCMP(model_of(THREE_BRIDGES, "bridge3"), start="bridge0", failure_budget=0.15)
     best = solve(problem, method="deterministic").objective
     solution = solve(problem, method="deterministic", tolerance=tolerance)
     assert solution.gap <= tolerance * 1.001 + 1e-8
@@ -255,7 +243,7 @@ def test_a_tolerance_ends_the_search_early(tolerance):
 
 
 def test_problems_whose_optimum_is_one_policy_are_left_alone():
-    model = roads(TWO_ROADS, "home")
+    model = model_of(TWO_ROADS, "home")
     for problem in (MCMP(model, start="road"), MaxProb(model, start="road")):
         plainly, single = solve(problem), solve(problem, method="deterministic")
         assert single.objective == plainly.objective
@@ -263,11 +251,11 @@ def test_problems_whose_optimum_is_one_policy_are_left_alone():
 
 
 def test_arguments():
-    problem = MCMP(roads(TWO_ROADS, "home"), start="road", failure_budget=0.05)
+    problem = MCMP(model_of(TWO_ROADS, "home"), start="road", failure_budget=0.05)
     with pytest.raises(ModelError, match="method must be one of"):
         solve(problem, method="pure")
     infeasible = MCMP(
-        roads({"road": {"fast": TWO_ROADS["road"]["fast"]}, "ditch": {}}, "home"),
+        model_of({"road": {"fast": TWO_ROADS["road"]["fast"]}, "ditch": {}}, "home"),
         start="road",
         failure_budget=0.05,
     )

@@ -8,7 +8,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from ssp_lp import SSP
+
 FOLDER = Path(__file__).parents[2] / "data"
+
+PUBLISHED = {"give_up": "anywhere", "charge_failing_step": False}
+"""What the published values count."""
+
+CLOSE = {"rel": 1e-6, "abs": 1e-9}
+"""How exactly they are published."""
 
 NAMES = sorted(path.name.removesuffix(".json.gz") for path in (FOLDER / "models").iterdir())
 
@@ -60,6 +68,13 @@ def _outcomes(choice: dict[str, Any], cost: str) -> list[tuple[Fraction, int, Fr
     """The outcomes of one choice; its cost is the same for all of them."""
     paid = Fraction(1) if cost == "unit" else Fraction(choice["rewards"].get(cost, 0))
     return [(Fraction(p), successor, paid) for successor, p in choice["to"]]
+
+
+def published(name: str, cost: str = "unit") -> tuple[SSP, int]:
+    """One model of the library, exact in its costs, with its start state."""
+    case = load_case(name, cost)
+    model = SSP.from_transitions(case.choices, goal=case.goal, treat_actionless_as_dead_ends=True)
+    return model, case.start
 
 
 @cache

@@ -6,13 +6,6 @@ from hypothesis import strategies as st
 from formulations import CostLimit
 from strategies import problems
 
-meanings = st.fixed_dictionaries(
-    {
-        "give_up": st.sampled_from(["anywhere", "attention", "dead_ends"]),
-        "charge_failing_step": st.booleans(),
-    }
-)
-
 
 @st.composite
 def charged_problems(draw, most_rows=3):

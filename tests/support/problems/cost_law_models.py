@@ -3,7 +3,13 @@
 from fractions import Fraction
 from math import ceil, exp, log
 
+import numpy as np
+
+from small_models import model_of
+
 HALF = Fraction(1, 2)
+SHARP = {"rel": 2e-8, "abs": 1e-10}
+"""The sweeps are right to 1e-12, so that only the certified gap is left."""
 
 
 def retry(success, cost=1):
@@ -37,6 +43,8 @@ FAST_OR_SAFE = {
     "d": {},
 }
 """Costs 1 and fails with probability 1/4, or costs 3 and does not fail."""
+
+SAFE_OR_FAST = model_of(FAST_OR_SAFE)
 
 
 def switching_bonus(risk_factor):
@@ -80,3 +88,8 @@ def quit_or_retry_quantile(level, budget):
         if within + late > 0 and within >= level * (within + late):
             return bound
         bound += 1
+
+
+def falling(cost):
+    """A utility that is in order."""
+    return np.exp(-np.asarray(cost, dtype=float))

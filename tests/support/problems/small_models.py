@@ -1,4 +1,6 @@
-"""Small models for closed forms, written out by hand; the goal is "g"."""
+"""Small models written out by hand; where nothing else is said the goal is "g"."""
+
+from fractions import Fraction
 
 import pytest
 
@@ -9,9 +11,11 @@ each_method = pytest.mark.parametrize("method", ["lp", "columns"])
 each_meaning = pytest.mark.parametrize("give_up", ["anywhere", "attention", "dead_ends"])
 
 
-def model_of(choices):
-    """A model whose goal is "g"; states without actions are dead-ends."""
-    return SSP.from_transitions(choices, goal={"g"}, treat_actionless_as_dead_ends=True)
+def model_of(choices, goal="g", labels=None):
+    """A model with one goal, in which states without actions are dead-ends."""
+    return SSP.from_transitions(
+        choices, goal={goal}, state_labels=labels or {}, treat_actionless_as_dead_ends=True
+    )
 
 
 FREE_LOOP = {"x": {"loop": [(1.0, "x", 0)], "out": [(1.0, "g", 5)]}}
@@ -23,7 +27,7 @@ FREE_PAIR = {
 PAYING_LOOP = {"x": {"loop": [(1.0, "x", 2)], "out": [(1.0, "g", 5)]}}
 TWO_MOVES = {"x": {"slow": [(1.0, "g", 2)], "fast": [(0.95, "g", 1), (0.05, "d", 1)]}, "d": {}}
 
-FIRST = SSP.from_transitions(
+FIRST = model_of(
     {
         "depot": {
             "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
@@ -31,8 +35,31 @@ FIRST = SSP.from_transitions(
         },
         "wreck": {},
     },
-    goal={"home"},
-    state_labels={"crash": ["wreck"]},
-    treat_actionless_as_dead_ends=True,
+    "home",
+    {"crash": ["wreck"]},
 )
 """The first problem of the README."""
+
+TRIES = model_of(
+    {"door": {"try": [(0.5, "out", 1.0), (0.5, "door", 1.0)], "wait": [(1.0, "door", 3.0)]}}, "out"
+)
+"""One tries until it works, or waits at the door."""
+
+AWKWARD = model_of(
+    {
+        ("s", 1): {
+            'say "hi"': [(0.5, "t", 0.0), (0.25, "pit", 0.25), (0.25, "g", 1.0)],
+            "é b": [(0.5, "t", 0.0), (0.5, "lost", 0.0)],
+            "say_hi": [(1.0, ("s", 1), 0.0)],
+        },
+        "t": {"é b": [(0.5, "g", Fraction(1, 4)), (0.5, "g", 0.3)], "": [(1.0, "cliff", 0.0)]},
+        "pit": {},
+        "cliff": {},
+        "lost": {},
+    },
+    labels={"the pit": ["pit"], "high": ["cliff", "t"]},
+)
+"""Labels of several kinds, loops, what costs nothing, costs in fractions, several dead-ends."""
+
+ALONE = model_of({})
+"""Nothing but a goal."""

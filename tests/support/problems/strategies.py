@@ -8,6 +8,7 @@ often. Live states are called "a", "b", ..., goals "G0", "G1", dead-ends "d0" (f
 
 from dataclasses import dataclass
 
+from hypothesis import settings
 from hypothesis import strategies as st
 
 SPLITS = (
@@ -104,3 +105,10 @@ budgets = st.sampled_from([0.1, 0.0, 0.25, 1 / 3, 0.5, 0.75, 0.95, 1e-3, "kink",
 """Where the budget lies between the least failure (0) and sure failure (1), or a named place."""
 
 discounts = st.sampled_from([None, 0.5, 0.9, 0.99])
+meanings = st.sampled_from(["anywhere", "attention", "dead_ends"])
+semantics = st.fixed_dictionaries({"give_up": meanings, "charge_failing_step": st.booleans()})
+
+
+def often(examples):
+    """The settings of every test on draws; only the number of examples differs."""
+    return settings(max_examples=examples, deadline=None, derandomize=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import logging
 import sys
 import time
@@ -11,6 +10,7 @@ from dataclasses import replace
 import pytest
 
 from formulations import MCMP, S3P, compare_criteria
+from small_models import FIRST
 from ssp_lp import (
     SSP,
     InfeasibleError,
@@ -23,26 +23,9 @@ from ssp_lp import (
     solve,
     trace_frontier,
 )
+from terminal import Terminal
 
-MODEL = SSP.from_transitions(
-    {
-        "depot": {
-            "alley": [(0.90, "home", 4.0), (0.10, "wreck", 2.0)],
-            "road": [(0.99, "home", 9.0), (0.01, "wreck", 5.0)],
-        },
-        "wreck": {},
-    },
-    goal={"home"},
-    treat_actionless_as_dead_ends=True,
-)
-PROBLEM = MCMP(MODEL, "depot", 0.05, horizon=3)
-
-
-class Terminal(io.StringIO):
-    """A stream whose last line can be overwritten."""
-
-    def isatty(self) -> bool:
-        return True
+PROBLEM = MCMP(FIRST, "depot", 0.05, horizon=3)
 
 
 def line(states: int) -> SSP:
@@ -54,7 +37,7 @@ def test_nothing_is_told_unless_asked(capfd: pytest.CaptureFixture[str]) -> None
     policy = solve(PROBLEM).policy
     simulate(policy, PROBLEM, rng=0, episodes=10)
     trace_frontier(PROBLEM)
-    compare_criteria(MODEL, "depot")
+    compare_criteria(FIRST, "depot")
     line(10)
     assert capfd.readouterr() == ("", "")
 
@@ -72,7 +55,7 @@ def test_verbose_tells_each_phase(capsys: pytest.CaptureFixture[str]) -> None:
     simulate(solution.policy, PROBLEM, rng=0, episodes=10, verbose=True)
     certify(solution, verbose=True)
     cross_check(replace(PROBLEM, discount=0.99, horizon=None), verbose=True)
-    compare_criteria(MODEL, "depot", failure_budgets=(), penalties=(), verbose=True)
+    compare_criteria(FIRST, "depot", failure_budgets=(), penalties=(), verbose=True)
     with progress_shown(), progress_shown():
         line(7)
     told = capsys.readouterr().err
@@ -89,7 +72,7 @@ def test_verbose_tells_each_phase(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_a_horizon_is_built_once(capsys: pytest.CaptureFixture[str]) -> None:
-    problem = S3P(MODEL, "depot", 0.05, horizon=4)
+    problem = S3P(FIRST, "depot", 0.05, horizon=4)
     for built in (1, 0):
         solve(problem, verbose=True)
         assert capsys.readouterr().err.count("building") == built
@@ -118,7 +101,7 @@ def test_it_ends_where_it_should(capsys: pytest.CaptureFixture[str]) -> None:
     logger = logging.getLogger("ssp_lp")
     before = logger.level, list(logger.handlers), logger.propagate
     with pytest.raises(InfeasibleError):
-        solve(MCMP(MODEL, "depot", 0.001), verbose=True)
+        solve(MCMP(FIRST, "depot", 0.001), verbose=True)
     assert (logger.level, list(logger.handlers), logger.propagate) == before
     capsys.readouterr()
     solve(PROBLEM)
@@ -132,7 +115,7 @@ def test_logging_has_the_same(caplog: pytest.LogCaptureFixture, limited: bool) -
     fuel = {"fuel": secondary_cost({"depot": {"alley": 1.0}}) <= 0.3} if limited else {}
     calls: list[tuple[int, float, float]] = []
     with caplog.at_level(logging.DEBUG, "ssp_lp"):
-        problem = MCMP(MODEL, "depot", 0.08, constraints=fuel, horizon=3)
+        problem = MCMP(FIRST, "depot", 0.08, constraints=fuel, horizon=3)
         solution = solve(problem, progress=lambda *told: calls.append(told))
     told = [(r.name, r.levelname) for r in caplog.records]
     names = [name for name, level in told if level == "INFO"]

@@ -81,15 +81,12 @@ def test_predecessors_turn_the_graph_round(path, seed, n_states):
 
 
 @pytest.mark.parametrize(("seed", "n_states"), SEEDS)
-def test_reachable_states_and_dead_ends(path, seed, n_states):
-    model, rng = drawn_model(seed, n_states)
+def test_dead_ends_reach_no_goal(path, seed, n_states):
+    model, _ = drawn_model(seed, n_states)
     steps = steps_of(model)
     ahead = [{s}.union(*(steps[p] for p in pairs_of(model, s))) for s in range(n_states)]
     for _ in range(n_states):
         ahead = [set().union(*(ahead[t] for t in known)) for known in ahead]
-    start = rng.integers(0, n_states, size=2)
-    reached = reachability.reachable_states(model, start)
-    assert members(reached) == set().union(*(ahead[s] for s in start))
     goals = members(model.goal_mask)
     assert members(reachability.dead_ends(model)) == {
         s for s in range(n_states) if not ahead[s] & goals

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import ssp_lp
 import ssp_lp.io
 import ssp_lp.plotting
-from formulations import MCMP, compare_criteria
+from formulations import MCMP, FinitePenalty, compare_criteria
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.model.arguments import explained
 
@@ -34,8 +35,25 @@ KNOWN = {
     **{name: getattr(ssp_lp.io, name) for name in ssp_lp.io.__all__},
     **{name: getattr(ssp_lp.plotting, name) for name in ssp_lp.plotting.__all__},
     **{"M": MODEL, "P": PROBLEM, "S": SOLUTION, "G": GRID, "W": WORLD, "np": np, "step": step},
-    "compare_criteria": compare_criteria,
+    **{"MCMP": MCMP, "FinitePenalty": FinitePenalty, "compare_criteria": compare_criteria},
 }
+
+TRUTHS = [  # anything would do for a truth value, so that these are looked at in every call
+    "MCMP(M, 'a', charge_failing_step='yes')",
+    "FinitePenalty(M, 'a', 3.0, charge_failing_step=1)",
+    "solve(P, verbose='x')",
+    "certify(S, verbose='x')",
+    "cross_check(P, verbose='x')",
+    "trace_frontier(P, verbose='x')",
+    "simulate(S.policy, P, rng=0, verbose='x')",
+    "compare_criteria(M, 'a', verbose='x')",
+    "progress_shown(1).__enter__()",
+    "load_policy('policy.npz', M, check='x')",
+    "SSP.from_transitions({'a': {'x': [(1.0, 'g', 1.0)]}}, {'g'}, normalise='x')",
+    "SSP.from_transitions({'a': {}}, {'g'}, treat_actionless_as_dead_ends=1)",
+    "Axis(0.0, 1.0, 4, periodic='x')",
+    "Axis(0.0, 1.0, 4, split_edges=0)",
+]
 
 SLIPS = [
     ("Grid(None)", "Grid: axes must be a list of Axis, not None"),
@@ -83,7 +101,10 @@ SLIPS = [
     ("from_matrices([np.eye(2)], 1, costs='x')", "costs or rewards are no numbers: 'x'"),
     ("from_gymnasium('FrozenLake-v1')", "an environment is needed, such as"),
     ("rollout(None, S.policy, episodes=3, seed=0)", "of no environment"),
-    ("rollout(None, S.policy, episodes='x', seed=0)", "episodes must be a whole number, not 'x'"),
+    (
+        "rollout(None, S.policy, episodes='x', seed=0)",
+        "episodes must be a whole number >= 1, not 'x'",
+    ),
     ("load_solution('s.npz', M)", "No such file|problem must be a Problem"),
     ("plot_frontier(S)", "frontier must be a"),
     ("plot_cost_law(S)", "law must be a CostLaw"),
@@ -101,6 +122,14 @@ SLIPS = [
     ("row_major(4, 4)('x')", "number must be a whole number, not 'x'"),
     ("compare_criteria(M, 'a', penalties=10)", "penalties must be a list of numbers, not 10"),
 ]
+
+
+@pytest.mark.parametrize("call", TRUTHS)
+def test_what_is_neither_true_nor_false_is_refused(call: str) -> None:
+    flag = re.search(r"(\w+)=[^,]*$", call)
+    name = "verbose" if flag is None else flag[1]
+    with pytest.raises(ModelError, match=f"{name} must be True or False, not"):
+        eval(call, dict(KNOWN))  # noqa: S307
 
 
 @pytest.mark.parametrize(("slip", "words"), SLIPS, ids=[slip for slip, _ in SLIPS])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
@@ -19,8 +18,6 @@ from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_c
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
-
-Switch = Callable[[bool], None]
 
 
 @pytest.fixture(params=[False, True], ids=["numpy", "numba"])

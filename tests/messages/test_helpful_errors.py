@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from formulations import GUBS, MCMP, S3P, AlphaMCMP, CostQuantile, CVaR, compare_criteria
+from small_models import model_of
 from ssp_lp import (
     SSP,
     DeterministicPolicy,
@@ -40,9 +41,7 @@ ROAD: dict[Any, Any] = {
     (1, 2): {"alley": [(1.0, "home", 1.0)], "road": [(1.0, "home", 1.0)]},
     7: {"alley": [(1.0, "home", 1.0)]},
 }
-MODEL = SSP.from_transitions(
-    ROAD, goal={"home"}, state_labels={"crash": ["wreck"]}, treat_actionless_as_dead_ends=True
-)
+MODEL = model_of(ROAD, "home", labels={"crash": ["wreck"]})
 PROBLEM = MCMP(MODEL, "depot", 0.2)
 SOLUTION = solve(PROBLEM)
 

@@ -7,33 +7,28 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import stormpy
 
 from cases import load_case
-from formulations import MCMP, S3P, MaxProb
-from small_models import FIRST
+from checks import optima
+from formulations import MCMP, MaxProb
+from small_models import ALONE, AWKWARD, FIRST
 from ssp_lp import (
-    GIVE_UP,
     SSP,
-    DeterministicPolicy,
     MissingDependencyError,
     ModelError,
-    StochasticPolicy,
-    evaluate,
     solve,
 )
-from ssp_lp.analysis.goal_probability import dead_end_labels
 from ssp_lp.io import (
     from_stormpy,
-    induced_chain,
     read_with_storm,
     to_stormpy,
     write_drn,
-    write_scheduler,
     write_umb,
 )
+from ssp_lp.model.graph.reachability import dead_end_labels
+from storm_values import value
 
 # "time" is paid by states and actions, "coins" by actions
 PROGRAM = """mdp
@@ -118,23 +113,6 @@ def written(tmp_path: Path, text: str, name: str = "walker.prism") -> Path:
     return path
 
 
-def value(model: Any, formula: str) -> float:
-    """What Storm says of the initial state, by methods that bound their error."""
-    asked = stormpy.parse_properties(formula)[0]
-    environment = stormpy.environments.sound()
-    environment.modelchecker().multi().precision = stormpy.Rational("1/100000000")
-    found = stormpy.model_checking(model, asked, environment=environment)
-    return float(found.get_value(model.initial_states[0]))
-
-
-def optima(model: SSP, start: object, budget: float) -> list[float]:
-    return [
-        solve(MCMP(model, start, failure_budget=budget)).objective,
-        solve(S3P(model, start, failure_budget=budget)).objective,
-        solve(MaxProb(model, start)).objective,
-    ]
-
-
 def test_a_program_of_prism(tmp_path: Path) -> None:
     found = read_with_storm(
         written(tmp_path, PROGRAM), goal="done", cost="time", constants="N=2,p=0.25"
@@ -168,7 +146,7 @@ def test_a_goal_may_be_a_condition(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "options", "message"),
     [
-        ("", "", {"cost": None}, "choose one of the reward models, cost=.*'coins', 'time'"),
+        ("", "", {"cost": None}, "choose one of the reward models .cost.: .*'coins', 'time'"),
         ("", "", {"cost": "fuel"}, "unknown reward model 'fuel'"),
         ("", "", {"goal": "doen"}, r"goal 'doen' \(labels: 'done'\)"),
         ("", "", {"goal": '"doen"'}, "unknown label 'doen'"),
@@ -284,27 +262,8 @@ def test_models_that_are_no_decision_processes_in_floats_are_refused(tmp_path: P
         from_stormpy(stormpy.build_model(ready), goal="doen", cost="time")
 
 
-AWKWARD = SSP.from_transitions(
-    {
-        "s": {
-            'say "hi"': [(0.5, "t", 0.0), (0.25, "pit", 0.25), (0.25, "g", 1.0)],
-            "é b": [(0.5, "t", 0.0), (0.5, "lost", 0.0)],
-            "say_hi": [(1.0, "s", 0.0)],
-        },
-        "t": {"é b": [(0.5, "g", 0.1), (0.5, "g", 0.3)], "": [(1.0, "cliff", 0.0)]},
-        "pit": {},
-        "cliff": {},
-        "lost": {},
-    },
-    goal={"g"},
-    state_labels={"the pit": ["pit"], "high": ["cliff", "t"]},
-    treat_actionless_as_dead_ends=True,
-)
-ALONE = SSP.from_transitions({}, goal={"g"})
-
-
 @pytest.mark.parametrize("way", ["memory", "umb", "drn"])
-@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, "s"), (ALONE, "g")])
+@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, ("s", 1)), (ALONE, "g")])
 def test_a_round_trip_through_storm_keeps_the_optimum(
     way: str, model: SSP, start: str, tmp_path: Path
 ) -> None:
@@ -356,200 +315,3 @@ def test_the_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path:
         to_stormpy(FIRST, start="depot")
     with pytest.raises(MissingDependencyError):
         read_with_storm(written(tmp_path, PROGRAM), goal="done")
-
-
-# schedulers
-
-
-def checked(policy: Any, start: object) -> tuple[float, float]:
-    """Failure and expected cost of a policy, as Storm finds them on its chain."""
-    found = induced_chain(policy, start)
-    chain = to_stormpy(found.model, start=found.start)
-    return 1.0 - value(chain, 'Pmin=? [F "goal"]'), value(chain, 'R{"cost"}max=? [C]')
-
-
-@pytest.mark.parametrize("criterion", [MCMP, S3P])
-@pytest.mark.parametrize("kind", ["policy", "randomised_policy"])
-@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, "s")])
-def test_storm_finds_what_we_say_of_a_policy(
-    criterion: Any, kind: str, model: SSP, start: str
-) -> None:
-    problem = criterion(model, start, failure_budget=0.3)
-    policy = getattr(solve(problem), kind)
-    told = evaluate(policy, MCMP(model, start, failure_budget=0.3, charge_failing_step=False))
-    failure, cost = checked(policy, start)
-    assert failure == pytest.approx(told.failure_probability, abs=1e-8)
-    assert cost == pytest.approx(told.expected_cost, abs=1e-8)
-
-
-def robot() -> tuple[SSP, int]:
-    case = load_case("prism_robot_goal1", "time")
-    return SSP.from_transitions(
-        case.floats(), case.goal, treat_actionless_as_dead_ends=True
-    ), case.start
-
-
-def test_a_chain_ends_where_failure_is_certain() -> None:
-    """Waiting for ever costs without end, but the policy had failed before."""
-    model = SSP.from_transitions(
-        {
-            "s": {"go": [(0.5, "g", 3.0), (0.5, "t", 1.0)]},
-            "t": {"wait": [(1.0, "t", 1.0)], "back": [(1.0, "s", 1.0)]},
-        },
-        goal={"g"},
-    )
-    policy = DeterministicPolicy.from_actions(model, {"s": "go", "t": "wait"})
-    told = evaluate(policy, MCMP(model, "s", failure_budget=0.5, charge_failing_step=False))
-    assert checked(policy, "s") == (0.5, pytest.approx(told.expected_cost))
-    assert told.expected_cost == pytest.approx(2.0)
-
-
-def test_a_start_may_be_drawn() -> None:
-    model, _ = robot()
-    first = {0: 0.25, 1: 0.75}
-    solution = solve(MCMP(model, first, failure_budget=0.6))
-    failure, _ = checked(solution.policy, first)
-    assert failure == pytest.approx(solution.failure_probability, abs=1e-8)
-
-
-def scheduler(policy: Any, start: object, tmp_path: Path) -> list[dict[str, Any]]:
-    write_scheduler(policy, tmp_path / "s.json", start=start)
-    return json.loads((tmp_path / "s.json").read_text(encoding="utf-8"))
-
-
-def test_a_scheduler_is_written_as_storm_writes_it(tmp_path: Path) -> None:
-    """Storm's own scheduler, made a policy of ours, comes out as it came in."""
-    model, start = robot()
-    theirs = to_stormpy(model, start=start)
-    asked = stormpy.parse_properties('Pmax=? [F "goal"]')[0]
-    found = stormpy.model_checking(theirs, asked, extract_scheduler=True).get_scheduler()
-    decision = np.full(model.n_states, -2)
-    for state in np.flatnonzero(np.diff(model.pair_offsets)).tolist():
-        taken = found.get_choice(state).get_deterministic_choice()
-        decision[state] = model.pair_offsets[state] + taken
-    policy = DeterministicPolicy(model, decision)
-    assert scheduler(policy, start, tmp_path) == json.loads(found.to_json_str(theirs))
-
-
-def applied(entries: list[dict[str, Any]], theirs: Any) -> Any:
-    """Storm's chain of a scheduler without memory that chooses one action in each state."""
-    asked = stormpy.parse_properties('Pmax=? [F "goal"]')[0]
-    whole = stormpy.model_checking(theirs, asked, extract_scheduler=True).get_scheduler()
-    firsts = theirs.nondeterministic_choice_indices
-    for entry in entries:
-        if entry["c"] != "undefined":
-            (choice,) = entry["c"]
-            local = choice["index"] - firsts[entry["s"]]
-            whole.set_choice(stormpy.models.SchedulerChoice[float](local), entry["s"])
-    return theirs.apply_scheduler(whole)
-
-
-@pytest.mark.parametrize("name", ["alley", "road"])
-def test_a_scheduler_applied_by_storm_fails_and_costs_as_ours(name: str, tmp_path: Path) -> None:
-    policy = DeterministicPolicy.from_actions(FIRST, {"depot": name})
-    told = evaluate(policy, MCMP(FIRST, "depot", failure_budget=0.3, charge_failing_step=False))
-    chain = applied(scheduler(policy, "depot", tmp_path), to_stormpy(FIRST, start="depot"))
-    assert 1.0 - value(chain, 'P=? [F "goal"]') == pytest.approx(told.failure_probability)
-    assert value(chain, 'R{"cost"}=? [C]') == pytest.approx(told.expected_cost)
-
-
-def followed(entries: list[dict[str, Any]], theirs: Any) -> tuple[float, float]:
-    """Failure and cost of a scheduler with memory, as its file says and by Storm's own rows."""
-    rule = {(entry["s"], entry.get("m", 0)): entry["c"] for entry in entries}
-    position = {key: k for k, key in enumerate(sorted(rule))}
-    matrix, rewards = theirs.transition_matrix, theirs.reward_models["cost"].state_action_rewards
-    n = len(position)
-    move, cost, goal = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    for (state, memory), choices in rule.items():
-        here = position[state, memory]
-        if "goal" in theirs.get_labels_of_state(state):
-            goal[here] = 1.0
-            continue
-        if choices == "undefined" or "deadlock" in theirs.get_labels_of_state(state):
-            continue
-        for choice in choices:
-            after = {u["s'"]: u["m'"] for u in choice.get("memory-updates", ())}
-            cost[here] += choice["prob"] * rewards[choice["index"]]
-            for entry in matrix.get_row(choice["index"]):
-                there = position[entry.column, after.get(entry.column, 0)]
-                move[here, there] += choice["prob"] * entry.value
-    first = position[theirs.initial_states[0], 0]
-    reached, paid = goal.copy(), np.zeros(n)
-    for _ in range(5000):
-        reached, paid = goal + move @ reached, cost + move @ paid
-    return 1.0 - reached[first], paid[first]
-
-
-@pytest.mark.parametrize(("model", "start"), [(FIRST, "depot"), (AWKWARD, "s")])
-def test_a_scheduler_with_memory_says_what_the_policy_does(
-    model: SSP, start: str, tmp_path: Path
-) -> None:
-    solution = solve(S3P(model, start, failure_budget=0.3))
-    policy = solution.randomised_policy
-    told = evaluate(policy, MCMP(model, start, failure_budget=0.3, charge_failing_step=False))
-    entries = scheduler(policy, start, tmp_path)
-    failure, cost = followed(entries, to_stormpy(model, start=start))
-    assert failure == pytest.approx(told.failure_probability, abs=1e-12)
-    if not told.ends["gave_up"]:
-        assert cost == pytest.approx(told.expected_cost, abs=1e-12)
-
-
-def test_the_robots_memory_of_costs_is_a_scheduler(tmp_path: Path) -> None:
-    model, start = robot()
-    solution = solve(S3P(model, start, failure_budget=0.75))
-    told = solution.evaluation
-    entries = scheduler(solution.randomised_policy, start, tmp_path)
-    assert {tuple(sorted(entry)) for entry in entries} == {("c", "m", "s")}
-    failure, _ = followed(entries, to_stormpy(model, start=start))
-    assert failure == pytest.approx(told.failure_probability, abs=1e-9)
-
-
-def test_giving_up_is_an_action_that_avoids_the_goal(tmp_path: Path) -> None:
-    """A policy that by chance gives up or goes on from its start."""
-    model, start = robot()
-    solution = solve(MCMP(model, start, failure_budget=0.75))
-    assert solution.evaluation.ends["gave_up"] > 0.0
-    entries = scheduler(solution.randomised_policy, start, tmp_path)
-    failure, _ = followed(entries, to_stormpy(model, start=start))
-    assert failure == pytest.approx(solution.failure_probability, abs=1e-12)
-
-
-def test_memory_stands_in_a_scheduler_as_storm_writes_it(tmp_path: Path) -> None:
-    """The fields of an entry are those of a scheduler with memory that Storm made."""
-    ring = "mdp\nmodule m\n s : [0..1];\n [a] true -> 0.5:(s'=0)+0.5:(s'=1);\nendmodule\n"
-    program = stormpy.parse_prism_program(str(written(tmp_path, ring)))
-    asked = stormpy.parse_properties("Pmax=? [(F s=0) & (F s=1)]", program)
-    options = stormpy.BuilderOptions(asked, program)
-    options.set_build_choice_labels()
-    theirs = stormpy.build_model(program, options=options)
-    own = stormpy.model_checking(theirs, asked[0], extract_scheduler=True).get_scheduler()
-    assert not own.memoryless
-    model, start = robot()
-    entries = scheduler(
-        solve(S3P(model, start, failure_budget=0.75)).randomised_policy, start, tmp_path
-    )
-    (known, *_), (mine, *_) = json.loads(own.to_json_str(theirs)), entries
-    assert sorted(mine) == sorted(known)
-    assert sorted(mine["c"][0]) == sorted(known["c"][0])
-    assert sorted(mine["c"][0]["memory-updates"][0]) == ["m'", "s'"]
-
-
-def test_what_a_scheduler_cannot_say_is_named(tmp_path: Path) -> None:
-    lottery = solve(MCMP(FIRST, "depot", failure_budget=0.05)).policy
-    with pytest.raises(ModelError, match=r"solution\.randomised_policy"):
-        scheduler(lottery, "depot", tmp_path)
-    quits = DeterministicPolicy.from_actions(FIRST, {"depot": GIVE_UP})
-    with pytest.raises(ModelError, match="gives up in state 'depot'"):
-        scheduler(quits, "depot", tmp_path)
-    bus = SSP.from_transitions(
-        {"stop": {"wait": [(1.0, "stop", 1.0)], "ride": [(1.0, "g", 1.0)]}}, goal={"g"}
-    )
-    chances = {"wait": 0.25, "ride": 0.5, GIVE_UP: 0.25}
-    undecided = StochasticPolicy.from_actions(bus, {"stop": chances})
-    with pytest.raises(ModelError, match="every action that it does not take otherwise"):
-        scheduler(undecided, "stop", tmp_path)
-    failure, cost = checked(quits, "depot")
-    assert (failure, cost) == (1.0, 0.0)
-    stays = DeterministicPolicy.from_actions(AWKWARD, {"s": "é b", "t": GIVE_UP})
-    entries = scheduler(stays, "s", tmp_path)
-    assert followed(entries, to_stormpy(AWKWARD, start="s"))[0] == 1.0

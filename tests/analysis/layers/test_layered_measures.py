@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from drawn_policies import CLOSE, drawn_model, drawn_policy
-from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P, MinCost
+from small_models import model_of
 from ssp_lp import SSP, CostAwarePolicy, ModelError, certify, evaluate, solve
 from ssp_lp.analysis import evaluation
 from ssp_lp.analysis.chain import policy_chain
@@ -59,7 +59,7 @@ def test_failing_where_that_is_forbidden_costs_without_end() -> None:
         "dare": [(0.9, "g", 1.0), (0.1, "d", 1.0)],
     }
     steps = {"x": ways, "d": {}}
-    model = SSP.from_transitions(steps, {"g"}, treat_actionless_as_dead_ends=True)
+    model = model_of(steps)
     problem = MinCost(model, "x")
     start, tails = start_distribution(model, "x"), np.full((1, 3), UNDECIDED)
     tails[0, model.index_of("x")] = 0
@@ -74,9 +74,10 @@ def test_failing_where_that_is_forbidden_costs_without_end() -> None:
         assert np.isinf(found.expected_cost) == (dares == 1)
 
 
-def test_a_lottery_is_evaluated_the_same_either_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    grid = RobotGrid(segments=8, headings=8)
-    solution = solve(S3P(grid_model(grid), start_state(grid), failure_budget=0.3))
+def test_a_lottery_is_evaluated_the_same_either_way(
+    coarse_robot: tuple[SSP, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    solution = solve(S3P(*coarse_robot, failure_budget=0.3))
     assert len(solution.policy.policies) == 2
     written_out = evaluate(solution.policy, solution.problem)
     monkeypatch.setattr(evaluation, "layered_measures", partial(layered_measures, least_nodes=0))

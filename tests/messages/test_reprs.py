@@ -19,6 +19,7 @@ from formulations import (
     MinProb,
     compare_criteria,
 )
+from small_models import model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -37,7 +38,7 @@ from ssp_lp import (
 )
 from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
 
-MODEL = SSP.from_transitions(
+MODEL = model_of(
     {
         "s": {
             "go": [(0.9, "g", 4.0), (0.04, "pit", 1.0), (0.06, "wall", 1.0)],
@@ -47,9 +48,7 @@ MODEL = SSP.from_transitions(
         "pit": {},
         "wall": {},
     },
-    goal={"g"},
-    state_labels={"crash <b>": ["wall"]},
-    treat_actionless_as_dead_ends=True,
+    labels={"crash <b>": ["wall"]},
 )
 PROBLEM = MCMP(MODEL, "s", failure_budget=0.3)
 
@@ -84,12 +83,11 @@ def test_who_never_fails_has_no_line_for_it() -> None:
 
 
 def test_giving_up_later_is_no_giving_up_at_the_start() -> None:
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "s": {"on": [(0.5, "g", 1.0), (0.5, "t", 1.0)]},
             "t": {"far": [(1.0, "g", 50.0)], "stay": [(1.0, "t", 1.0)]},
-        },
-        goal={"g"},
+        }
     )
     assert failing_line(solve(MCMP(model, "s", 0.2))) == "gave up 0.2"
     policy = DeterministicPolicy.from_actions(model, {"s": "on", "t": GIVE_UP})
@@ -134,10 +132,8 @@ def test_reprs_are_short(solution: Solution) -> None:
 def test_a_frontier_lists_five_points_at_most() -> None:
     text = str(trace_frontier(PROBLEM))
     assert text.startswith("Frontier(")
-    steep = SSP.from_transitions(
-        {"s": {k: [(k / 20, "g", k * k), (1 - k / 20, "d", 0.0)] for k in range(20)}, "d": {}},
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+    steep = model_of(
+        {"s": {k: [(k / 20, "g", k * k), (1 - k / 20, "d", 0.0)] for k in range(20)}, "d": {}}
     )
     frontier = trace_frontier(MCMP(steep, "s"))
     lines = str(frontier).splitlines()

@@ -1,13 +1,13 @@
 """Dead-ends, attention states and staying actions: searches on the graph against fixed points."""
 
-from hypothesis import given, settings
+from hypothesis import given
 
 from checks import library_model, plain
 from ssp_lp.model.graph import reachability
-from strategies import problems
+from strategies import often, problems
 
 
-@settings(max_examples=200, deadline=None, derandomize=True)
+@often(200)
 @given(problems())
 def test_graph_facts_are_the_fixed_points(drawn):
     """The masks name the states that the plain fixed points name."""
@@ -21,7 +21,7 @@ def test_graph_facts_are_the_fixed_points(drawn):
     assert not attention[model.goal_mask].any()
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@often(100)
 @given(problems())
 def test_attention_pairs_keep_to_the_attention_states(drawn):
     """The staying actions of each attention state."""

@@ -15,9 +15,10 @@ import pytest
 import scipy.sparse as sp
 
 from cases import load_case
+from checks import optima
 from examples.checks.damaged_files import mutated
-from formulations import MCMP, S3P, MaxProb
-from small_models import FIRST
+from formulations import MCMP
+from small_models import FIRST, model_of
 from ssp_lp import SSP, ModelError, solve
 from ssp_lp.io import (
     from_matrices,
@@ -73,15 +74,6 @@ CASES = {
 each_case = pytest.mark.parametrize("name", sorted(CASES))
 
 
-def optima(model: SSP, start: object, budget: float) -> list[float]:
-    """The values of three criteria."""
-    return [
-        solve(MCMP(model, start, failure_budget=budget)).objective,
-        solve(S3P(model, start, failure_budget=budget)).objective,
-        solve(MaxProb(model, start)).objective,
-    ]
-
-
 @each_case
 @pytest.mark.parametrize("way", ["npz", "drn", "drn.gz", "prism"])
 def test_a_round_trip_keeps_the_optimum(name: str, way: str, tmp_path: Path) -> None:
@@ -124,10 +116,8 @@ def test_an_archive_is_the_same_model(name: str, tmp_path: Path) -> None:
 
 def test_an_archive_keeps_fractions_and_odd_names(tmp_path: Path) -> None:
     third = Fraction(1, 3)
-    model = SSP.from_transitions(
-        {("é", 1.5): {1: [(0.5, "g", third), (0.5, (0, (True, "x")), 2)]}, (0, (True, "x")): {}},
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+    model = model_of(
+        {("é", 1.5): {1: [(0.5, "g", third), (0.5, (0, (True, "x")), 2)]}, (0, (True, "x")): {}}
     )
     save_model(model, tmp_path / "m.npz")
     again = load_model(tmp_path / "m.npz")
@@ -406,14 +396,12 @@ def test_an_error_in_a_prism_text_names_its_file(
 
 
 def test_outcomes_of_several_costs_keep_their_totals(tmp_path: Path) -> None:
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "s": {"a": [(0.25, "g", 0.1), (0.25, "g", 0.3), (0.5, "t", 0.3)]},
             "t": {"a": [(0.5, "g", 0.3), (0.5, "d", 0.3)], "b": [(1.0, "s", 0), (0.0, "d", 9)]},
             "d": {},
-        },
-        goal={"g"},
-        treat_actionless_as_dead_ends=True,
+        }
     )
     write_drn(model, tmp_path / "m.drn", start="s")
     found = read_drn(tmp_path / "m.drn", goal="goal")
@@ -524,14 +512,13 @@ def test_what_is_paid_until_a_failure_survives_a_round_trip(tmp_path: Path) -> N
 
 def test_a_state_that_merely_bears_the_name_is_kept(tmp_path: Path) -> None:
     """A state labelled "paying" is the model's own if it may do anything but pay."""
-    model = SSP.from_transitions(
+    model = model_of(
         {
             "s": {"a": [(1.0, "till", 1.0)]},
             "till": {"pay": [(0.5, "g", 1.0), (0.5, "s", 1.0)]},
             "bar": {"wait": [(1.0, "g", 1.0)]},
         },
-        goal={"g"},
-        state_labels={"paying": ["till", "bar"]},
+        labels={"paying": ["till", "bar"]},
     )
     write_drn(model, tmp_path / "m.drn", start="s")
     found = read_drn(tmp_path / "m.drn", goal="goal").model

@@ -14,6 +14,7 @@ import pytest
 
 from cases import FOLDER, load_case
 from formulations import MCMP
+from small_models import model_of
 from ssp_lp import SSP, ModelError, SSPError, solve
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json, read_json
 
@@ -64,10 +65,10 @@ def test_published_cases_are_read(name: str) -> None:
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
-    model = SSP.from_transitions(
+    model = model_of(
         {(0, "a"): {1: [(0.25, "x", 0.1), (0.75, (0, "a"), Fraction(1, 3))]}},
-        goal=["x"],
-        state_labels={"first": [(0, "a")]},
+        "x",
+        labels={"first": [(0, "a")]},
     )
     with gzip.open(tmp_path / "m.json.gz", "wt", encoding="utf-8") as file:
         file.writelines(model_in_json(model, {(0, "a"): 1.0}))

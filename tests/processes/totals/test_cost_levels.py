@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from formulations import MCMP, S3P
+from played import ROOT, ferry
+from small_models import model_of
 from ssp_lp import (
     SSP,
     InfeasibleError,
@@ -26,7 +28,6 @@ from ssp_lp.processes.totals.ladder import Ladder
 from ssp_lp.processes.totals.step_sums import sums_of
 
 COSTS = (0.37, 1.01, 0.5, 2.03, 1.73, 0.11)
-ROOT = 2.0**0.5
 
 
 def drawn_model(rng: np.random.Generator) -> SSP:
@@ -47,7 +48,7 @@ def drawn_model(rng: np.random.Generator) -> SSP:
             ]
     choices["s0"]["go"] = [(0.7, "home", palette[0]), (0.3, "wall", palette[1])]
     choices |= {"home": {}, "wall": {}}
-    return SSP.from_transitions(choices, goal={"home"}, treat_actionless_as_dead_ends=True)
+    return model_of(choices, "home")
 
 
 @pytest.mark.parametrize("block", range(4))
@@ -78,23 +79,9 @@ def test_levels_grids_and_the_lattice(block: int) -> None:
             assert found.objective == pytest.approx(solution.objective, rel=1e-9, abs=1e-12), seed
 
 
-def ferry(diagonal: float) -> SSP:
-    """Two hops, straight or diagonal; the diagonal one costs less and sinks with 0.2."""
-    hop = {"straight": [(1.0, "mid", 2.0)], "across": [(0.8, "mid", diagonal), (0.2, "sea", 1.0)]}
-    land = {
-        "straight": [(1.0, "home", 2.0)],
-        "across": [(0.8, "home", diagonal), (0.2, "sea", 1.0)],
-    }
-    return SSP.from_transitions(
-        {"quay": hop, "mid": land, "sea": {}, "home": {}},
-        goal={"home"},
-        treat_actionless_as_dead_ends=True,
-    )
-
-
 def test_irrational_costs_in_closed_form() -> None:
     """Budget 0.2: one diagonal hop at most, (2 + sqrt(2)) given success."""
-    problem = S3P(ferry(ROOT), "quay", failure_budget=0.2)
+    problem = S3P(ferry(), "quay", failure_budget=0.2)
     solution = solve(problem)
     lottery = {"one": (0.2, 0.8 * (2.0 + ROOT)), "two": (0.36, 0.64 * 2.0 * ROOT), "no": (0.0, 4.0)}
     pairs = [
@@ -131,9 +118,7 @@ def test_many_real_costs_are_solved_on_a_grid() -> None:
             "run": [(0.85, after, run), (0.1, back, run), (0.05, "sea", run)],
             "walk": [(0.7, after, 2.0 * walk), (0.29, back, walk), (0.01, "sea", walk)],
         }
-    model = SSP.from_transitions(
-        {**choices, "sea": {}, "home": {}}, goal={"home"}, treat_actionless_as_dead_ends=True
-    )
+    model = model_of({**choices, "sea": {}, "home": {}}, "home")
     problem = S3P(model, 0, failure_budget=0.3)
     solution = solve(problem, tolerance=1e-5)
     assert 0.0 <= solution.gap < 1e-4
@@ -154,14 +139,14 @@ def test_many_real_costs_are_solved_on_a_grid() -> None:
         assert seen.low <= known <= seen.high
     coarse = solve(S3P(model, 0, failure_budget=0.3, cost_levels=100), tolerance=1e-9)
     assert coarse.lower_bound <= solution.objective <= coarse.objective * (1.0 + 1e-9)
-    assert "cost_levels" in coarse.note
+    assert "100 levels" in coarse.note
 
 
 def test_limits_go_with_levels() -> None:
     """The straight hop burns fuel: at most one of two may be straight, on average."""
     fuel = {state: {"straight": 1.0} for state in ("quay", "mid")}
     limits = {"fuel": secondary_cost(fuel) <= 1.0}
-    solution = solve(S3P(ferry(ROOT), "quay", failure_budget=0.3, constraints=limits))
+    solution = solve(S3P(ferry(), "quay", failure_budget=0.3, constraints=limits))
     assert solution.secondary_costs["fuel"] <= 1.0 + 1e-9
     assert solution.gap < 1e-9
     assert certify(solution).accepted
@@ -188,10 +173,10 @@ def test_no_sum_of_many_steps_is_lost() -> None:
 
 def test_what_is_refused() -> None:
     with pytest.raises(ModelError, match="cost_levels"):
-        S3P(ferry(ROOT), "quay", cost_levels=0)
-    assert solve(MCMP(ferry(ROOT), "quay", 0.0)).objective == pytest.approx(4.0)
+        S3P(ferry(), "quay", cost_levels=0)
+    assert solve(MCMP(ferry(), "quay", 0.0)).objective == pytest.approx(4.0)
     with pytest.raises(ModelError, match="deterministic"):
-        solve(S3P(ferry(ROOT), "quay", 0.2), "deterministic")
+        solve(S3P(ferry(), "quay", 0.2), "deterministic")
 
 
 @pytest.mark.parametrize("budget", [0.1, 0.12, 0.15])
@@ -205,7 +190,7 @@ def test_a_certificate_finds_the_table_where_more_cost_has_fewer_sums(budget: fl
             "a": [(0.5, following, cost), (0.4, "g", cost + 0.3), (0.1, "d", 1.0)],
             "b": [(0.9, following, 3.0 * cost), (0.08, "g", cost), (0.02, "d", 1.0)],
         }
-    model = SSP.from_transitions(choices, goal={"g"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices)
     solution = solve(S3P(model, 0, failure_budget=budget))
     assert solution.gap < 1e-9
     assert certify(solution).gap < 1e-9
@@ -225,7 +210,7 @@ def test_a_table_that_cannot_grow_is_searched_to_the_end(last: float) -> None:
         },
         "x": {},
     }
-    model = SSP.from_transitions(choices, goal={"g"}, treat_actionless_as_dead_ends=True)
+    model = model_of(choices)
     solution = solve(S3P(model, "a", failure_budget=0.2))
     share = 0.25  # of e: 0.1 + 0.4 * share = 0.2
     mixed = (1 - share) * 0.9 * last + share * 0.5 + 0.8 * (1.0 + ROOT)

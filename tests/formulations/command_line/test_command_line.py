@@ -14,7 +14,8 @@ import formulations
 from formulations import MCMP, S3P
 from formulations.command_line import main
 from formulations.command_line.arguments import CRITERIA
-from ssp_lp import SSP, ModelError, evaluate, solve
+from small_models import model_of
+from ssp_lp import ModelError, evaluate, solve
 from ssp_lp.io import Controller, load_policy, save_model, write_drn, write_prism
 from ssp_lp.io.any_format import read_any
 
@@ -153,7 +154,7 @@ def test_numbers_may_name_states(tmp_path: Path) -> None:
 
 
 def test_the_entry_point_is_there() -> None:
-    project = Path(__file__).parents[2] / "pyproject.toml"
+    project = Path(__file__).parents[3] / "pyproject.toml"
     entry = tomllib.loads(project.read_text(encoding="utf-8"))["project"]["scripts"]["ssp-lp"]
     module, _, name = entry.partition(":")
     assert getattr(import_module(module), name) is main
@@ -162,10 +163,8 @@ def test_the_entry_point_is_there() -> None:
 def test_other_formats_and_the_policy_in_a_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    model = SSP.from_transitions(
-        {0: {"a": [(0.9, 1, 1.0), (0.1, 2, 1.0)], "b": [(1.0, 1, 3.0)]}, 1: {}, 2: {}},
-        goal={1},
-        treat_actionless_as_dead_ends=True,
+    model = model_of(
+        {0: {"a": [(0.9, 1, 1.0), (0.1, 2, 1.0)], "b": [(1.0, 1, 3.0)]}, 1: {}, 2: {}}, 1
     )
     write_drn(model, tmp_path / "m.drn", start=0)
     write_prism(model, tmp_path / "m", start=0)
@@ -287,7 +286,22 @@ def test_limits_in_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--penalty", "3"], "mcmp takes no --penalty; its options: --failure-budget"),
         (["--criterion", "cvar"], "cvar needs --level"),
         (["--policy-out", "policy.txt"], "a policy is written as .storm.json"),
-        (["--horizon", "0"], "horizon must be a whole number"),
+        (["--horizon", "0"], "--horizon must be a whole number >= 1, not 0"),
+        (["--failure-budget", "5"], "--failure-budget must be a probability, not 5.0;"),
+        (["--discount", ".9"], "--failure-budget none (least failure) is exact only: leave --disc"),
+        (["--criterion", "least-quantity"], "least-quantity needs --quantity"),
+        (
+            ["--method", "game", "--failure-budget", "0.1"],
+            "give --discount 0.999, or solve the exact problem with --method columns",
+        ),
+        (
+            ["--failure-budget", "0.1", "--reach-fraction", "0.9"],
+            "give --failure-budget or --reach-fraction, not both",
+        ),
+        (
+            ["--criterion", "cost-bounded-reach", "--cost-bound=-1/2"],
+            "--cost-bound must be a cost, not -1/2",
+        ),
     ],
 )
 def test_what_is_asked_wrongly_ends_with_2(
@@ -389,6 +403,12 @@ def test_a_saved_policy_is_simulated(
     assert told["failure_probability"]["low"] < 0.05 < told["failure_probability"]["high"]
     assert told["ends"]["goal"] + told["ends"]["dead_end"] == told["episodes"] == 2000
     assert run(capsys, *asked, "--episodes", 0)[0] == 2
+    dearer = tmp_path / "dearer.json"
+    dearer.write_text(roads.read_text().replace("9.0", "9.5"))
+    asked = ("simulate", dearer, *model[1:], "--policy", tmp_path / "policy.npz")
+    code, _, err = run(capsys, *asked)
+    assert (code, "or give --no-check if it differs" in err) == (2, True)
+    assert run(capsys, *asked, "--no-check")[0] == 0
     other = written(tmp_path, {"depot": {"go": [[1, "home", 1]]}})
     code, _, err = run(capsys, "simulate", other, *model[1:], "--policy", tmp_path / "policy.npz")
     assert code == 2

@@ -23,7 +23,7 @@ from ssp_lp.io import from_gymnasium
 gymnasium = pytest.importorskip("gymnasium")
 
 SSP_LP = f"{shlex.quote(sys.executable)} -m formulations.command_line"
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 EVERY = [line.strip() for some in EXAMPLES.values() for line in some.splitlines()]
 
 

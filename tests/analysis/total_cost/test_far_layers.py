@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from laws import law_of, one_way
-from ssp_lp import SSP
+from small_models import model_of
 from ssp_lp.analysis.total_cost import arrivals
 
 LEAVING = (1e-3, 1e-6, 1e-9, 1e-12)
@@ -89,7 +89,7 @@ def drawn_law(rng):
         shares = weights / weights.sum()
         paid = rng.integers(0, 4, len(ends))
         table[name] = {"go": list(zip(shares.tolist(), ends, paid.tolist(), strict=True))}
-    model = SSP.from_transitions(table, goal={"G"}, treat_actionless_as_dead_ends=True)
+    model = model_of(table, "G")
     return lambda: law_of(model, dict.fromkeys(names, "go"), names[0])
 
 
