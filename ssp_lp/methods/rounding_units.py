@@ -31,9 +31,9 @@ def rounding_units(
         problem: with ``cost_levels`` if these are limited.
         span: the totals that matter.
         cheapest: step that is to be a unit at least, if that makes no great many.
-        finest: as far as there is room.
+        finest: as far as there is room, whatever is asked for.
     """
-    asked: int | None = getattr(problem, "cost_levels", None)
+    asked: int | None = None if finest else getattr(problem, "cost_levels", None)
     room, ends = max(_MOST, _ROOM // problem.model.n_states), finest or is_limited()
     most = asked or (room if ends else _MOST)
     least = _ROOM_FOR_DIGITS * span / cheapest

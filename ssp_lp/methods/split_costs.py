@@ -80,6 +80,7 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best, spent = _Split(), 0.0
+    asked: int | None = getattr(problem, "cost_levels", None)
     for unit in split_units(problem):
         began = perf_counter()
         if best.lottery is not None and options.deadline - began < _SLOWER * spent:
@@ -89,7 +90,7 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
         finer = replace(options.after(best.calls), tolerance=max(options.tolerance, rough))
         guess = DualGuess(best.price, _SPREAD) if best.lottery is not None else None
         try:
-            outcome = split_optimum(problem, unit, finer, guess)
+            outcome = split_optimum(problem, unit, finer, guess, asked)
             with closing():
                 best = _improved_split(problem, best, outcome)
         except STOPS as stop:
@@ -229,7 +230,7 @@ def _concluded_on_split(problem: Problem, best: _Split, options: SolveOptions) -
     note = best.note
     if best.gap > options.tolerance and not is_late() and not note:
         levels = f"{best.layers:,} levels up to {best.end:.6g}"
-        note = f"totals are rounded to {levels}: more cost_levels leave a smaller gap"
+        note = f"totals are rounded to {levels}: more of them leave a smaller gap"
     price = max(best.price - best.value, 0.0)
     reason = f"costs split between {best.layers:,} layers, {best.calls} pricing calls"
     run = Run(options.method, reason, best.calls, 0.0, best.work)

@@ -86,7 +86,11 @@ def split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]
 
 
 def split_optimum(
-    problem: Problem, unit: Fraction, options: SolveOptions, guess: DualGuess | None
+    problem: Problem,
+    unit: Fraction,
+    options: SolveOptions,
+    guess: DualGuess | None,
+    most: int | None = None,
 ) -> RefinedOutcome:
     """The optimum with split costs, of a larger unit where levels are more than asked for.
 
@@ -95,13 +99,13 @@ def split_optimum(
         unit: of which costs become multiples.
         options: tolerance and limits.
         guess: of the price of failure; None: nothing is known.
+        most: levels; None: any number.
 
     Raises:
         InfeasibleError: no policy keeps to the budget.
         ModelError: a table of so many layers is too large.
         Stop: the time ended before a policy that keeps to the budget was found.
     """
-    asked: int | None = getattr(problem, "cost_levels", None)
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
     for _ in range(_TRIES):
         model = with_split_costs(problem.model, unit)
@@ -109,9 +113,9 @@ def split_optimum(
         compiled = CompiledAccumulatedCost(model, start, problem.discount)
         outcome = refined_optimum(compiled, budget, options, guess)
         layers = layers_of_split(outcome).process.cap
-        if asked is None or layers <= asked or is_late():
+        if most is None or layers <= most or is_late():
             break
-        unit = short_decimal(1.02 * float(unit) * layers / asked)
+        unit = short_decimal(1.02 * float(unit) * layers / most)
     return outcome
 
 

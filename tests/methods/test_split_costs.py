@@ -1,0 +1,75 @@
+"""Case S on a grid: costs split between two multiples of a unit bound the true optimum."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from examples.domains.domain import Domain
+from examples.domains.windy_field import windy_field
+from formulations import S3P, MaxProb
+from ssp_lp import CostAwarePolicy, certify, evaluate, solve
+from ssp_lp.methods.split_model import has_split_costs, with_split_costs
+from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.processes.expectations import cost_means
+
+EXACT, FEW = 20_000, 300  # totals that are told apart
+
+
+def field(size: int, prices: int, seed: int) -> Domain:
+    """A windy field with prices that share no unit."""
+    drawn = np.random.default_rng(seed).uniform(0.5, 2.0, prices)
+    return windy_field(size, prices=drawn.tolist(), seed=seed)
+
+
+@pytest.mark.parametrize("unit", [Fraction(1, 7), Fraction(1, 4), Fraction(3)])
+def test_splitting_keeps_every_mean(unit: Fraction) -> None:
+    model = field(5, 40, 1).model
+    split = with_split_costs(model, unit)
+    ended = dead_ends(model) | model.goal_mask
+    going_on = ~ended[split.successors]
+    units = split.costs[going_on] / float(unit)
+    np.testing.assert_allclose(units, np.rint(units), atol=1e-12)
+    sums = np.add.reduceat(split.probabilities, split.outcome_offsets[:-1])
+    np.testing.assert_allclose(sums, 1.0, rtol=1e-14)
+    weights = np.random.default_rng(0).random(model.n_states)
+    np.testing.assert_allclose(
+        cost_means(split, weights), cost_means(model, weights), rtol=1e-13, atol=1e-15
+    )
+
+
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("discount", [None, 0.97])
+def test_both_sides_enclose_the_optimum(seed: int, discount: float | None) -> None:
+    model, start = field(4, 5, seed)
+    least = 1.0 - solve(MaxProb(model, start)).objective
+    budget = [least, least + 0.05, 0.5, 0.9][seed % 4] if discount is None else 0.7
+    exact = solve(S3P(model, start, budget, discount, cost_levels=EXACT))
+    problem = S3P(model, start, budget, discount, cost_levels=FEW)
+    if not has_split_costs(problem):
+        pytest.fail("this model was to be too rich for so few levels")
+    found = solve(problem)
+    assert found.lower_bound <= exact.objective * (1.0 + 1e-9)
+    assert found.objective >= exact.lower_bound * (1.0 - 1e-9)
+    assert found.gap < 2e-2
+    members = [p for p in found.policy.policies if isinstance(p, CostAwarePolicy)]
+    assert all(member.cap <= FEW for member in members)
+    played = evaluate(found.policy, problem)
+    assert played.objective == pytest.approx(found.objective, rel=1e-12)
+    proof = certify(found)
+    assert proof.accepted
+    assert proof.lower_bound <= exact.objective * (1.0 + 1e-9)
+    assert proof.gap <= 1.2 * found.gap + 1e-9
+
+
+def test_a_thousand_prices_are_soon_settled() -> None:
+    model, start = field(6, 1000, 0)
+    found = solve(S3P(model, start, 0.4), tolerance=1e-5)
+    assert found.gap <= 1e-5
+    assert found.budget_used <= 0.4 + 1e-12
+
+
+def test_finer_units_bring_the_bounds_together() -> None:
+    model, start = field(6, 30, 2)
+    gaps = [solve(S3P(model, start, 0.3, cost_levels=n)).gap for n in (60, 240, 960)]
+    assert gaps[2] < 0.5 * gaps[1] < 0.25 * gaps[0]
