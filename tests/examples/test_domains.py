@@ -12,6 +12,7 @@ from examples.domains.navigation import GONE, navigation
 from examples.domains.rectangle_tireworld import WRECK, rectangle_tireworld
 from examples.domains.river import river
 from examples.domains.triangle_tireworld import Car, triangle_tireworld
+from examples.domains.windy_field import windy_field
 from formulations import MCMP, S3P
 from small_models import EXACT
 from ssp_lp import ModelError, solve
@@ -178,6 +179,25 @@ def test_deadly_places_of_the_rectangle_are_dead_ends():
     assert labels[WRECK].tolist() == [domain.model.index_of(WRECK)]
 
 
+# ------------------------------------------------------------------ values by hand: windy field
+
+
+@pytest.mark.parametrize("diagonal", [1, 2**0.5, Fraction(7, 5)])
+def test_the_smallest_field_is_crossed_at_once_or_from_below(diagonal):
+    """A diagonal step arrives with 0.9; blown down, an upward one does so with 0.9 each time."""
+    field = windy_field(2, diagonal=diagonal, seed=1)
+    assert s3p(field, 0.0).objective == pytest.approx(float(diagonal) + 0.1 / 0.9, rel=1e-12)
+
+
+def test_holes_are_dead_ends_and_prices_belong_to_cell_and_direction():
+    model = windy_field(7, prices=[0.5, 2**0.5, 3.0], seed=3).model
+    dead = np.flatnonzero(np.diff(model.pair_offsets) == 0)
+    assert 1 < len(dead) < 15
+    first = model.outcome_offsets[:-1]
+    assert np.array_equal(model.costs[first], model.costs[model.outcome_offsets[1:] - 1])
+    assert set(model.costs.tolist()) == {0.5, 2**0.5, 3.0}
+
+
 # ------------------------------------------------------------------ wrong parameters
 
 
@@ -208,6 +228,9 @@ def test_deadly_places_of_the_rectangle_are_dead_ends():
         (lambda: rectangle_tireworld(5, 5, safe_rows=(-1,)), "safe_rows"),
         (lambda: rectangle_tireworld(5, 5, deadly={(0, 0)}), "deadly"),
         (lambda: rectangle_tireworld(5, 5, success=2), "success"),
+        (lambda: windy_field(1), "size"),
+        (lambda: windy_field(3, diagonal=-1.0), "diagonal"),
+        (lambda: windy_field(3, prices=[1.0, float("inf")]), r"prices\[1\]"),
     ],
 )
 def test_errors_name_the_parameter(build, name):
