@@ -21,7 +21,7 @@ from ssp_lp.methods.risk.least_risk import least_risk
 from ssp_lp.methods.rounded_costs import solve_on_rounded_costs
 from ssp_lp.methods.rows.rows_optimum import solve_constrained
 from ssp_lp.methods.split_costs import solve_on_split_costs
-from ssp_lp.methods.split_model import has_split_costs
+from ssp_lp.methods.split_model import has_split_costs, is_sooner_split
 from ssp_lp.options import (
     ColumnGeneration,
     DeterministicPolicies,
@@ -144,7 +144,8 @@ def _solved_by_driver(problem: Problem, method: Method, options: SolveOptions) -
         return solve_by_game(problem, options)
     if by_rows(problem) and measure is not None and not has_rows(problem) and not options.program:
         return solve_on_rounded_costs(problem, options)
-    if has_split_costs(problem) and not options.program:
+    left = options.deadline - time.perf_counter()
+    if not options.program and (has_split_costs(problem) or is_sooner_split(problem, left)):
         return solve_on_split_costs(problem, options)
     if by_rows(problem) and (measure is None or measure.maximised):
         return solve_constrained(problem, options)

@@ -27,27 +27,42 @@ from ssp_lp.methods.rounding_units import rounding_units, short_decimal, span_of
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.options import SolveOptions
-from ssp_lp.problem import Problem, by_rows, has_rows
+from ssp_lp.problem import Problem, by_rows, by_sums, has_rows
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.totals.lattice import totals_of
-from ssp_lp.processes.totals.step_sums import step_lattice, sums_in
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 
 _WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
 _FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
+_SECONDS = 1e-7  # that a search takes for each sum and outcome
 _TRIES = 6  # units, until levels are as few as is asked for
 
 
 def has_split_costs(problem: Problem) -> bool:
     """Whether a problem is one of case S whose totals need a grid, with costs not too unlike."""
+    if not _may_be_split(problem) or not by_rows(problem):
+        return False
+    asked: int | None = getattr(problem, "cost_levels", None)
+    many = _FEW_SUMS if asked is None else int(asked)
+    return sums_in(problem.model, span_of_totals(problem), many) is None
+
+
+def is_sooner_split(problem: Problem, seconds: float) -> bool:
+    """Whether the sums of costs could be told apart, but hardly in the time that is left."""
+    if not np.isfinite(seconds) or not _may_be_split(problem) or not by_sums(problem):
+        return False
+    sums = sums_in(problem.model, span_of_totals(problem), MOST_SUMS)
+    return sums is None or _SECONDS * len(sums) * problem.model.n_outcomes > seconds
+
+
+def _may_be_split(problem: Problem) -> bool:
+    """Whether costs may be split: case S, failure alone limited, no step far dearer than others."""
     if not problem.ratio or has_rows(problem) or problem.failure_budget is None:
         return False
     if problem.semantics.measure is not None or getattr(problem, "cost_cap", None) is not None:
         return False
-    steps, asked = step_lattice(problem.model)[1], getattr(problem, "cost_levels", None)
-    if not by_rows(problem) or len(steps) < 2 or steps[-1] > _WIDEST * steps[1]:
-        return False
-    many = _FEW_SUMS if asked is None else int(asked)
-    return sums_in(problem.model, span_of_totals(problem), many) is None
+    steps = step_lattice(problem.model)[1]
+    return len(steps) > 1 and bool(steps[-1] <= _WIDEST * steps[1])
 
 
 def with_split_costs(model: SSP, unit: Fraction) -> SSP:

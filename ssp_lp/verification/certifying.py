@@ -22,7 +22,7 @@ from ssp_lp.methods.split_costs import proved_on_split_costs
 from ssp_lp.methods.split_model import has_split_costs
 from ssp_lp.options import CERTIFYING, Game, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
-from ssp_lp.problem import Problem, by_rows, compiled_constrained, conditions_of
+from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.processes.totals.ladder import Rungs
@@ -76,7 +76,8 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
         bound, allowed = proved_on_rounded_costs(solution, found.objective, CERTIFYING)
         above = measure is not None and measure.maximised
         return certificate_of(found, bound, allowed, above=above)
-    if has_split_costs(problem):
+    unknown = solution.value_function is None and by_sums(problem)
+    if has_split_costs(problem) or (unknown and problem.ratio):
         if not np.isfinite(found.objective):
             return certificate_of(found, 0.0, 1.0, "the goal is never reached")
         bound, allowed = proved_on_split_costs(solution, found.objective, CERTIFYING)

@@ -7,6 +7,7 @@ import pytest
 
 from examples.domains.domain import Domain
 from examples.domains.windy_field import windy_field
+from examples.formulating import real_costs
 from formulations import S3P, MaxProb
 from ssp_lp import CostAwarePolicy, certify, evaluate, solve
 from ssp_lp.methods.split_model import has_split_costs, with_split_costs
@@ -73,3 +74,13 @@ def test_finer_units_bring_the_bounds_together() -> None:
     model, start = field(6, 30, 2)
     gaps = [solve(S3P(model, start, 0.3, cost_levels=n)).gap for n in (60, 240, 960)]
     assert gaps[2] < 0.5 * gaps[1] < 0.25 * gaps[0]
+
+
+def test_little_time_for_many_sums_gives_a_certified_answer_on_a_grid() -> None:
+    problem = S3P(*real_costs.field(24, "3 prices"), 0.3)
+    assert not has_split_costs(problem)
+    found = solve(problem, time_limit=2.0)
+    assert found.gap < 0.1
+    proof = certify(found)
+    assert proof.accepted
+    assert proof.lower_bound <= proof.objective == pytest.approx(found.objective, rel=1e-12)
