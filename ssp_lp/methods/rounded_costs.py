@@ -139,7 +139,8 @@ def proved_on_rounded_costs(
     problem = solution.problem
     sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
-    bound, allowed, enough = _no_worse(problem), np.inf, (1.0 + _SHARE) * solution.gap
+    enough = max(options.tolerance, (1.0 + _SHARE) * solution.gap)
+    bound, allowed = _no_worse(problem), np.inf
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         try:
             proved, allowed = lattice_bound(problem, unit, rough)

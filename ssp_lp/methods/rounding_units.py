@@ -49,9 +49,15 @@ def short_decimal(size: float) -> Fraction:
     return int(np.ceil(size / float(power) * (1.0 - SAME_TOTAL))) * power
 
 
-def span_of_totals(problem: Problem) -> float:
-    """The totals that matter: up to the bound, or some typical costs."""
-    measure, dearest = problem.semantics.measure, float(problem.model.costs.max(initial=0.0))
+def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
+    """The totals that matter: up to the bound, or some typical costs.
+
+    Args:
+        problem: the problem.
+        dearest: the greatest cost of a single step to be remembered; None: of any step.
+    """
+    measure = problem.semantics.measure
+    dearest = float(problem.model.costs.max(initial=0.0)) if dearest is None else dearest
     if isinstance(measure, WithinBound) and measure.bound > 0.0:
         return float(measure.bound)
     typical = _TYPICAL * compiled_constrained(problem).typical_cost

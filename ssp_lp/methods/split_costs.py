@@ -15,8 +15,9 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import evaluate
 from ssp_lp.arrays import read_only
-from ssp_lp.column_generation.failure_row import relative_gap
+from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.initial_columns import DualGuess
+from ssp_lp.column_generation.pricing.pricing_problem import Column, excess_failure
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
@@ -35,16 +36,7 @@ _SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one sol
 _SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
 _BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
 _SLOWER = 4.0  # times as long as the last one the next unit may take
-_ROUNDING = 1e-12  # by which a policy may seem to break the budget
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    """A policy of the true model by what it attains there, discounted where the problem is."""
-
-    policy: Policy
-    cost: float  # E[cost; goal]
-    failure: float
+_ROUNDING = 1e-12  # of the budget, or of what it leaves: so far a policy may seem to break it
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +104,8 @@ def proved_on_split_costs(
 ) -> tuple[float, float]:
     """A bound worked out afresh, and the failure that is allowed.
 
-    Units get smaller until the gap is what the solution says, which is taken for no more than that.
+    Units get smaller until the gap is what the solution says, which is taken for no more than that,
+    or as small as the tolerance, or until a smaller one brings next to nothing of what is missing.
 
     Args:
         solution: of a problem with split costs.
@@ -121,7 +114,8 @@ def proved_on_split_costs(
     """
     problem, bound, guess = solution.problem, 0.0, None
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
-    allowed, enough = problem.failure_budget or 0.0, (1.0 + _SHARE) * solution.gap
+    enough = max(options.tolerance, (1.0 + _SHARE) * solution.gap)
+    allowed, before = problem.failure_budget or 0.0, -np.inf
     for unit in split_units(problem, finest=True):
         try:
             outcome = split_optimum(problem, unit, rough, guess)
@@ -131,8 +125,10 @@ def proved_on_split_costs(
             break
         bound, allowed = max(bound, outcome.found.lower_bound), max(allowed, outcome.row.budget)
         guess = DualGuess(outcome.found.price, _SPREAD)
-        if relative_gap(attained, bound) <= enough:
+        missing = (1.0 - enough) * attained - bound
+        if missing <= 0.0 or bound - before < _SHARE * missing:
             break
+        before = bound
     return bound, allowed
 
 
@@ -143,46 +139,58 @@ def _improved_split(problem: Problem, best: _Split, outcome: RefinedOutcome) -> 
     note = "" if found.finished else CUT_SHORT
     known = replace(best, bound=max(best.bound, found.lower_bound), calls=calls, work=work)
     known = replace(known, price=found.price, note=note)
-    allowed = max(problem.failure_budget or 0.0, outcome.row.budget)
-    points = _true_points(problem, outcome, allowed)
-    chosen = _best_of_points(points, allowed)
-    if chosen is None:
-        return known
+    least, points, chosen = outcome.least, list[Column](), None
+    if least is None or outcome.row.budget > least.column.failure:
+        points = _true_points(problem, outcome)
+        chosen = _best_of_points(points, outcome.row)
+    if chosen is None:  # the least failure keeps to the budget, if nothing else does
+        least = least or layers_of_split(outcome).least_failure()
+        points.append(_true_point(problem, outcome, least.policy))
+        chosen = _best_of_points(points, outcome.row) or [(len(points) - 1, 1.0)]
     members, weights = [points[k] for k, _ in chosen], np.array([weight for _, weight in chosen])
     failure = float(weights @ [point.failure for point in members])
-    value = float(weights @ [point.cost for point in members]) / (1.0 - failure)
+    goal = float(weights @ [point.goal for point in members])
+    value = outcome.row.objective(float(weights @ [point.cost for point in members]), goal)
     if value >= best.value:
         return known
-    lottery = MixedPolicy(tuple(point.policy for point in members), weights)
+    lottery = MixedPolicy(tuple(point.policy for point in members if point.policy), weights)
     end = process.cap * process.base.unit
     return replace(
         known, lottery=lottery, value=value, failure=failure, layers=process.cap, end=end
     )
 
 
-def _true_points(problem: Problem, outcome: RefinedOutcome, allowed: float) -> list[_Point]:
-    """Policies that split costs found, evaluated on the true model, on both sides of the budget.
+def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
+    """Policies that split costs found, measured on the true model, on both sides of the budget.
 
     What keeps to the budget with split costs may break it by rounding, and the other way round:
-    then prices beside the optimal one are tried, and at last the least failure.
+    then prices beside the optimal one are tried.
+
+    Raises:
+        Stop: the time ended before one within the budget was measured.
     """
     compiled, found = layers_of_split(outcome), outcome.found
     pricing, one_sided = compiled.pricing(), len(outcome.found.columns) == 1
-    points = [_true_point(problem, outcome, pricing.policy(c)) for c in found.columns]
+    points: list[Column] = []
     last = found.columns[0]
-    for factor in _BESIDE:
-        within = [point.failure <= allowed + _ROUNDING for point in points]
-        if is_late() or (any(within) and (one_sided or not all(within))):
-            break
-        price = found.price * factor if not any(within) else found.price / factor
-        last = pricing.minimise(price, last)
-        points.append(_true_point(problem, outcome, pricing.policy(last)))
-    if all(point.failure > allowed + _ROUNDING for point in points):
-        points.append(_true_point(problem, outcome, compiled.least_failure().policy))
+    try:
+        for column in found.columns:
+            points.append(_true_point(problem, outcome, pricing.policy(column)))
+        for factor in _BESIDE:
+            within = [_keeps_to_budget(point, outcome.row) for point in points]
+            if is_late() or (any(within) and (one_sided or not all(within))):
+                break
+            price = found.price * factor if not any(within) else found.price / factor
+            last = pricing.minimise(price, last)
+            points.append(_true_point(problem, outcome, pricing.policy(last)))
+    except STOPS as stop:
+        if not any(_keeps_to_budget(point, outcome.row) for point in points):
+            raise
+        heed(stop)
     return points
 
 
-def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> _Point:
+def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Column:
     """A policy of the model with split costs on the true one, where memory is the nearest level."""
     unit = layers_of_split(outcome).base.exact_unit
     if isinstance(policy, CostAwarePolicy):
@@ -192,30 +200,37 @@ def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> _P
     elif isinstance(policy, DeterministicPolicy):
         policy = replace(policy, model=problem.model)
     found = evaluate(policy, problem)
-    failure = found.discounted_failure
-    failure = found.failure_probability if failure is None else failure
-    return _Point(policy, found.objective * (1.0 - failure) if failure < 1.0 else 0.0, failure)
+    failure, goal = found.failure_probability, found.goal_probability
+    if found.discounted_failure is not None:
+        failure, goal = found.discounted_failure, 1.0 - found.discounted_failure
+    cost = found.objective * goal if goal > 0.0 else 0.0
+    return Column(cost, failure, goal, None, policy=policy)
 
 
-def _best_of_points(points: list[_Point], allowed: float) -> list[tuple[int, float]] | None:
+def _keeps_to_budget(point: Column, row: FailureRow) -> bool:
+    """Whether a policy measured on the true model keeps to the budget, up to rounding."""
+    return row.spare(point) >= -_ROUNDING * min(row.budget, 1.0 - row.budget)
+
+
+def _best_of_points(points: list[Column], row: FailureRow) -> list[tuple[int, float]] | None:
     """Numbers and weights of the points whose lottery is cheapest given success; None: none is.
 
     A ratio is least at a vertex: a point within the budget, or two between which it lies.
     """
     best, chosen = np.inf, None
     for i, inside in enumerate(points):
-        room = allowed - inside.failure
-        if room < -_ROUNDING or inside.failure >= 1.0:
+        if not _keeps_to_budget(inside, row) or inside.goal <= 0.0:
             continue
-        if inside.cost / (1.0 - inside.failure) < best:
-            best, chosen = inside.cost / (1.0 - inside.failure), [(i, 1.0)]
+        if (value := row.objective(inside.cost, inside.goal)) < best:
+            best, chosen = value, [(i, 1.0)]
         for j, outside in enumerate(points):
-            if not outside.failure > allowed or room <= 0.0:
+            if row.spare(outside) >= 0.0 or row.spare(inside) <= 0.0:
                 continue
-            weight = room / (outside.failure - inside.failure)
+            weight = row.spare(inside) / excess_failure(outside, inside)
             cost = (1.0 - weight) * inside.cost + weight * outside.cost
-            if cost / (1.0 - allowed) < best:
-                best, chosen = cost / (1.0 - allowed), [(i, 1.0 - weight), (j, weight)]
+            value = row.objective(cost, (1.0 - weight) * inside.goal + weight * outside.goal)
+            if value < best:
+                best, chosen = value, [(i, 1.0 - weight), (j, weight)]
     return chosen
 
 

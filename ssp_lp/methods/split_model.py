@@ -44,14 +44,14 @@ def has_split_costs(problem: Problem) -> bool:
         return False
     asked: int | None = getattr(problem, "cost_levels", None)
     many = _FEW_SUMS if asked is None else int(asked)
-    return sums_in(problem.model, span_of_totals(problem), many) is None
+    return sums_in(problem.model, _span_of_steps(problem), many) is None
 
 
 def is_sooner_split(problem: Problem, seconds: float) -> bool:
     """Whether the sums of costs could be told apart, but hardly in the time that is left."""
     if not np.isfinite(seconds) or not _may_be_split(problem) or not by_sums(problem):
         return False
-    sums = sums_in(problem.model, span_of_totals(problem), MOST_SUMS)
+    sums = sums_in(problem.model, _span_of_steps(problem), MOST_SUMS)
     return sums is None or _SECONDS * len(sums) * problem.model.n_outcomes > seconds
 
 
@@ -97,7 +97,12 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
 def split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
     """Smaller and smaller units, none of which splits a step into nothing, if these are few."""
     cheapest = float(step_lattice(problem.model)[1][1])
-    return rounding_units(problem, span_of_totals(problem), cheapest=cheapest, finest=finest)
+    return rounding_units(problem, _span_of_steps(problem), cheapest=cheapest, finest=finest)
+
+
+def _span_of_steps(problem: Problem) -> float:
+    """The totals that matter; what a step costs that only ends an episode is not remembered."""
+    return span_of_totals(problem, float(step_lattice(problem.model)[1][-1]))
 
 
 def split_optimum(
@@ -108,6 +113,8 @@ def split_optimum(
     most: int | None = None,
 ) -> RefinedOutcome:
     """The optimum with split costs, of a larger unit where levels are more than asked for.
+
+    Where no larger one makes them few enough, they are cut where as many are passed.
 
     Args:
         problem: of case S.
@@ -122,10 +129,12 @@ def split_optimum(
         Stop: the time ended before a policy that keeps to the budget was found.
     """
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
-    for _ in range(_TRIES):
+    for tried in range(_TRIES):
         model = with_split_costs(problem.model, unit)
-        start = start_distribution(model, problem.start)
-        compiled = CompiledAccumulatedCost(model, start, problem.discount)
+        start, cap = start_distribution(model, problem.start), None
+        if most is not None and tried + 1 == _TRIES:
+            cap = (most - 0.5) * float(unit)
+        compiled = CompiledAccumulatedCost(model, start, problem.discount, fixed_cap=cap)
         outcome = refined_optimum(compiled, budget, options, guess)
         layers = layers_of_split(outcome).process.cap
         if most is None or layers <= most or is_late():

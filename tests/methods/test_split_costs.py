@@ -1,5 +1,6 @@
 """Case S on a grid: costs split between two multiples of a unit bound the true optimum."""
 
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
@@ -9,7 +10,8 @@ from examples.domains.domain import Domain
 from examples.domains.windy_field import windy_field
 from examples.formulating import real_costs
 from formulations import S3P, MaxProb
-from ssp_lp import CostAwarePolicy, certify, evaluate, solve
+from ssp_lp import SSP, CostAwarePolicy, certify, evaluate, solve
+from ssp_lp.arrays import read_only
 from ssp_lp.methods.split_model import has_split_costs, with_split_costs
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.processes.expectations import cost_means
@@ -84,3 +86,54 @@ def test_little_time_for_many_sums_gives_a_certified_answer_on_a_grid() -> None:
     proof = certify(found)
     assert proof.accepted
     assert proof.lower_bound <= proof.objective == pytest.approx(found.objective, rel=1e-12)
+
+
+@pytest.mark.parametrize("levels", [1, 2, 3])
+def test_no_more_totals_are_told_apart_than_asked(levels: int) -> None:
+    model, start = field(4, 5, 0)
+    exact = solve(S3P(model, start, 0.3, cost_levels=EXACT))
+    found = solve(S3P(model, start, 0.3, cost_levels=levels))
+    members = [p for p in found.policy.policies if isinstance(p, CostAwarePolicy)]
+    assert all(member.cap <= levels for member in members)
+    assert found.lower_bound <= exact.objective * (1.0 + 1e-9)
+    assert found.objective >= exact.lower_bound * (1.0 - 1e-9)
+
+
+def test_what_failing_steps_cost_changes_nothing() -> None:
+    model, start = field(4, 30, 1)
+    dear = np.where(dead_ends(model)[model.successors], 1e6, model.costs)
+    dearer = replace(model, costs=read_only(dear), exact_costs={})
+    asked = {"failure_budget": 0.4, "cost_levels": FEW}
+    one, other = solve(S3P(model, start, **asked)), solve(S3P(dearer, start, **asked))
+    assert other.objective == pytest.approx(one.objective, rel=1e-12)
+    assert other.lower_bound == pytest.approx(one.lower_bound, rel=1e-12)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.7])
+def test_rare_goals_are_measured_by_themselves(share: float) -> None:
+    drawn, step = np.random.default_rng(0), 1e-9 ** (1 / 6)
+    moves = {
+        f"s{k}": {
+            action: [(p, f"s{k + 1}", c * float(drawn.uniform(0.5, 2.0))), (1.0 - p, "pit", 1.0)]
+            for action, p, c in [("safe", step, 3.0), ("quick", 0.9 * step, 1.0)]
+        }
+        for k in range(6)
+    }
+    model = SSP.from_transitions(
+        {**moves, "pit": {}}, goal={"s6"}, treat_actionless_as_dead_ends=True
+    )
+    problem = S3P(model, "s0", reach_fraction=share, cost_levels=20)
+    assert has_split_costs(problem)
+    found = solve(problem)
+    played = evaluate(found.policy, problem)
+    assert played.objective == pytest.approx(found.objective, rel=1e-12)
+    assert played.goal_probability >= share * 1e-9 * (1.0 - 1e-6)  # a budget near 1 is no finer
+
+
+def test_a_gap_of_nothing_is_proved_at_once() -> None:
+    model, start = field(4, 30, 2)
+    least = 1.0 - solve(MaxProb(model, start)).objective
+    found = solve(S3P(model, start, least, cost_levels=FEW))
+    proof = certify(replace(found, lower_bound=found.objective))
+    assert proof.accepted
+    assert proof.gap <= 1e-9
