@@ -44,8 +44,9 @@ class CriterionRow:
     def numbers(self) -> tuple[float | None, ...]:
         """Objective, cost until failure, cost given success, failure probability, and price.
 
-        Each under the criterion's own semantics: ``FinitePenalty`` and ``AlphaMCMP`` do not charge
-        the step that fails and let a policy give up anywhere, ``MCMP`` by default does not.
+        Each under the criterion's own semantics: by default ``MCMP`` and ``ConstrainedCost`` charge
+        the failing step, the others do not, so that the same policy may cost less in their rows.
+        ``FinitePenalty`` and ``AlphaMCMP`` let a policy give up anywhere.
         """
         found = self.solution
         if found is None:

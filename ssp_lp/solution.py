@@ -218,8 +218,10 @@ class Solution:
             rows.append(("failure price", f"{self.failure_price:.6g}"))
         for limit, spent in self.secondary_costs.items():
             rows.append((limit, f"{spent:.6g}   (price {self.prices.get(limit, 0.0):.6g})"))
-        lottery = ", ".join(f"{w:.4f}" for w in self.policy.weights)
-        rows.append(("policy", f"lottery over {len(self.policy.weights)} ({lottery})"))
+        weights = self.policy.weights
+        lottery = ", ".join(f"{weight:.4f}" for weight in weights)
+        drawn = f"lottery over {len(weights)} ({lottery})" if len(weights) > 1 else "no lottery"
+        rows.append(("policy", drawn))
         rows.append(("method", f"{self.method}: {self.run.reason}, {self.seconds:.3g} s"))
         if self.status is not Status.OPTIMAL:
             rows.append(("status", str(self.status)))

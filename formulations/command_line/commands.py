@@ -32,6 +32,7 @@ from ssp_lp.formulation import attention_labels, dead_end_labels
 from ssp_lp.io import load_policy, rollout, write_any
 from ssp_lp.io.model_files.json_model import model_in_json
 from ssp_lp.methods.program import program_of
+from ssp_lp.options import Status
 from ssp_lp.plotting import plot_cost_law, plot_frontier
 from ssp_lp.policies.policy import Policy
 
@@ -116,7 +117,8 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
         cells = [["" if x is None else repr(x) for x in row] for row in rows]
         return [",".join(line) for line in (_POINT, *cells)]
     cells = [["-" if x is None else f"{x:.6g}" for x in row] for row in rows]
-    return [*aligned_table(_POINT, cells), f"gap {traced.gap:.1e}"]
+    ended = "" if traced.status is Status.OPTIMAL else f"; {traced.status}"
+    return [*aligned_table(_POINT, cells), f"gap {traced.gap:.1e}{ended}"]
 
 
 def _info_command(asked: Namespace) -> Iterable[str]:

@@ -104,7 +104,10 @@ class Frontier:
         return self.cost / self.goal if self.ratio else self.cost
 
     def objective_at(self, budget: float) -> float:
-        """The least objective within a failure budget, to ``tolerance``; no pricing call is made.
+        """The least objective within a failure budget; no pricing call is made.
+
+        Too high by at most ``tolerance`` times the cost at the safer end of the segment, in case S
+        divided by 1 - budget: at budgets near 1 that may be a larger share of what is returned.
 
         Raises:
             InfeasibleError: the budget is below the least failure.

@@ -19,6 +19,7 @@ _BAND = "the optimum lies in here"
 _SAMPLES = 400  # budgets in all, shared out among the segments
 _VISIBLE = 2e-3  # of the height: a band that is narrower is a line
 _TANGENT = 0.4  # of the height: how far a tangent rises and falls
+_FINEST = 1e-5  # gap: five digits are shown at most
 _MANY = 40  # turning points, beyond which each has a small marker
 
 
@@ -117,7 +118,7 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: Look) -
                 markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
         return
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
-            label=f"budget {budget:g}: {value:.5g}")  # fmt: skip
+            label=f"budget {budget:g}: {_as_far_as_sure(value, frontier):.5g}")  # fmt: skip
     prices = [price - (value if frontier.ratio else 0.0) for price in _prices_at(frontier, budget)]
     for price in prices:
         _draw_tangent(ax, frontier, (budget, value), price)
@@ -125,6 +126,12 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: Look) -
         told = " to ".join(f"{price:.4g}" for price in sorted(prices))
         ax.plot([], [], color=INK, linestyle="-.", linewidth=1,
                 label=f"tangent{'s' * (len(prices) - 1)}: failure price {told}")  # fmt: skip
+
+
+def _as_far_as_sure(value: float, frontier: Frontier) -> float:
+    """A value rounded to the digits that the gap of its frontier leaves sure, two at least."""
+    digits = max(-np.log10(max(frontier.gap, _FINEST)), 2.0)
+    return float(f"{value:.{int(digits)}g}")
 
 
 def _prices_at(frontier: Frontier, budget: float) -> list[float]:

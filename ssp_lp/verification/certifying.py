@@ -77,7 +77,7 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
         above = measure is not None and measure.maximised
         return certificate_of(found, bound, allowed, above=above)
     unknown = solution.value_function is None and by_sums(problem)
-    if has_split_costs(problem) or (unknown and problem.ratio):
+    if has_split_costs(problem) or (unknown and problem.ratio and measure is None):
         if not np.isfinite(found.objective):
             return certificate_of(found, 0.0, 1.0, "the goal is never reached")
         bound, allowed = proved_on_split_costs(solution, found.objective, CERTIFYING)

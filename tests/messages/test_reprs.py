@@ -82,6 +82,13 @@ def test_who_never_fails_has_no_line_for_it() -> None:
     assert failing_line(solve(MinProb(MODEL, "s"))).startswith(("gave up 1", "wandering 1"))
 
 
+def test_one_policy_is_called_no_lottery(solution: Solution) -> None:
+    assert "lottery over 2 (" in solution.summary()
+    alone = solve(MCMP(MODEL, "s"))
+    assert len(alone.policy.policies) == 1
+    assert "no lottery" in alone.summary()
+
+
 def test_giving_up_later_is_no_giving_up_at_the_start() -> None:
     model = model_of(
         {

@@ -219,6 +219,13 @@ def test_the_frontier_is_drawn_between_its_bounds(criterion: type[MCMP] | type[S
         plot_frontier(whole, float(whole.failure[0]) - 1e-3)
 
 
+@pytest.mark.parametrize(("gap", "digits"), [(1e-9, 5), (1e-3, 3), (0.1, 2)])
+def test_a_coarse_frontier_shows_no_digit_that_is_not_sure(gap: float, digits: int) -> None:
+    frontier = trace_frontier(MCMP(steep(), "s"), gap=gap)
+    value = float(f"{frontier.objective_at(0.123):.{digits}g}")
+    assert f"budget 0.123: {value:.5g}" in words(frontier.plot(0.123))
+
+
 @pytest.mark.parametrize("criterion", [MCMP, S3P])
 def test_the_tangent_has_the_slope_of_the_optimum(criterion: type[MCMP] | type[S3P]) -> None:
     frontier = trace_frontier(criterion(steep(), "s"))

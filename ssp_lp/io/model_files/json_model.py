@@ -70,7 +70,7 @@ def _explicit_json(
         names = {name for listed in choices for one in listed for name in one["rewards"]}
         transitions = {
             str(state): {
-                _named_in_json(listed, at): _json_choice(choice, cost, names)
+                _named_in_json(listed, at): _json_choice(source, choice, cost, names)
                 for at, choice in enumerate(listed)
             }
             for state, listed in enumerate(choices)
@@ -91,10 +91,12 @@ def _named_in_json(listed: Sequence[Any], at: int) -> str:
     return name if sum(one["name"] == name for one in listed) == 1 else f"{at}:{name}"
 
 
-def _json_choice(choice: Mapping[str, Any], cost: str | None, names: set[str]) -> list[list[Any]]:
+def _json_choice(
+    source: str, choice: Mapping[str, Any], cost: str | None, names: set[str]
+) -> list[list[Any]]:
     """The outcomes of a choice, whose cost goes with each of them."""
     none_given = dict.fromkeys(sorted(names), 0) or {UNIT: 1}
-    paid = chosen_cost("its choices", {**none_given, **choice["rewards"]}, cost)
+    paid = chosen_cost(source, {**none_given, **choice["rewards"]}, cost)
     return [[chance, successor, paid] for successor, chance in choice["to"]]
 
 
@@ -232,7 +234,8 @@ def chosen_cost(where: str, costs: Mapping[Any, Any], cost: str | None) -> Any:
     known = ", ".join(repr(name) for name in costs if name is not None)
     if not known:
         raise ModelError(f"{where}: the cost has no name, there is none called {cost!r}")
-    said = "" if cost is None else f", not {cost!r}"
+    said = "" if cost is None else f", not {cost!r}{did_you_mean(cost, costs)}"
+    known = f"{known}, or {UNIT!r}, which is 1 for each step"
     raise ModelError(f"{where}: choose one of the costs (", Argument("cost"), f"): {known}{said}")
 
 

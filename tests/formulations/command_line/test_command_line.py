@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 import formulations
+from cases import FOLDER
 from formulations import MCMP, S3P
 from formulations.command_line import main
 from formulations.command_line.arguments import CRITERIA
@@ -377,6 +378,14 @@ def test_the_frontier_in_three_forms(roads: Path, capsys: pytest.CaptureFixture[
     assert head.split(",") == ["failure", "goal", "cost", "objective", "price"]
     assert [float(x) for x in first.split(",")] == list(told["points"][0].values())
     assert "0.01" in run(capsys, *asked)[1]
+
+
+def test_a_frontier_that_was_cut_short_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ("frontier", FOLDER / "models" / "prism_attacktree.json.gz", "--cost", "cost")
+    short, whole = (run(capsys, *asked, *more) for more in (("--point-limit", 2), ()))
+    assert (short[0], whole[0]) == (0, 0)
+    assert "misses the tolerance" in short[1].splitlines()[-1]
+    assert whole[1].splitlines()[-1] == "gap 1.0e-09"
 
 
 def test_pictures(roads: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -51,6 +51,14 @@ def test_costs_by_name() -> None:
             stated(roads, "home", cost=wrong)
 
 
+def test_a_published_case_names_its_costs() -> None:
+    path = FOLDER / "models" / "prism_attacktree.json.gz"
+    for cost, hint in ((None, "each step$"), ("sucess", "not 'sucess'; did you mean 'success'")):
+        with pytest.raises(ModelError, match=rf"gz: choose .*'cost', 'success', or 'unit'.*{hint}"):
+            read_json(path, (), cost)
+    assert set(read_json(path, (), "unit").model.costs) == {1.0}
+
+
 @pytest.mark.parametrize("name", ["prism_robot_goal1", "prism_attacktree"])
 def test_published_cases_are_read(name: str) -> None:
     cost = {"prism_robot_goal1": "time", "prism_attacktree": "unit"}[name]
