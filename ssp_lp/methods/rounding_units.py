@@ -16,6 +16,7 @@ _FIRST = 128  # units in the totals that matter, at first
 _FINER = 4.0  # times as many next
 _MOST = 8_192  # unless more are asked for
 _ROOM = 6_000_000  # states times units, if there is a time limit that ends it before
+_FINEST = 65_536  # in any case
 _ROOM_FOR_DIGITS = 1.1  # by which a number of two digits may lie above another
 _WORTH_WHILE = 1.5  # times as many units: no reason to search again for fewer
 _TYPICAL = 2.0  # costs given success of the safest policy: beyond them few totals matter
@@ -34,7 +35,8 @@ def rounding_units(
         finest: as far as there is room, whatever is asked for.
     """
     asked: int | None = None if finest else getattr(problem, "cost_levels", None)
-    room, ends = max(_MOST, _ROOM // problem.model.n_states), finest or is_limited()
+    room = min(max(_MOST, _ROOM // problem.model.n_states), _FINEST)
+    ends = finest or is_limited()
     most = asked or (room if ends else _MOST)
     least = _ROOM_FOR_DIGITS * span / cheapest
     many = float(min(max(_FIRST, least if least <= _MOST / _FINER else 0.0), most))
