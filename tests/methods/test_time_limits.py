@@ -82,13 +82,15 @@ def test_ctrl_c_comes_through_where_nothing_was_asked_for_so_far() -> None:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no process sends itself this signal there")
 def test_a_signal_in_the_middle_of_a_long_loop_is_ctrl_c(robot: tuple[SSP, int]) -> None:
-    """It comes a moment after the second pricing call, in whatever runs then."""
+    """It comes a moment after the second pricing call, in whatever runs then, or by the third."""
     signals: list[threading.Timer] = []
 
     def progress(calls: int, *_: float) -> None:
         if calls >= 2 and not signals:
             signals.append(threading.Timer(0.01, os.kill, (os.getpid(), signal.SIGINT)))
             signals[0].start()
+        elif signals:
+            signals[0].join()  # on a busy machine it may be late
 
     problem = S3P(*robot, failure_budget=0.05)
     solution = solve(problem, progress=progress, tolerance=1e-15)
