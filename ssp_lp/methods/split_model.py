@@ -34,7 +34,7 @@ from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 
 _WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
 _FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
-_SECONDS = 1e-7  # that a search takes for each sum and outcome
+_SECONDS = 1.5e-8  # that a search takes for each sum and outcome
 _TRIES = 6  # units, until levels are as few as is asked for
 
 
@@ -52,7 +52,8 @@ def is_sooner_split(problem: Problem, seconds: float) -> bool:
     if not np.isfinite(seconds) or not _may_be_split(problem) or not by_sums(problem):
         return False
     sums = sums_in(problem.model, _span_of_steps(problem), MOST_SUMS)
-    return sums is None or _SECONDS * len(sums) * problem.model.n_outcomes > seconds
+    many = MOST_SUMS if sums is None else len(sums)
+    return _SECONDS * many * problem.model.n_outcomes > seconds
 
 
 def _may_be_split(problem: Problem) -> bool:
