@@ -36,8 +36,7 @@ class Argument(NamedTuple):
 class SSPError(Exception):
     """Root of every error that this library raises on purpose.
 
-    Args:
-        told: the message, in parts where it names an :class:`Argument`.
+    Its message is given in parts where it names an :class:`Argument`.
     """
 
     def __str__(self) -> str:
