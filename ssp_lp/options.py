@@ -192,6 +192,7 @@ def _logged_progress(progress: Progress | None) -> Progress:
     """The progress function itself, after the logger has been told the same."""
 
     def told(calls: int, price: float, objective: float) -> None:
+        """Tell the logger, then whoever asked."""
         _SEARCH.debug("%d pricing calls, price %.6g, objective %.9g", calls, price, objective)
         if progress is not None:
             progress(calls, price, objective)

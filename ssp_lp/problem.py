@@ -143,13 +143,19 @@ class _WithReachFraction(Protocol):
     """A problem whose budget may be stated as a share of the greatest goal probability."""
 
     @property
-    def model(self) -> SSP: ...
+    def model(self) -> SSP:
+        """The model."""
+        ...
 
     @property
-    def start(self) -> Hashable | Mapping[Hashable, float]: ...
+    def start(self) -> Hashable | Mapping[Hashable, float]:
+        """A state, or a distribution."""
+        ...
 
     @property
-    def reach_fraction(self) -> float | None: ...
+    def reach_fraction(self) -> float | None:
+        """The share; None: a budget is stated."""
+        ...
 
 
 class _Shared(float):

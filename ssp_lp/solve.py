@@ -21,7 +21,7 @@ from ssp_lp.methods.risk.least_risk import least_risk
 from ssp_lp.methods.rounded_costs import solve_on_rounded_costs
 from ssp_lp.methods.rows.rows_optimum import solve_constrained
 from ssp_lp.methods.split_costs import solve_on_split_costs
-from ssp_lp.methods.split_model import has_split_costs, is_sooner_split
+from ssp_lp.methods.split_model import span_to_split
 from ssp_lp.options import (
     ColumnGeneration,
     DeterministicPolicies,
@@ -145,8 +145,8 @@ def _solved_by_driver(problem: Problem, method: Method, options: SolveOptions) -
     if by_rows(problem) and measure is not None and not has_rows(problem) and not options.program:
         return solve_on_rounded_costs(problem, options)
     left = options.deadline - time.perf_counter()
-    if not options.program and (has_split_costs(problem) or is_sooner_split(problem, left)):
-        return solve_on_split_costs(problem, options)
+    if not options.program and (span := span_to_split(problem, left)) is not None:
+        return solve_on_split_costs(problem, span, options)
     if by_rows(problem) and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
     if measure is not None and measure.maximised:

@@ -91,6 +91,7 @@ def _format_by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedMode
     """A reader of a format whose goals are the states of one label."""
 
     def labelled(path: Path, goal: Sequence[str], cost: str | None, **more: Any) -> StatedModel:
+        """Read a file; its goals are the states of the one label."""
         if len(goal) != 1:
             goals = Argument("goal")
             raise ModelError(f"{path}: name the one label whose states are goals (", goals, ")")
@@ -132,6 +133,7 @@ def _format_from_one_state(write: Callable[..., None]) -> Callable[[SSP, Path, S
     """A writer of a format that knows one initial state."""
 
     def written(model: SSP, path: Path, start: Start | None) -> None:
+        """Write a model that begins in one state."""
         if isinstance(start, Mapping) and len(start) == 1:
             (start,) = start
         if start is None:

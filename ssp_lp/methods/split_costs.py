@@ -3,7 +3,8 @@
 The optimum of the model with split costs bounds that of the true one from below
 (``split_model.py``). The policies found there remember the nearest multiple of what they paid.
 What they cost and how they fail on the true model is evaluated exactly, and the lottery is chosen
-by that, which bounds the optimum from above. Both miss it by about the square of the unit.
+by that, which bounds the optimum from above. Where the value is smooth in the cost paid both miss
+it by about the square of the unit, else by a share of the unit.
 """
 
 from __future__ import annotations
@@ -60,11 +61,12 @@ class _Split:
         return relative_gap(self.value, self.bound) if np.isfinite(self.value) else np.inf
 
 
-def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
+def solve_on_split_costs(problem: Problem, span: float, options: SolveOptions) -> Solution:
     """The best lottery and the best lower bound that finer and finer units give.
 
     Args:
         problem: of case S, failure alone limited.
+        span: the totals that matter, ``span_to_split``.
         options: tolerance and limits.
 
     Raises:
@@ -73,7 +75,7 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
     """
     best, spent = _Split(), 0.0
     asked: int | None = getattr(problem, "cost_levels", None)
-    for unit in split_units(problem):
+    for unit in split_units(problem, span):
         began = perf_counter()
         if best.lottery is not None and options.deadline - began < _SLOWER * spent:
             heed(Stop())
@@ -100,7 +102,7 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def proved_on_split_costs(
-    solution: Solution, attained: float, options: SolveOptions
+    solution: Solution, span: float, attained: float, options: SolveOptions
 ) -> tuple[float, float]:
     """A bound worked out afresh, and the failure that is allowed.
 
@@ -109,6 +111,7 @@ def proved_on_split_costs(
 
     Args:
         solution: of a problem with split costs.
+        span: the totals that matter.
         attained: what its policy attains.
         options: tolerance and limits.
     """
@@ -116,7 +119,7 @@ def proved_on_split_costs(
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
     enough = max(options.tolerance, (1.0 + _SHARE) * solution.gap)
     allowed, before = problem.failure_budget or 0.0, -np.inf
-    for unit in split_units(problem, finest=True):
+    for unit in split_units(problem, span, finest=True):
         try:
             outcome = split_optimum(problem, unit, rough, guess)
         except ModelError:  # a table of so many layers is too large

@@ -38,22 +38,28 @@ _SECONDS = 1.5e-8  # that a search takes for each sum and outcome
 _TRIES = 6  # units, until levels are as few as is asked for
 
 
-def has_split_costs(problem: Problem) -> bool:
-    """Whether a problem is one of case S whose totals need a grid, with costs not too unlike."""
-    if not _may_be_split(problem) or not by_rows(problem):
-        return False
-    asked: int | None = getattr(problem, "cost_levels", None)
-    many = _FEW_SUMS if asked is None else int(asked)
-    return sums_in(problem.model, _span_of_steps(problem), many) is None
+def span_to_split(problem: Problem, seconds: float = np.inf) -> float | None:
+    """The totals that matter where the costs of a problem are to be split; None: they are not.
 
+    They are in case S where the sums of costs are too many to be told apart, or, where these are
+    known to be told apart, if that hardly ends in the time that is left.
 
-def is_sooner_split(problem: Problem, seconds: float) -> bool:
-    """Whether the sums of costs could be told apart, but hardly in the time that is left."""
-    if not np.isfinite(seconds) or not _may_be_split(problem) or not by_sums(problem):
-        return False
-    sums = sums_in(problem.model, _span_of_steps(problem), MOST_SUMS)
-    many = MOST_SUMS if sums is None else len(sums)
-    return _SECONDS * many * problem.model.n_outcomes > seconds
+    Args:
+        problem: the problem.
+        seconds: that are left.
+    """
+    if not _may_be_split(problem):
+        return None
+    on_grid = by_rows(problem)
+    if not on_grid and not (np.isfinite(seconds) and by_sums(problem)):
+        return None
+    asked: int | None = getattr(problem, "cost_levels", None) if on_grid else MOST_SUMS
+    span, most = span_of_steps(problem), _FEW_SUMS if asked is None else int(asked)
+    sums = sums_in(problem.model, span, most)
+    if on_grid:
+        return span if sums is None else None
+    many = most if sums is None else len(sums)
+    return span if _SECONDS * many * problem.model.n_outcomes > seconds else None
 
 
 def _may_be_split(problem: Problem) -> bool:
@@ -95,13 +101,19 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
     )
 
 
-def split_units(problem: Problem, *, finest: bool = False) -> Iterator[Fraction]:
-    """Smaller and smaller units, none of which splits a step into nothing, if these are few."""
+def split_units(problem: Problem, span: float, *, finest: bool = False) -> Iterator[Fraction]:
+    """Smaller and smaller units, none of which splits a step into nothing, if these are few.
+
+    Args:
+        problem: of case S.
+        span: the totals that matter.
+        finest: as far as there is room, whatever is asked for.
+    """
     cheapest = float(step_lattice(problem.model)[1][1])
-    return rounding_units(problem, _span_of_steps(problem), cheapest=cheapest, finest=finest)
+    return rounding_units(problem, span, cheapest=cheapest, finest=finest)
 
 
-def _span_of_steps(problem: Problem) -> float:
+def span_of_steps(problem: Problem) -> float:
     """The totals that matter; what a step costs that only ends an episode is not remembered."""
     return span_of_totals(problem, float(step_lattice(problem.model)[1][-1]))
 

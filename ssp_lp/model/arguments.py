@@ -60,6 +60,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
+        """The function, once its flags have been checked."""
         stated = dict(zip(order, given, strict=False)) | named if flags else {}
         for flag in flags:
             check_flag(flag, stated.get(flag, False))

@@ -162,11 +162,13 @@ class CostAwarePolicy(Policy):
         rank = np.where(rank == 0, -1, np.searchsorted(told_apart, rank))
 
         def reached(total: FloatArray) -> IntArray:
+            """The layer that each total leads to, like ``total``."""
             nearest = _nearest_cost_level(levels, total)
             beyond = np.searchsorted(told_apart, np.searchsorted(totals, total), side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
 
         def leads(level: int) -> IntArray:
+            """Layers that a step of each cost passes from a level, [costs]."""
             return np.where(moving, reached(levels[level] + costs) - level, 1)
 
         farthest = reached(levels[:cap] + costs[moving].max(initial=0.0))

@@ -19,7 +19,7 @@ from ssp_lp.methods.risk.least_risk import risk_bound
 from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
 from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
 from ssp_lp.methods.split_costs import proved_on_split_costs
-from ssp_lp.methods.split_model import has_split_costs
+from ssp_lp.methods.split_model import span_of_steps, span_to_split
 from ssp_lp.options import CERTIFYING, Game, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, conditions_of
@@ -76,11 +76,13 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
         bound, allowed = proved_on_rounded_costs(solution, found.objective, CERTIFYING)
         above = measure is not None and measure.maximised
         return certificate_of(found, bound, allowed, above=above)
-    unknown = solution.value_function is None and by_sums(problem)
-    if has_split_costs(problem) or (unknown and problem.ratio and measure is None):
+    span, unknown = span_to_split(problem), solution.value_function is None
+    if span is None and unknown and problem.ratio and measure is None and by_sums(problem):
+        span = span_of_steps(problem)  # for want of time a grid was taken in place of its sums
+    if span is not None:
         if not np.isfinite(found.objective):
             return certificate_of(found, 0.0, 1.0, "the goal is never reached")
-        bound, allowed = proved_on_split_costs(solution, found.objective, CERTIFYING)
+        bound, allowed = proved_on_split_costs(solution, span, found.objective, CERTIFYING)
         return certificate_of(found, bound, allowed)
     if by_rows(problem):
         risk = measure is not None and not measure.maximised

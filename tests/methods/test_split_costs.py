@@ -12,7 +12,7 @@ from examples.formulating import real_costs
 from formulations import S3P, MaxProb
 from ssp_lp import SSP, CostAwarePolicy, certify, evaluate, solve
 from ssp_lp.arrays import read_only
-from ssp_lp.methods.split_model import has_split_costs, with_split_costs
+from ssp_lp.methods.split_model import span_to_split, with_split_costs
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.processes.expectations import cost_means
 
@@ -49,7 +49,7 @@ def test_both_sides_enclose_the_optimum(seed: int, discount: float | None) -> No
     budget = [least, least + 0.05, 0.5, 0.9][seed % 4] if discount is None else 0.7
     exact = solve(S3P(model, start, budget, discount, cost_levels=EXACT))
     problem = S3P(model, start, budget, discount, cost_levels=FEW)
-    if not has_split_costs(problem):
+    if span_to_split(problem) is None:
         pytest.fail("this model was to be too rich for so few levels")
     found = solve(problem)
     assert found.lower_bound <= exact.objective * (1.0 + 1e-9)
@@ -80,7 +80,7 @@ def test_finer_units_bring_the_bounds_together() -> None:
 
 def test_little_time_for_many_sums_gives_a_certified_answer_on_a_grid() -> None:
     problem = S3P(*real_costs.field(24, "3 prices"), 0.3)
-    assert not has_split_costs(problem)
+    assert span_to_split(problem) is None
     found = solve(problem, time_limit=2.0)
     assert found.gap < 0.1
     proof = certify(found)
@@ -123,7 +123,7 @@ def test_rare_goals_are_measured_by_themselves(share: float) -> None:
         {**moves, "pit": {}}, goal={"s6"}, treat_actionless_as_dead_ends=True
     )
     problem = S3P(model, "s0", reach_fraction=share, cost_levels=20)
-    assert has_split_costs(problem)
+    assert span_to_split(problem) is not None
     found = solve(problem)
     played = evaluate(found.policy, problem)
     assert played.objective == pytest.approx(found.objective, rel=1e-12)

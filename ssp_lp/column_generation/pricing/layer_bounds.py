@@ -80,6 +80,7 @@ def summed_layers(
         return lambda layer: (replace(cost, factor=float(totals[layer])), whole, owed)
 
     def summed(layer: int) -> Summands:
+        """What the pairs of a layer sum up, each layer's charges by themselves."""
         fixed = process.charged(layer).fixed
         return PairCost(fixed + owed - saved), np.abs(fixed) + owed + saved, owed
 

@@ -189,10 +189,12 @@ class _QuestionWithinRows:
         """The charge of a lottery given success, by the law of its total cost."""
 
         def value(policy: MixedPolicy) -> float:
+            """The charge given success of a lottery."""
             law = success_costs(policy, self.problem)
             return _expected_in_question(charge, law) / law.goal
 
         def figures(policy: Policy) -> FloatArray:
+            """Charge, failure and rows of one policy."""
             law, found = success_costs(policy, self.problem), evaluate(policy, self.problem)
             spent = taken_by_lottery(self.compiled, found)
             return np.array([_expected_in_question(charge, law), found.failure_probability, *spent])

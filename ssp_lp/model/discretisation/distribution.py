@@ -59,6 +59,7 @@ class Distribution:
         cumulative = np.cumsum(chance[:-1])
 
         def quantile(levels: FloatArray) -> FloatArray:
+            """The atom at each level, like ``levels``."""
             return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
 
         return cls(quantile, read_only(atoms), read_only(chance))

@@ -59,6 +59,7 @@ class Quadrature:
         noise = tuple(placed[len(axes) :])
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
+            """The nodes in some cells, and those of the noise."""
             index = zip(axes, model.grid.index_of(cells), placed, strict=False)
             return tuple(axis.low + (k + node) * axis.width for axis, k, node in index), noise
 
@@ -116,6 +117,7 @@ class Samples:
         rng, axes = np.random.default_rng(self.rng), model.grid.axes
 
         def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
+            """Points drawn in some cells, and the noise at each."""
             shape = (int(self.number), len(cells))
             index = zip(axes, model.grid.index_of(cells), strict=True)
             point = tuple(axis.low + (k + rng.random(shape)) * axis.width for axis, k in index)
