@@ -20,6 +20,7 @@ Array = np.ndarray[Any, Any]
 def back_up(
     offsets: Array,
     indptr: Array,
+    begins: Array,
     indices: Array,
     data: Array,
     cost: Array,
@@ -37,9 +38,9 @@ def back_up(
         least, pick, kept = np.inf, offsets[s], np.inf
         own = held[s] if keeps else offsets[s]
         for pair in range(offsets[s], offsets[s + 1]):
-            total = 0.0
-            for k in range(indptr[pair], indptr[pair + 1]):
-                total += data[k] * values[indices[k]]
+            total, first, begin = 0.0, indptr[pair], begins[pair]
+            for k in range(indptr[pair + 1] - first):
+                total += data[begin + k] * values[indices[first + k]]
             stage = cost[pair]
             if factor != 0.0:
                 stage += factor * slope[pair]
@@ -57,6 +58,7 @@ def back_up(
 def back_up_safely(
     offsets: Array,
     indptr: Array,
+    begins: Array,
     indices: Array,
     data: Array,
     cost: Array,
@@ -72,9 +74,9 @@ def back_up_safely(
     for s in prange(offsets.size - 1):
         least = np.inf
         for pair in range(offsets[s], offsets[s + 1]):
-            total, size = 0.0, 0.0
-            for k in range(indptr[pair], indptr[pair + 1]):
-                term = data[k] * values[indices[k]]
+            total, size, first, begin = 0.0, 0.0, indptr[pair], begins[pair]
+            for k in range(indptr[pair + 1] - first):
+                term = data[begin + k] * values[indices[first + k]]
                 total += term
                 size += abs(term)
             stage, whole = cost[pair], magnitude[pair]
@@ -87,43 +89,6 @@ def back_up_safely(
                 total -= (terms * epsilon) * size
             least = min(least, total)
         minima[s] = least
-
-
-@one_or_all_cores
-def back_up_layer(
-    offsets: Array, indptr: Array, indices: Array, data: Array,
-    cost: Array, slope: Array, layer: float,
-    charge: Array, growth: Array, gain: Array, failure: Array, survival: float,
-    values: Array, measured: Array, minima: Array, position: Array, totals: Array,
-) -> None:  # fmt: skip
-    """Least values of a layer, who attains them, and the (charge, failure, goal) of that choice.
-
-    The chosen row is read again while it is still near.
-    """
-    for s in prange(offsets.size - 1):
-        least, pick = np.inf, offsets[s]
-        for pair in range(offsets[s], offsets[s + 1]):
-            total = 0.0
-            for k in range(indptr[pair], indptr[pair + 1]):
-                total += data[k] * values[indices[k]]
-            stage = cost[pair]
-            if layer != 0.0:
-                stage += layer * slope[pair]
-            total = stage + total
-            if total < least:
-                least, pick = total, pair
-        minima[s], position[s] = least, pick - offsets[s]
-        paid, failed, reached = 0.0, 0.0, 0.0
-        for k in range(indptr[pick], indptr[pick + 1]):
-            weight, column = data[k], indices[k]
-            paid += weight * measured[column, 0]
-            failed += weight * measured[column, 1]
-            reached += weight * measured[column, 2]
-        if layer != 0.0:
-            paid += layer * growth[pick]
-        totals[s, 0] = charge[pick] + paid
-        totals[s, 1] = failure[pick] + failed
-        totals[s, 2] = survival * gain[pick] + reached
 
 
 @njit(cache=True)

@@ -93,41 +93,129 @@ def fill_rows(
                 place += 1
 
 
+@njit(cache=True)
+def fill_shared_rows(
+    outcome_offsets: Array,
+    successors: Array,
+    probabilities: Array,
+    ahead: Array,
+    node_of: Array,
+    n_nodes: int,
+    pair_at: Array,
+    survival: float,
+    indptr: Array,
+    indices: Array,
+    begins: Array,
+    data: Array,
+    slots: Array,
+    used: int,
+) -> int:
+    """Columns of the entries, and their probabilities where no row before has the same ones.
+
+    Args:
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        ahead: blocks of columns ahead, [outcomes]; empty: none.
+        node_of: [states].
+        n_nodes: columns of a block.
+        pair_at: pair of each row, negative for an empty one, [rows].
+        survival: factor of every probability.
+        indptr: where each row's entries lie, [rows + 1].
+        indices: written, [entries].
+        begins: written: where each row's probabilities begin, [rows].
+        data: probabilities of the rows that differ, written from ``used`` on.
+        slots: where a row of this hash begins, -1: none so far; a power of two, and at least
+            twice as many as there are data.
+        used: how many of the data are.
+
+    Returns:
+        How many of the data are used now; -1 where there is no room for more.
+    """
+    bits, layered, mask = data.view(np.uint64), ahead.size > 0, np.uint64(slots.size - 1)
+    for row in range(pair_at.size):
+        first = np.int64(indptr[row])
+        length = np.int64(indptr[row + 1]) - first
+        if used + length > data.size:
+            return -1
+        mixed, place = np.uint64(length), used
+        if length > 0:
+            pair = np.uint32(pair_at[row])
+            for k in range(outcome_offsets[pair], outcome_offsets[pair + np.uint32(1)]):
+                node = node_of[successors[k]]
+                if node < 0 or probabilities[k] <= 0.0:
+                    continue
+                column = np.int64(node)
+                if layered:
+                    column += np.int64(ahead[k]) * n_nodes
+                indices[first + place - used] = column
+                data[place] = probabilities[k] * survival
+                mixed = (mixed ^ bits[place]) * np.uint64(0x9E3779B97F4A7C15)
+                mixed ^= mixed >> np.uint64(29)
+                place += 1
+        slot = mixed & mask
+        while slots[slot] >= 0:
+            known, same = slots[slot], 0
+            if known + length <= used:
+                while same < length and bits[known + same] == bits[used + same]:
+                    same += 1
+            if same == length:
+                break
+            slot = (slot + np.uint64(1)) & mask
+        if slots[slot] < 0:
+            slots[slot], used = used, place
+        begins[row] = slots[slot]
+    return used
+
+
 @one_or_all_cores
 def row_product(
-    choice: Array, indptr: Array, indices: Array, data: Array, x: Array, result: Array
+    choice: Array,
+    indptr: Array,
+    begins: Array,
+    indices: Array,
+    data: Array,
+    x: Array,
+    result: Array,
 ) -> None:
     """Chosen rows of a matrix times one vector."""
     for s in prange(choice.size):
         row = choice[s]
-        total = 0.0
-        for k in range(indptr[row], indptr[row + 1]):
-            total += data[k] * x[indices[k]]
+        total, first, begin = 0.0, indptr[row], begins[row]
+        for k in range(indptr[row + 1] - first):
+            total += data[begin + k] * x[indices[first + k]]
         result[s] = total
 
 
 @one_or_all_cores
 def row_products(
-    choice: Array, indptr: Array, indices: Array, data: Array, x: Array, result: Array
+    choice: Array,
+    indptr: Array,
+    begins: Array,
+    indices: Array,
+    data: Array,
+    x: Array,
+    result: Array,
 ) -> None:
     """Chosen rows times several vectors, [states, vectors]."""
     if x.shape[1] == 3:  # each entry is read once
         for s in prange(choice.size):
             row = choice[s]
-            first, second, third = 0.0, 0.0, 0.0
-            for k in range(indptr[row], indptr[row + 1]):
-                weight, column = data[k], indices[k]
-                first += weight * x[column, 0]
-                second += weight * x[column, 1]
-                third += weight * x[column, 2]
-            result[s, 0], result[s, 1], result[s, 2] = first, second, third
+            one, two, three, first, begin = 0.0, 0.0, 0.0, indptr[row], begins[row]
+            for k in range(indptr[row + 1] - first):
+                weight, column = data[begin + k], indices[first + k]
+                one += weight * x[column, 0]
+                two += weight * x[column, 1]
+                three += weight * x[column, 2]
+            result[s, 0], result[s, 1], result[s, 2] = one, two, three
         return
     for s in prange(choice.size):
         row = choice[s]
+        first, begin = indptr[row], begins[row]
         for j in range(x.shape[1]):
             total = 0.0
-            for k in range(indptr[row], indptr[row + 1]):
-                total += data[k] * x[indices[k], j]
+            for k in range(indptr[row + 1] - first):
+                total += data[begin + k] * x[indices[first + k], j]
             result[s, j] = total
 
 
@@ -135,6 +223,7 @@ def row_products(
 def copy_rows(
     choice: Array,
     indptr: Array,
+    begins: Array,
     indices: Array,
     data: Array,
     own_indptr: Array,
@@ -143,7 +232,7 @@ def copy_rows(
 ) -> None:
     """Copy the chosen rows one after the other, so that products read memory in order."""
     for s in prange(choice.size):
-        begin, place = indptr[choice[s]], own_indptr[s]
+        first, begin, place = indptr[choice[s]], begins[choice[s]], own_indptr[s]
         for k in range(own_indptr[s + 1] - place):
-            own_indices[place + k] = indices[begin + k]
+            own_indices[place + k] = indices[first + k]
             own_data[place + k] = data[begin + k]

@@ -38,6 +38,54 @@ def stream_mass(
 
 
 @njit(cache=True)
+def follow_layer(
+    mass: Array, position: Array,
+    offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,
+    charge: Array, growth: Array, layer: float, gain: Array, failure: Array, survival: float,
+    onward: Array, sums: Array,
+) -> None:  # fmt: skip
+    """Send the mass of a layer on by a choice, and add up what it is charged, fails and arrives.
+
+    Args:
+        mass: [nodes].
+        position: of the chosen pair among those of each node, [nodes].
+        offsets: pairs of each node, [nodes + 1].
+        indptr: where the columns of each pair begin, [pairs + 1].
+        begins: and where its numbers do, [pairs].
+        indices: columns.
+        data: numbers.
+        charge: of arriving, [pairs].
+        growth: what a unit of the total adds to it, [pairs] or empty.
+        layer: the total paid.
+        gain: [pairs].
+        failure: [pairs].
+        survival: the discount.
+        onward: mass of what the columns stand for, added to, [columns].
+        sums: charge, failure and goal, and what was rounded off them, [3, 2], added to.
+    """
+    terms = np.zeros(3)
+    for s in range(mass.size):
+        if mass[s] <= 0.0:
+            continue
+        pair = offsets[s] + np.uint64(position[s])
+        stage = charge[pair]
+        if layer != 0.0:
+            stage += layer * growth[pair]
+        terms[0], terms[1], terms[2] = stage, failure[pair], survival * gain[pair]
+        for j in range(3):  # what a sum loses is kept beside it
+            term = mass[s] * terms[j]
+            whole = sums[j, 0] + term
+            if abs(sums[j, 0]) >= abs(term):
+                sums[j, 1] += (sums[j, 0] - whole) + term
+            else:
+                sums[j, 1] += (term - whole) + sums[j, 0]
+            sums[j, 0] = whole
+        first, begin = indptr[pair], begins[pair]
+        for k in range(indptr[pair + np.uint64(1)] - first):
+            onward[indices[first + k]] += mass[s] * data[begin + k]
+
+
+@njit(cache=True)
 def stream_arrivals(
     pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
     slots: Array, arriving: Array,

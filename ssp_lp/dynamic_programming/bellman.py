@@ -17,6 +17,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time, pieces
+from ssp_lp.dynamic_programming.shared_rows import SparseRows, row_parts, written_out
 
 _FEW_ENTRIES = 20_000
 _NONE = np.zeros(0)
@@ -55,7 +56,7 @@ class PairCost:
 
 def best_pairs(
     pair_offsets: IntArray,
-    transitions: sp.csr_array,
+    transitions: SparseRows,
     pair_cost: FloatArray | PairCost,
     values: FloatArray,
     held: IntArray | None = None,
@@ -84,7 +85,7 @@ def best_pairs(
     here = np.empty(0 if held is None else n)
     own = _NOBODY if held is None else unsigned(held)
     compiled.back_up(transitions.nnz)(
-        *unsigned_parts(pair_offsets, transitions), *cost.parts, values, own,
+        unsigned(pair_offsets), *row_parts(transitions), *cost.parts, values, own,
         minima, choice.view(np.uint32), here,
     )  # fmt: skip
     return Backup(minima, choice, here)
@@ -92,7 +93,7 @@ def best_pairs(
 
 def safe_minima(
     pair_offsets: IntArray,
-    transitions: sp.csr_array,
+    transitions: SparseRows,
     pair_cost: PairCost,
     magnitude: FloatArray,
     alone: FloatArray,
@@ -123,18 +124,18 @@ def safe_minima(
     minima = np.empty(len(pair_offsets) - 1)
     fixed, slope, factor = pair_cost.parts
     compiled.back_up_safely(transitions.nnz)(
-        *unsigned_parts(pair_offsets, transitions), fixed, magnitude, slope, factor, alone,
+        unsigned(pair_offsets), *row_parts(transitions), fixed, magnitude, slope, factor, alone,
         MACHINE_EPSILON, values, minima,
     )  # fmt: skip
     return minima
 
 
-def backup_rounding(transitions: sp.csr_array) -> FloatArray:
+def backup_rounding(transitions: SparseRows) -> FloatArray:
     """Rounding of a backup relative to the sum of its terms' magnitudes, per pair, [pairs]."""
     return np.asarray((np.diff(transitions.indptr) + 4.0) * MACHINE_EPSILON)
 
 
-def chosen_product(transitions: sp.csr_array, choice: IntArray, x: FloatArray) -> FloatArray:
+def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> FloatArray:
     """``transitions[choice] @ x``, once; picking rows costs more than products of few entries."""
     if transitions.nnz <= _FEW_ENTRIES:
         return np.asarray((transitions @ x)[choice])
@@ -145,7 +146,7 @@ class ChosenRows:
     """The rows of one pair per state, ``transitions[choice]``: an operator that counts its uses."""
 
     def __init__(
-        self, transitions: sp.csr_array, choice: IntArray, is_compiled: bool | None = None
+        self, transitions: SparseRows, choice: IntArray, is_compiled: bool | None = None
     ) -> None:
         """Choose rows.
 
@@ -163,7 +164,7 @@ class ChosenRows:
     @property
     def matrix(self) -> sp.csr_array:
         """The rows as a matrix of their own, [states, columns]."""
-        return self._transitions if self._is_gathered else self._copied()
+        return written_out(self._transitions) if self._is_gathered else self._copied()
 
     def gathered(self) -> ChosenRows:
         """The same rows, copied one after the other for repeated use.
@@ -175,7 +176,7 @@ class ChosenRows:
     def _copied(self) -> sp.csr_array:
         """The chosen rows, copied out of the matrix."""
         if not self._is_compiled:
-            return sp.csr_array(self._transitions[self._choice])
+            return sp.csr_array(written_out(self._transitions)[self._choice])
         from ssp_lp.compiled import rows as compiled
 
         begin = self._transitions.indptr
@@ -204,9 +205,9 @@ class ChosenRows:
         return result
 
     @property
-    def _arrays(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+    def _arrays(self) -> tuple[IntArray, IntArray, IntArray, IntArray, FloatArray]:
         """Which rows are chosen, and the matrix, as compiled backups read them."""
-        return unsigned_parts(self._choice, self._transitions)
+        return unsigned(self._choice), *row_parts(self._transitions)
 
     @property
     def _entries(self) -> int:

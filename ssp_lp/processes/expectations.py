@@ -38,7 +38,7 @@ def successor_means(model: SSP, values: FloatArray | BoolArray) -> FloatArray:
     every, result = np.arange(model.n_pairs, dtype=np.uint32), np.empty(model.n_pairs)
     offsets, successors = model.outcome_offsets.view(np.uint64), model.successors.view(np.uint32)
     run = compiled.row_product(model.n_outcomes)
-    run(every, offsets, successors, model.probabilities, values, result)
+    run(every, offsets, offsets[:-1], successors, model.probabilities, values, result)
     return result
 
 

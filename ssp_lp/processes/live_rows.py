@@ -11,8 +11,18 @@ import scipy.sparse as sp
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, segment_ids
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import pieces
+from ssp_lp.dynamic_programming.shared_rows import SharedRows, SparseRows
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import segment_chunks
+
+_WORTH_SHARING = 1_000_000
+"""Entries from which rows are looked at for others that are equal."""
+
+_TIMES_SHARED = 4
+"""How often each number is to be shared on average: less gains too little."""
+
+_MOST_NUMBERS = 2**19
+"""Different rows' numbers: 4 MB, so that they stay near a core while columns stream by."""
 
 _NOWHERE = np.zeros(0, dtype=np.int32)
 
@@ -49,13 +59,61 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
         rows: the rows.
         survival: factor of every probability.
     """
-    n_rows, n_columns = len(rows.pair_at), rows.width * rows.n_nodes
     counts, departs, leaks = _count_live(rows)
-    indptr = np.zeros(n_rows + 1, dtype=np.int64)
-    np.cumsum(counts, out=indptr[1:])
-    small = max(int(indptr[-1]), n_columns) < 2**31
-    indptr = indptr.astype(np.int32) if small else indptr
-    indices = np.empty(int(indptr[-1]), dtype=indptr.dtype)
+    matrix = _filled_rows(rows, survival, counts, departs, _row_bounds(rows, counts))
+    exits = leaks if survival == 1.0 else (1.0 - survival) + survival * leaks
+    return LiveRows(matrix, departs, exits / departs)
+
+
+def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
+    """The matrix of live rows alone, with each probability once where rows repeat each other.
+
+    Args:
+        rows: the rows; waiting is kept.
+        survival: factor of every probability.
+    """
+    counts, departs, _ = _count_live(rows)
+    bounds = _row_bounds(rows, counts)
+    shared = None
+    if int(bounds[-1]) >= _WORTH_SHARING and accelerated(rows.model.n_outcomes):
+        shared = _shared_rows(rows, survival, bounds)
+    return _filled_rows(rows, survival, counts, departs, bounds) if shared is None else shared
+
+
+def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
+    """Where the entries of each row begin, and the end, [rows + 1]."""
+    bounds = np.zeros(len(counts) + 1, dtype=np.int64)
+    np.cumsum(counts, out=bounds[1:])
+    small = max(int(bounds[-1]), rows.width * rows.n_nodes) < 2**31
+    return bounds.astype(np.int32) if small else bounds
+
+
+def _shared_rows(rows: RowChoice, survival: float, bounds: IntArray) -> SharedRows | None:
+    """The rows with their numbers shared; None where few of them repeat each other."""
+    from ssp_lp.compiled import rows as compiled
+
+    model, n_rows = rows.model, len(rows.pair_at)
+    indices = np.empty(int(bounds[-1]), dtype=bounds.dtype)
+    begins, data = np.empty(n_rows, dtype=np.int32), np.empty(_MOST_NUMBERS)
+    slots, used = np.full(2 * _MOST_NUMBERS, -1, dtype=np.int32), 0
+    for some in pieces(n_rows, model.n_outcomes):
+        used = compiled.fill_shared_rows(
+            model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
+            _row_array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some], survival,
+            bounds[some.start : some.stop + 1], indices, begins[some], data, slots, used,
+        )  # fmt: skip
+        if used < 0 or used > bounds[some.stop] // _TIMES_SHARED:
+            return None
+    shape = n_rows, rows.width * rows.n_nodes
+    return SharedRows(bounds, begins, indices, data[:used].copy(), shape)
+
+
+def _filled_rows(
+    rows: RowChoice, survival: float, counts: IntArray, departs: FloatArray, bounds: IntArray
+) -> sp.csr_array:
+    """The rows that were counted, each entry's probability beside its column."""
+    n_rows, n_columns = len(counts), rows.width * rows.n_nodes
+    indices = np.empty(int(bounds[-1]), dtype=bounds.dtype)
     data = np.empty(len(indices))
     if accelerated(rows.model.n_outcomes):
         from ssp_lp.compiled import rows as compiled
@@ -66,17 +124,15 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
                 model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
                 _row_array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
                 home[some] if home.size else home, departs[some], survival,
-                indptr[some.start : some.stop + 1], indices, data,
+                bounds[some.start : some.stop + 1], indices, data,
             )  # fmt: skip
     else:
         for some in _row_chunks(rows):
             column, probability, row = _entries_of_live_rows(rows, some, counts)
-            place = slice(indptr[some.start], indptr[some.stop])
+            place = slice(bounds[some.start], bounds[some.stop])
             indices[place] = column
             data[place] = probability / departs[some][row] * survival
-    matrix = sp.csr_array((data, indices, indptr), shape=(n_rows, n_columns))
-    exits = leaks if survival == 1.0 else (1.0 - survival) + survival * leaks
-    return LiveRows(matrix, departs, exits / departs)
+    return sp.csr_array((data, indices, bounds), shape=(n_rows, n_columns))
 
 
 def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:

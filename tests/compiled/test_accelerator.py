@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -11,34 +9,15 @@ import scipy.sparse as sp
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import ModelError, certify, solve
-from ssp_lp.column_generation.pricing import layered_pricing
+from ssp_lp.column_generation.pricing import layer_bounds, layered_pricing
 from ssp_lp.compiled import accelerator
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.model import SSP
 from ssp_lp.processes.live_rows import RowChoice, live_rows
+from tests.support.compiled import Switch, assert_same, both
 
 pytest.importorskip("numba")
-
-Switch = Callable[[bool], None]
-
-
-@pytest.fixture
-def accelerate(monkeypatch: pytest.MonkeyPatch) -> Switch:
-    """Run every loop compiled, or none."""
-
-    def switch(on: bool) -> None:
-        monkeypatch.setattr(accelerator, "has_accelerator", lambda: on)
-        monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
-
-    return switch
-
-
-def both(accelerate: Switch, work: Callable[[], object]) -> tuple[object, object]:
-    accelerate(True)
-    compiled = work()
-    accelerate(False)
-    return compiled, work()
 
 
 def random_pairs(rng: np.random.Generator, states: int = 60) -> tuple[np.ndarray, sp.csr_array]:
@@ -49,17 +28,6 @@ def random_pairs(rng: np.random.Generator, states: int = 60) -> tuple[np.ndarray
     data = rng.random(indptr[-1]) / 8
     columns = rng.integers(0, states, indptr[-1]).astype(np.int32)
     return offsets, sp.csr_array((data, columns, indptr), shape=(len(lengths), states))
-
-
-def assert_same(one: object, other: object) -> None:
-    if isinstance(one, tuple):
-        for a, b in zip(one, other, strict=True):
-            assert_same(a, b)
-    elif isinstance(one, sp.csr_array):
-        for name in ("indptr", "indices", "data"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    else:
-        np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -167,12 +135,10 @@ def test_solutions_are_the_same_with_and_without(
 
 
 def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    from ssp_lp.column_generation.pricing import layered_pricing
-
     grid = RobotGrid(segments=10, headings=6)
     problem = S3P(grid_model(grid), start_state(grid), 0.2)
     kept = solve(problem)
-    monkeypatch.setattr(layered_pricing, "_KEPT_VALUES", 0)
+    monkeypatch.setattr(layer_bounds, "_KEPT_VALUES", 0)
     dropped = solve(problem)
     assert np.isinf(dropped.value_function).all()
     assert dropped.value_function.shape == kept.value_function.shape

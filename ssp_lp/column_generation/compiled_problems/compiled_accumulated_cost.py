@@ -56,6 +56,7 @@ class CompiledAccumulatedCost(CompiledLayered):
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     cap: int | None = None  # layers
     exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
+    is_for_bounds: bool = False  # nothing is followed: no way to the goal is looked for
     ratio: bool = field(default=True, init=False)
     lowest: float = field(default=0.0, init=False)
 
@@ -128,7 +129,7 @@ class CompiledAccumulatedCost(CompiledLayered):
     ) -> CompiledAccumulatedCost:
         """The same problem with as many layers as the value function, [layers, nodes].
 
-        Its tails are those that are quickly found: where the cap loses something with them,
+        Its tails are the riskiest policy alone: where the cap loses something with that,
         :meth:`for_program` has the exact ones.
 
         Raises:
@@ -136,7 +137,7 @@ class CompiledAccumulatedCost(CompiledLayered):
         """
         if values.ndim != 2 or values.shape[0] == 0:
             raise ModelError("a value function of shape [layers, nodes] is needed")
-        return self._carry(replace(self, cap=values.shape[0]))
+        return self._carry(replace(self, cap=values.shape[0], is_for_bounds=True))
 
     def for_program(self) -> CompiledAccumulatedCost:
         """The same problem with exact tails: beyond the cap no program does better than they do."""
@@ -162,7 +163,7 @@ class CompiledAccumulatedCost(CompiledLayered):
             first = self.safest_policy
             greatest = -at(-self.greatest.bound)
         else:
-            first = self._directed
+            first = riskiest if self.is_for_bounds else self._directed
             greatest = np.full(self.base.n_nodes, self.survival)
         both = (first, riskiest)
         return LayeredTails(

@@ -7,8 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.bellman import PairCost, backup_rounding
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.column_generation.pricing.layer_choices import is_acyclic
+from ssp_lp.column_generation.pricing.one_pass import OnePass
+from ssp_lp.column_generation.pricing.pricing_problem import Proof
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.bellman import PairCost, Work, backup_rounding, safe_minima
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
@@ -19,6 +23,75 @@ Summands = tuple[PairCost, FloatArray, FloatArray]
 (see ``safe_minima``), [pairs] each."""
 
 _ONE = np.ones(1)
+
+
+_BELOW_EVERY_VALUE = 1e-6
+"""No value is below minus the price; a floor this much lower leaves room to count rounding."""
+
+_KEPT_VALUES = 25_000_000
+"""Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
+shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
+
+
+def bound_layers(
+    process: LayeredProcess,
+    price: float,
+    failing: float,
+    values: FloatArray,
+    beyond: FloatArray,
+    whole: OnePass | None,
+    first: IntArray,
+) -> Proof:
+    """A lower bound of every policy's value, by a sweep that counts its rounding against itself.
+
+    Args:
+        process: the process.
+        price: of failure.
+        failing: what failing counts: the price, or 0 with minus the price for success.
+        values: are not exceeded, [cap, nodes].
+        beyond: lower bounds beyond the cap, [layers beyond, nodes].
+        whole: a compiled pass over all layers, where the process is small.
+        first: pairs to begin with where a layer has free steps, [nodes].
+    """
+    base, success = process.base, price - failing
+    owed, saved = failing * base.failure, success * base.survival * base.gain
+    floor = -(success - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
+    if whole is not None:
+        given = np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
+        checked = whole.lowest(owed, saved, given, beyond)
+        return _proof_of_layers(process, price, failing, checked[0], checked)
+    summed, window, inner = summed_layers(process, owed, saved), process.window(beyond), first
+    is_kept = values.size <= _KEPT_VALUES
+    kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
+    lowest = np.zeros(base.n_nodes)
+    for layer in reversed(range(process.cap)):
+        check_time()
+        given, asked = values[layer], bool(np.isposinf(values[layer]).all())
+        if not asked:
+            given = np.maximum(np.nan_to_num(given, nan=floor, posinf=np.inf), floor)
+        if is_acyclic(base):
+            lowest = safe_minima(base.pair_offsets, base.later, *summed(layer), window.flat)
+            lowest = lowest if asked else np.minimum(lowest, given)
+        else:
+            lowest, inner = bound_free_steps(base, summed(layer), window.flat, given, inner, floor)
+        if is_kept:
+            kept[layer] = lowest
+        window.push(lowest)
+    return _proof_of_layers(process, price, failing, lowest, kept)
+
+
+def _proof_of_layers(
+    process: LayeredProcess, price: float, failing: float, lowest: FloatArray, checked: FloatArray
+) -> Proof:
+    """The bound that values of the first layer give, [nodes]; all of them are kept."""
+    base = process.base
+    ended = failing * base.start_failure, -(price - failing) * base.start_goal
+    parts = np.append(base.start * lowest, (*ended, process.start_charge))
+    loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
+    bound = float(parts.sum()) - max(float(loss), 0.0)
+    is_kept = checked.size <= _KEPT_VALUES
+    kept = checked if is_kept else np.broadcast_to(np.inf, checked.shape)
+    return Proof(price, failing, bound, kept, Work(process.cap, 0))
 
 
 def bound_free_steps(

@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.bellman import (
-    PairCost,
-    best_pairs,
-    chosen_product,
-    unsigned_parts,
-)
+from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, chosen_product
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 
@@ -39,33 +34,6 @@ def best_of_layer(
     onward = (cost.total + base.later @ ahead)[:, None]
     settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
     return settled.choice, settled.values
-
-
-def best_with_measures(
-    base: AccumulatedCost,
-    cost: PairCost,
-    charge: PairCost,
-    ahead: tuple[FloatArray, FloatArray],
-    position: IntArray,
-) -> tuple[FloatArray, FloatArray]:
-    """The least values of an acyclic layer, [nodes], and their measures, in one compiled pass.
-
-    Args:
-        base: one layer of the process.
-        cost: of the pairs, priced.
-        charge: of arriving by the pairs.
-        ahead: values and measures of what steps lead to, [layers * nodes] and with 3 columns.
-        position: written: the choice among the pairs of each node, [nodes].
-    """
-    from ssp_lp.compiled.backups import back_up_layer
-
-    matrix, values, totals = base.later, np.empty(base.n_nodes), np.empty((base.n_nodes, 3))
-    back_up_layer(matrix.nnz)(
-        *unsigned_parts(base.pair_offsets, matrix), *cost.parts,
-        *charge.parts[:2], base.gain, base.failure, base.survival,
-        *ahead, values, position, totals,
-    )  # fmt: skip
-    return values, totals
 
 
 def measures_of_layer(

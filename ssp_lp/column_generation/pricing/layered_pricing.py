@@ -8,15 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
-from ssp_lp.column_generation.pricing.layer_bounds import (
-    bound_free_steps,
-    priced_layers,
-    summed_layers,
-)
+from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.column_generation.pricing.followed_choice import follow_choice
+from ssp_lp.column_generation.pricing.layer_bounds import bound_layers, priced_layers
 from ssp_lp.column_generation.pricing.layer_choices import (
     best_of_layer,
-    best_with_measures,
     is_acyclic,
     measures_of_layer,
 )
@@ -24,7 +20,7 @@ from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed
-from ssp_lp.dynamic_programming.bellman import Work, safe_minima
+from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
@@ -32,12 +28,7 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 from ssp_lp.processes.totals.levels import Window
 
-_BELOW_EVERY_VALUE = 1e-6
-"""No value is below minus the price; a floor this much lower leaves room to count rounding."""
-
-_KEPT_VALUES = 25_000_000
-"""Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
-shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
+_NOBODY: IntArray = np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,36 +71,51 @@ class LayeredPricing:
             beyond = self._tail_values(failure_price, failing)
             measures = np.stack(self.process.beyond(failure_price), axis=-1)
             totals = self._one_pass.minimise(owed, beyond, measures, choice)
-            return self._column(totals, choice, failure_price, self.process.cap)
+            return self._column(base.start @ totals, choice, failure_price, self.process.cap)
         totals = self._swept_down(failure_price, failing, owed, choice)
-        return self._column(totals, choice, failure_price, self.process.cap)
+        if not self._can_follow:
+            return self._column(base.start @ totals, choice, failure_price, self.process.cap)
+        try:
+            found = self._followed(choice, failure_price)
+        except STOPS as stop:
+            heed(stop)
+            raise Stop(partial(self._cut_short, totals, choice, failure_price, 0)) from stop
+        return self._column(found, choice, failure_price, self.process.cap)
 
     def _swept_down(
         self, price: float, failing: float, owed: FloatArray, choice: IntArray
     ) -> FloatArray:
         """Layer by layer the best choice, which is written, and its measures from the first.
 
+        Args:
+            price: of failure.
+            failing: what failing counts (see ``_likely``).
+            owed: what that adds to the cost of each pair, [pairs].
+            choice: written, [cap, nodes].
+
+        Returns:
+            Charge, failure and goal from each node of the first layer, [nodes, 3]; no nodes where
+            a choice can be followed instead.
+
         Raises:
             Stop: with a function that gives what had been swept by then as a column.
         """
-        base, priced = self.process.base, priced_layers(self.process, owed)
-        ahead = self.process.window(self._tail_values(price, failing))
-        measured = self._measures_beyond(price)
-        totals, inner = np.zeros((base.n_nodes, 3)), self._first_choice
-        reached = self.process.cap
+        process, base = self.process, self.process.base
+        priced = priced_layers(process, owed)
+        inner = self._first_choice if not self._acyclic else _NOBODY
+        ahead = process.window(self._tail_values(price, failing))
+        measured = None if self._can_follow else self._measures_beyond(price)
+        totals, reached = np.zeros((0, 3)), process.cap
         try:
-            for layer in reversed(range(self.process.cap)):
+            for layer in reversed(range(process.cap)):
                 check_time()
-                cost, charge = priced(layer), self.process.charged(layer)
-                if self._acyclic and accelerated(base.later.nnz):
-                    windows, position = (ahead.flat, measured.flat), choice[layer]
-                    values, found = best_with_measures(base, cost, charge, windows, position)
-                else:
-                    inner, values = best_of_layer(base, cost, ahead.flat, inner)
-                    choice[layer] = inner - base.pair_offsets[:-1]
-                    found = measures_of_layer(base, inner, charge, measured.flat)
+                inner, values = best_of_layer(base, priced(layer), ahead.flat, inner)
+                found = totals
+                if measured is not None:
+                    found = measures_of_layer(base, inner, process.charged(layer), measured.flat)
+                    measured.push(found)
+                choice[layer] = inner - base.pair_offsets[:-1]
                 ahead.push(values)
-                measured.push(found)
                 reached, totals = layer, found
         except STOPS as stop:
             heed(stop)
@@ -125,32 +131,37 @@ class LayeredPricing:
         less what the layer stands for. None where the charge is another one than the cost itself.
 
         Args:
-            totals: measures from that layer on, [nodes, 3].
+            totals: measures from that layer on, [nodes, 3]; no nodes: a choice can be followed.
             choice: [cap, nodes], of which the layers from that one on are written.
             price: of failure.
             reached: the layer.
         """
-        process = self.process
+        process, base = self.process, self.process.base
         if not process.grows_evenly or process.ladder is not None or reached == process.cap:
             return None
-        paid = float(process.levels.totals[reached]) / process.base.survival
+        paid = float(process.levels.totals[reached]) / base.survival
         begun = replace(process, cap=process.cap - reached)
-        found = replace(self, process=begun)._column(totals, choice[:0], price - paid, 0)
-        cost = found.cost - paid * (found.goal - process.base.start_goal)
-        policy = begun.policy(choice[reached:], price - paid)
-        return replace(found, cost=cost, choice=None, policy=policy)
+        within, swept = replace(self, process=begun), choice[reached:]
+        found = base.start @ totals if len(totals) else within._followed(swept, price - paid)
+        if len(totals):
+            found[0] -= paid * found[2]
+        policy = begun.policy(swept, price - paid)
+        return replace(within._column(found, swept, price - paid, 0), choice=None, policy=policy)
 
     def measure(self, choice: IntArray, tail_price: float) -> Column:
-        """Exact E[cost; goal] and failure of a choice, by a backward sweep.
+        """Exact E[cost; goal] and failure of a choice.
 
         Args:
             choice: [cap, nodes].
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
-        base = self.process.base
+        base, start = self.process.base, self.process.base.start
         if self._one_pass is not None:
             measures = np.stack(self.process.beyond(tail_price), axis=-1)
-            return self._column(self._one_pass.measure(measures, choice), choice, tail_price, 0)
+            totals = self._one_pass.measure(measures, choice)
+            return self._column(start @ totals, choice, tail_price, 0)
+        if self._can_follow:
+            return self._column(self._followed(choice, tail_price), choice, tail_price, 0)
         measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
         for layer in reversed(range(self.process.cap)):
             check_time()
@@ -158,7 +169,11 @@ class LayeredPricing:
             charge = self.process.charged(layer)
             totals = measures_of_layer(base, chosen, charge, measured.flat)
             measured.push(totals)
-        return self._column(totals, choice, tail_price, 0)
+        return self._column(start @ totals, choice, tail_price, 0)
+
+    def _followed(self, choice: IntArray, tail_price: float) -> FloatArray:
+        """Charge, failure and goal of a choice, [cap, nodes], found forwards."""
+        return follow_choice(self.process, choice, self.process.beyond(tail_price))
 
     def _measures_beyond(self, tail_price: float) -> Window:
         """The measures of the tails beyond the layers."""
@@ -167,8 +182,9 @@ class LayeredPricing:
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
     ) -> Column:
+        """A choice with its charge, failure and goal from the start."""
         base, work = self.process.base, Work(backups, self.process.cap)
-        cost, failure, goal = (base.start @ totals).tolist()
+        cost, failure, goal = totals.tolist()
         failure = max(failure + base.start_failure, 0.0)  # verified: below it lies rounding
         goal = max(goal + base.start_goal, 0.0)
         cost += self.process.start_charge
@@ -197,7 +213,7 @@ class LayeredPricing:
         failing = 0.0 if slack else price
         if values.shape != self.value_shape:
             raise ModelError(f"a value function of shape {self.value_shape} is needed")
-        return self._swept(price, failing, values, self.process.beyond_bound(price, failing))
+        return self._bounded(price, failing, values, self.process.beyond_bound(price, failing))
 
     def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
         """How much of the bound the cap costs: 0 where the tails are proved to be optimal.
@@ -211,61 +227,29 @@ class LayeredPricing:
             proved: a bound that was proved at this price; where it is as high, that is all.
         """
         failing = 0.0 if slack else price
-        reached = self._swept(
-            price, failing, self._anything, self._tail_values(price, failing)
-        ).bound
+        if self.process.is_best_to_fail_beyond(price):
+            return 0.0
+        beyond = self._tail_values(price, failing)
+        reached = self._bounded(price, failing, self._anything, beyond).bound
         if reached <= proved:
             return 0.0
         return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
 
-    def _swept(self, price: float, failing: float, values: FloatArray, beyond: FloatArray) -> Proof:
-        """Lower values layer by layer, from what is given beyond the cap."""
-        base, success = self.process.base, price - failing
-        owed, saved = failing * base.failure, success * base.survival * base.gain
-        floor = -(success - self.process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
-        if self._one_pass is not None:
-            given = np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
-            checked = self._one_pass.lowest(owed, saved, given, beyond)
-            return self._proof(price, failing, checked[0], checked)
-        summed = summed_layers(self.process, owed, saved)
-        kept = np.empty(values.shape) if values.size <= _KEPT_VALUES else self._anything
-        window, inner = self.process.window(beyond), self._first_choice
-        lowest = np.zeros(base.n_nodes)
-        for layer in reversed(range(self.process.cap)):
-            check_time()
-            given = np.maximum(np.nan_to_num(values[layer], nan=floor, posinf=np.inf), floor)
-            if self._acyclic:
-                sums = base.pair_offsets, base.later, *summed(layer)
-                lowest = np.minimum(safe_minima(*sums, window.flat), given)
-            else:
-                lowest, inner = bound_free_steps(
-                    base, summed(layer), window.flat, given, inner, floor
-                )
-            if kept.flags.writeable:
-                kept[layer] = lowest
-            window.push(lowest)
-        return self._proof(price, failing, lowest, kept)
-
-    def _proof(
-        self, price: float, failing: float, lowest: FloatArray, checked: FloatArray
+    def _bounded(
+        self, price: float, failing: float, values: FloatArray, beyond: FloatArray
     ) -> Proof:
-        """The bound that values of the first layer give, [nodes]; all of them are kept."""
-        base = self.process.base
-        ended = failing * base.start_failure, -(price - failing) * base.start_goal
-        parts = np.append(base.start * lowest, (*ended, self.process.start_charge))
-        loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
-        bound = float(parts.sum()) - max(float(loss), 0.0)
-        kept = checked if checked.size <= _KEPT_VALUES else self._anything
-        return Proof(price, failing, bound, kept, Work(self.process.cap, 0))
+        """Lower values layer by layer, from what is given beyond the cap."""
+        first = _NOBODY if self._acyclic or self._one_pass is not None else self._first_choice
+        return bound_layers(self.process, price, failing, values, beyond, self._one_pass, first)
+
+    @property
+    def _anything(self) -> FloatArray:
+        """Values that ask for the best that can be proved, [cap, nodes]."""
+        return np.broadcast_to(np.inf, self.value_shape)
 
     @cached_property
     def _one_pass(self) -> OnePass | None:
         return one_pass(self.process)
-
-    @cached_property
-    def _anything(self) -> FloatArray:
-        """Values that ask for the best that can be proved, [cap, nodes]."""
-        return np.broadcast_to(np.inf, self.value_shape)
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states."""
@@ -277,6 +261,11 @@ class LayeredPricing:
     def _acyclic(self) -> bool:
         """Whether every step between states costs something, so that layers need no solving."""
         return is_acyclic(self.process.base)
+
+    @property
+    def _can_follow(self) -> bool:
+        """Whether a choice can be followed forwards, in compiled loops."""
+        return self._acyclic and accelerated(self.process.base.later.nnz)
 
     @cached_property
     def _likely(self) -> bool:

@@ -17,12 +17,13 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
+from ssp_lp.dynamic_programming.shared_rows import SparseRows, written_out
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
-from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means, uniform_cost
+from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.failure_semantics import survival_of
 from ssp_lp.processes.layered.charges import Charge, TotalCostCharge
-from ssp_lp.processes.live_rows import RowChoice, live_rows
+from ssp_lp.processes.live_rows import RowChoice, live_rows, shared_live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
 from ssp_lp.processes.totals.lattice import Lattice, lattice_of, totals_of
 from ssp_lp.processes.totals.step_sums import last_steps, step_lattice
@@ -36,7 +37,7 @@ class AccumulatedCost:
     lattice: Lattice  # of the costs
     survival: float  # the discount, 1 in the exact setting
     instant: sp.csr_array  # [pairs, nodes] steps that cost nothing and stay in the layer
-    later: sp.csr_array  # [pairs, (width - 1) * nodes] column 0 is one layer ahead
+    later: SparseRows  # [pairs, (width - 1) * nodes] column 0 is one layer ahead
     gain: FloatArray  # [pairs] probability of stepping into the goal (weight gamma^t)
     gain_cost: FloatArray  # [pairs] E[stage cost; step into the goal]
     failure: FloatArray  # [pairs] mass that fails
@@ -80,14 +81,14 @@ class AccumulatedCost:
     @cached_property
     def instant_dynamics(self) -> Dynamics:
         """Steps that cost nothing; whatever goes on to a later layer leaves."""
-        onward = np.asarray(self.later.sum(axis=1)).ravel()
+        onward = np.asarray(written_out(self.later).sum(axis=1)).ravel()
         exits = onward + self.survival * self.gain + self.failure
         return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
 
     @property
     def steps(self) -> sp.csr_array:
         """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
-        return sp.csr_array(sp.hstack([self.instant, self.later]))
+        return sp.csr_array(sp.hstack([self.instant, written_out(self.later)]))
 
     @cached_property
     def steps_by_kind(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
@@ -174,7 +175,8 @@ def _multiples_of_unit(
 
 def _departing(base: AccumulatedCost) -> AccumulatedCost:
     """Pairs of accumulated cost seen on departing only: waiting for free changes no total."""
-    leak = base.gain + base.failure + np.asarray(base.later.sum(axis=1)).ravel()
+    later = written_out(base.later)
+    leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
     instant = base.instant.copy()
     instant.sum_duplicates()
     instant, departs = without_self_loops(instant, base.quotient.pair_node, leak)
@@ -184,7 +186,7 @@ def _departing(base: AccumulatedCost) -> AccumulatedCost:
     return replace(
         base,
         instant=instant,
-        later=_scaled_rows(base.later, share),
+        later=_scaled_rows(later, share),
         gain=base.gain / departs,
         gain_cost=base.gain_cost / departs,
         failure=base.failure / departs,
@@ -210,15 +212,15 @@ def _arrivals_by_cost(quotient: Quotient, lattice: Lattice) -> sp.csr_array:
 
 def _steps_by_cost(
     quotient: Quotient, lattice: Lattice, survival: float
-) -> tuple[sp.csr_array, sp.csr_array]:
+) -> tuple[sp.csr_array, SparseRows]:
     """Steps that cost nothing, and steps that add to the accumulated cost; one is often empty."""
-    model, n = quotient.model, quotient.n_nodes
+    model, n, width = quotient.model, quotient.n_nodes, lattice.width
     rows = RowChoice(model, quotient.node_of, n, quotient.pair_at)
-    uniform = uniform_cost(model)
-    if lattice.width == 2 and uniform is not None and uniform > 0.0:  # one layer a step
-        later = live_rows(rows, survival).matrix
-        return sp.csr_array(later.shape), later
-    rows = replace(rows, ahead=lattice.ahead, width=lattice.width)
+    if lattice.least > 0:  # no step stays in its layer
+        ahead = None if width == 2 else lattice.ahead - 1
+        rows = replace(rows, ahead=ahead, width=width - 1)
+        return sp.csr_array((len(rows.pair_at), n)), shared_live_rows(rows, survival)
+    rows = replace(rows, ahead=lattice.ahead, width=width)
     steps = live_rows(rows, survival).matrix
     return sp.csr_array(steps[:, :n]), sp.csr_array(steps[:, n:])
 

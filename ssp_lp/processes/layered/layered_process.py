@@ -162,6 +162,16 @@ class LayeredProcess:
         size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)
         return np.asarray(rest + least - 8.0 * size)
 
+    def is_best_to_fail_beyond(self, price: float) -> bool:
+        """Whether from the cap on every node can fail for sure, and nothing is better.
+
+        Then what the last tail attains there is the lower bound of every policy.
+        """
+        tails, paid = self.tails, self.charge.at(self.levels.totals[self.cap :])
+        charged_later = tails.greatest_moment is not None or tails.least_cost is not None
+        best = bool((paid >= price * self.base.survival).all())
+        return best and not charged_later and not tails.least_goal.any()
+
     def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
         """Pull a choice back to the model.
 

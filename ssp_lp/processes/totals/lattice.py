@@ -93,6 +93,7 @@ class Lattice:
     unit: Fraction
     ahead: IntArray  # [outcomes] layers ahead, of outcomes that go on
     width: int  # layers that one step can reach: 0 .. width - 1 ahead
+    least: int  # layers ahead that the cheapest of them leads
 
 
 def lattice_of(model: SSP, going_on: BoolArray) -> Lattice:
@@ -111,7 +112,9 @@ def lattice_of(model: SSP, going_on: BoolArray) -> Lattice:
     if same is not None:
         unit = common_unit(np.array([same]), exact)
         layer = layers_of(np.array([same]), unit, exact).astype(np.int32)
-        return Lattice(unit, np.broadcast_to(layer, (model.n_outcomes,)), int(layer[0]) + 1)
+        return Lattice(
+            unit, np.broadcast_to(layer, (model.n_outcomes,)), int(layer[0]) + 1, int(layer[0])
+        )
     found = [np.zeros(0)]
     for some in chunks(model.n_outcomes):
         moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
@@ -124,4 +127,5 @@ def lattice_of(model: SSP, going_on: BoolArray) -> Lattice:
         place = np.minimum(np.searchsorted(distinct, model.costs[some]), distinct.size - 1)
         moving = going_on[model.successors[some]] & (model.probabilities[some] > 0)
         ahead[some] = np.where(moving, layers[place], 0)
-    return Lattice(unit, ahead, int(ahead.max(initial=0)) + 1)
+    least = int(layers.min()) if layers.size else 0
+    return Lattice(unit, ahead, int(ahead.max(initial=0)) + 1, least)

@@ -53,17 +53,20 @@ def _kinds_of_steps_to_sum(model: SSP, counted: BoolArray) -> tuple[Lattice, Flo
     if same is not None and any(counted[model.successors[some]].any() for some in chunk):
         place = np.int32(same > 0.0)
         steps = read_only(np.unique([0.0, same]))
-        return Lattice(Fraction(1), np.broadcast_to(place, (model.n_outcomes,)), len(steps)), steps
-    found = [np.zeros(1)]
+        ahead = np.broadcast_to(place, (model.n_outcomes,))
+        return Lattice(Fraction(1), ahead, len(steps), int(place)), steps
+    found = [np.zeros(0)]
     for some in chunks(model.n_outcomes):
         moving = counted[model.successors[some]] & (model.probabilities[some] > 0)
         found.append(np.unique(model.costs[some][moving]))
-    steps = np.unique(np.concatenate(found))
+    distinct = np.unique(np.concatenate(found))
+    steps = np.union1d(0.0, distinct)
     ahead = np.zeros(model.n_outcomes, dtype=np.int32)
     for some in chunks(model.n_outcomes):
         moving = counted[model.successors[some]] & (model.probabilities[some] > 0)
         ahead[some] = np.where(moving, np.searchsorted(steps, model.costs[some]), 0)
-    return Lattice(Fraction(1), ahead, len(steps)), read_only(steps)
+    least = int(distinct.size > 0 and distinct[0] > 0.0)
+    return Lattice(Fraction(1), ahead, len(steps), least), read_only(steps)
 
 
 def room_of(steps: FloatArray, cap: float) -> float:

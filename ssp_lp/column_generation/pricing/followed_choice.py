@@ -1,0 +1,93 @@
+"""What a choice is worth, by following its mass forwards through the layers of accumulated cost.
+
+One number of each node is sent on, and only from where the choice comes to; a sweep backwards
+gathers three numbers for every node of every layer.
+"""
+
+from __future__ import annotations
+
+from math import fsum
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, unsigned
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.shared_rows import row_parts
+from ssp_lp.processes.layered.layered_process import LayeredProcess
+from ssp_lp.processes.totals.levels import Levels
+
+
+def follow_choice(
+    process: LayeredProcess, choice: IntArray, beyond: tuple[FloatArray, FloatArray, FloatArray]
+) -> FloatArray:
+    """(charge, failure, goal) of a choice from the start on.
+
+    Args:
+        process: without free steps.
+        choice: position among the pairs of each node, [cap, nodes].
+        beyond: charge, failure and goal of the tails beyond the cap, [layers beyond, nodes] each.
+    """
+    from ssp_lp.compiled.streaming import follow_layer
+
+    base = process.base
+    parts = unsigned(base.pair_offsets), *row_parts(base.later)
+    mass, sums = LayerMass(base.start, process.levels), list[list[float]]()
+    for layer in range(process.cap):
+        check_time()
+        found = np.zeros((3, 2))
+        follow_layer(
+            mass.here, choice[layer], *parts, *process.charged(layer).parts, base.gain,
+            base.failure, base.survival, mass.onward, found,
+        )  # fmt: skip
+        sums.extend(found.T.tolist())
+        mass.step()
+    left = mass.left[: len(beyond[0])]
+    sums.append([float((left * each).sum()) for each in beyond])
+    return np.array([fsum(each) for each in zip(*sums, strict=True)])
+
+
+class LayerMass:
+    """The mass of a layer and of those that its steps lead to, layer after layer."""
+
+    def __init__(self, start: FloatArray, levels: Levels) -> None:
+        """Begin in the first layer.
+
+        Args:
+            start: its mass, [nodes].
+            levels: which step leads where.
+        """
+        self._span, self._leads, self._layer = levels.span, levels.ahead, 0
+        self._buffer = np.zeros((2 * self._span + 1, len(start)))
+        self._buffer[0], self._front = start, 0
+        kinds = 0 if self._leads is None else self._leads.shape[1]
+        self._by_kind = np.zeros((kinds, len(start)))
+
+    @property
+    def here(self) -> FloatArray:
+        """The mass of the layer, [nodes]."""
+        here: FloatArray = self._buffer[self._front]
+        return here
+
+    @property
+    def left(self) -> FloatArray:
+        """The mass of the layer and of those after it, [layers, nodes]."""
+        return self._buffer[self._front :]
+
+    @property
+    def onward(self) -> FloatArray:
+        """Where the mass of its steps is added up, as their columns are, [layers * nodes]."""
+        if self._leads is not None:
+            return self._by_kind.reshape(-1)
+        return self._buffer[self._front + 1 : self._front + 1 + self._span].reshape(-1)
+
+    def step(self) -> None:
+        """On to the next layer."""
+        if self._leads is not None:
+            for kind, lead in enumerate(self._leads[self._layer].tolist()):
+                self._buffer[self._front + 1 + lead] += self._by_kind[kind]
+            self._by_kind[:] = 0.0
+        self._layer, self._front = self._layer + 1, self._front + 1
+        if self._front + self._span >= len(self._buffer):
+            left = self.left.copy()
+            self._buffer[:] = 0.0
+            self._buffer[: len(left)], self._front = left, 0
