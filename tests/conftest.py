@@ -1,4 +1,4 @@
-"""The paper's robot on three grids, built once for all tests that need it."""
+"""The paper's robot on three grids, built once, and compiled loops switched on and off."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import pytest
 
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from ssp_lp import SSP
+from ssp_lp.compiled import accelerator
+from tests.support.compiled import Switch
 
 
 @pytest.fixture(scope="session")
@@ -28,3 +30,14 @@ def small_robot() -> tuple[SSP, int]:
 
 def _on(grid: RobotGrid) -> tuple[SSP, int]:
     return grid_model(grid), start_state(grid)
+
+
+@pytest.fixture
+def accelerate(monkeypatch: pytest.MonkeyPatch) -> Switch:
+    """Run every loop compiled, or none."""
+
+    def switch(on: bool) -> None:
+        monkeypatch.setattr(accelerator, "has_accelerator", lambda: on)
+        monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
+
+    return switch

@@ -138,6 +138,7 @@ def _initial_column_within(
             if not _columns_within(row, columns):
                 reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
                 columns += [pricing.first() if reached is None else reached]
+        columns = [c for c in columns if c.choice is not None or c.policy is not None]
     except STOPS as again:
         heed(again)
     kept = _columns_within(row, columns)

@@ -69,10 +69,15 @@ def back_up_safely(
     epsilon: float,
     values: Array,
     minima: Array,
+    position: Array,
 ) -> None:
-    """Least value of each state with the rounding of every pair's sum counted against it."""
+    """Least value of each state with the rounding of every pair's sum counted against it.
+
+    ``position``, unless it is empty, is written: the first pair that attains it among the state's.
+    """
+    keeps = position.size > 0
     for s in prange(offsets.size - 1):
-        least = np.inf
+        least, pick = np.inf, offsets[s]
         for pair in range(offsets[s], offsets[s + 1]):
             total, size, first, begin = 0.0, 0.0, indptr[pair], begins[pair]
             for k in range(indptr[pair + 1] - first):
@@ -87,8 +92,11 @@ def back_up_safely(
             if size != alone[pair]:
                 terms = float(indptr[pair + 1] - indptr[pair]) + 4.0
                 total -= (terms * epsilon) * size
-            least = min(least, total)
+            if total < least:
+                least, pick = total, pair
         minima[s] = least
+        if keeps:
+            position[s] = pick - offsets[s]
 
 
 @njit(cache=True)

@@ -98,6 +98,7 @@ def safe_minima(
     magnitude: FloatArray,
     alone: FloatArray,
     values: FloatArray,
+    position: IntArray | None = None,
 ) -> FloatArray:
     """Lower bounds of the least backups: the rounding of each pair's sum counts against it.
 
@@ -108,6 +109,8 @@ def safe_minima(
         magnitude: sum of the sizes of the parts of the fixed cost, [pairs].
         alone: size of a sum that is a single number, of which nothing was rounded, [pairs].
         values: [columns].
+        position: written by compiled loops: the first pair that attains it among the state's,
+            [states].
 
     Returns:
         [states], infinite where a state has no pairs.
@@ -125,7 +128,7 @@ def safe_minima(
     fixed, slope, factor = pair_cost.parts
     compiled.back_up_safely(transitions.nnz)(
         unsigned(pair_offsets), *row_parts(transitions), fixed, magnitude, slope, factor, alone,
-        MACHINE_EPSILON, values, minima,
+        MACHINE_EPSILON, values, minima, _NOBODY if position is None else position,
     )  # fmt: skip
     return minima
 

@@ -222,7 +222,7 @@ def _certified_lower_bound(
     price = price * BELOW_RATIO if slack else price
     proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
     bound = row.lower_bound(proof)
-    lost = compiled.tail_loss(price, slack=slack, proved=proof.bound)
+    lost = compiled.tail_loss(price, slack=slack, proof=proof)
     if lost == 0.0:
         return bound, 0.0
     return bound, relative_gap(row.lower_bound(replace(proof, bound=proof.bound + lost)), bound)

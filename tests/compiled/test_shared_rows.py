@@ -157,15 +157,18 @@ def test_sums_of_steps_are_followed_likewise(
 
 
 @pytest.mark.parametrize("price", [3.0, 12.0, 30.0])
-def test_where_it_is_best_to_fail_the_cap_costs_nothing(
-    monkeypatch: pytest.MonkeyPatch, price: float
+@pytest.mark.parametrize("cap", [12.0, 40.0])
+def test_a_followed_choice_says_what_the_cap_costs(
+    monkeypatch: pytest.MonkeyPatch, accelerate: Switch, price: float, cap: float
 ) -> None:
-    """What is said without a sweep is what two sweeps find."""
+    """Without a second sweep, and never less than the two sweeps find."""
     model, start = navigation(6, 5)
-    pricing = S3P(model, start, 0.9, cost_cap=12.0).compile().pricing()
+    monkeypatch.setattr(LayeredPricing, "_one_pass", None)
+    accelerate(True)
+    pricing = S3P(model, start, 0.9, cost_cap=cap).compile().pricing()
     assert isinstance(pricing, LayeredPricing)
-    said = pricing.process.is_best_to_fail_beyond(price)
-    assert said == (price <= 12.0)
-    monkeypatch.setattr(type(pricing.process), "is_best_to_fail_beyond", lambda *_: False)
-    lost = pricing.tail_loss(price)
-    assert lost == 0.0 if said else lost > 0.0
+    proof = pricing.check(price, np.full(pricing.value_shape, np.inf))
+    assert proof.choice is not None
+    swept, followed = pricing.tail_loss(price), pricing.tail_loss(price, proof=proof)
+    assert followed == pytest.approx(swept, rel=1e-9, abs=1e-14)
+    assert (swept == 0.0) == (price <= cap)

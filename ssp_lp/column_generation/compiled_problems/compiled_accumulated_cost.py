@@ -14,14 +14,14 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     LeastFailure,
     check_compiled_table,
 )
+from ssp_lp.column_generation.pricing.followed_choice import follow_rule
 from ssp_lp.column_generation.pricing.pricing_problem import Column
+from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import goal_pairs
 from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.processes.goal_reach import (
-    ReachPolicy,
-    goal_directed,
-)
+from ssp_lp.processes.goal_reach import ReachPolicy, goal_directed
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import TailValues
 from ssp_lp.processes.layered.layered_process import LayeredProcess, LayeredTails
@@ -31,6 +31,9 @@ _FIRST_LAYERS = 2.5
 
 _MOST_STEPS = 256
 """Steps of a first attempt beyond which that policy is no guide but a long shot."""
+
+_LARGE = 10_000_000
+"""Entries of a layer from which the equations of a policy that goes for the goal are not solved."""
 
 _MARGIN = 1.02
 """Layers beyond what a trial's price asks for: the price still moves a little."""
@@ -76,14 +79,33 @@ class CompiledAccumulatedCost(CompiledLayered):
         return goal_directed(self.model, self.survival)
 
     @cached_property
+    def _guess(self) -> tuple[float, float] | None:
+        """(E[cost; goal], goal) of such a policy, about; None where its equations are solved.
+
+        In a large process they take longer than a sweep. Beyond the cap the riskiest policy is then
+        followed: where that loses something, the cap is raised or the tails become exact.
+        """
+        base, later = self.base, self.base.later
+        is_large = base.instant.nnz == 0 and later.nnz >= _LARGE and accelerated(later.nnz)
+        if self.exact_tails or not is_large:
+            return None
+        nearer = base.quotient.nearer(goal_pairs(self.model))
+        if nearer is None:
+            return None
+        return follow_rule(base, nearer - base.pair_offsets[:-1], _MOST_STEPS)
+
+    @cached_property
     def _has_exact_tails(self) -> bool:
         """Whether the tails are those of the least failure, asked for or needed."""
         if self.exact_tails or bool(self.base.quotient.merged.any()):
             return True
         if self.cap is not None or self.fixed_cap is not None:
             return False
-        cost = float(self.start @ self._directed.cost)
-        goal = float(self.start @ self._directed.goal)
+        if self._guess is not None:
+            cost, goal = self._guess[0], self._guess[1] + self.base.start_goal
+        else:
+            cost = float(self.start @ self._directed.cost)
+            goal = float(self.start @ self._directed.goal)
         steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
         return steps > _MOST_STEPS
 
@@ -148,7 +170,7 @@ class CompiledAccumulatedCost(CompiledLayered):
 
     def _carry(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
         """Hand what does not depend on the cap to a copy."""
-        other = self._handing_on(other, "base", "_directed")
+        other = self._handing_on(other, "base", "_directed", "_guess")
         if "_tails" in vars(self) and self._has_exact_tails == other._has_exact_tails:
             vars(other)["_tails"] = self._tails
         return other
@@ -163,7 +185,7 @@ class CompiledAccumulatedCost(CompiledLayered):
             first = self.safest_policy
             greatest = -at(-self.greatest.bound)
         else:
-            first = riskiest if self.is_for_bounds else self._directed
+            first = riskiest if self.is_for_bounds or self._guess else self._directed
             greatest = np.full(self.base.n_nodes, self.survival)
         both = (first, riskiest)
         return LayeredTails(
@@ -172,6 +194,7 @@ class CompiledAccumulatedCost(CompiledLayered):
             greatest_goal=greatest,
             least_goal=at(least.bound),
             exact=exact,
+            guess=None if exact or self.is_for_bounds else self._guess,
         )
 
     def _cap_layers(self) -> int:
@@ -183,9 +206,8 @@ class CompiledAccumulatedCost(CompiledLayered):
             layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
         else:
             tails = self._tails
-            cost = float(base.start @ tails.first.cost)
-            goal = float(base.start @ tails.goal[0]) + base.start_goal
-            typical = cost / max(goal, 1e-300) / base.unit
+            cost, goal = tails.guess or (base.start @ tails.first.cost, base.start @ tails.goal[0])
+            typical = float(cost) / max(float(goal) + base.start_goal, 1e-300) / base.unit
             layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
         check_compiled_table(layers, base, "cost_cap")
         return layers

@@ -11,7 +11,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFailure
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
-from ssp_lp.column_generation.pricing.pricing_problem import Column, required
+from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import surely_reaching
@@ -126,6 +126,6 @@ class CompiledFailureLabel:
         """Itself: nothing in it is truncated."""
         return self
 
-    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
         """Nothing is truncated: 0."""
         return 0.0

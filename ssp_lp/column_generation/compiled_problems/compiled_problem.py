@@ -7,11 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, Self
 
-import numpy as np
-
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
-from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, required
+from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof, required
 from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.policies.policy import Policy
@@ -114,13 +112,13 @@ class CompiledProblem(Protocol):
         """
         ...
 
-    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
         """How much of a bound at this price is lost to truncation; 0 where nothing is.
 
         Args:
             price: of failure.
             slack: whether success is counted rather than failure.
-            proved: a bound that was proved at this price, which may save the work.
+            proof: what was proved at this price, which may save the work.
         """
         ...
 
@@ -234,6 +232,6 @@ class CompiledLayered(ABC):
         """The column's pairs in all layers, its tails beyond them and the source's only pair."""
         return chosen_pairs(self.process, required(column.choice), column.tail_price)
 
-    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
         """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
-        return self.pricing().tail_loss(price, slack=slack, proved=proved)
+        return self.pricing().tail_loss(price, slack=slack, proof=proof)

@@ -12,9 +12,19 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.dynamic_programming.shared_rows import row_parts
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 from ssp_lp.processes.totals.levels import Levels
+
+_ON_ITS_WAY = 0.01
+"""Share of what has arrived that may be on its way still, where a rule is followed for a guess."""
+
+_LAYERS_BETWEEN = 8  # two looks at that
+
+_DROPPED = 1e-9
+"""Mass of a node that a guess leaves out, so that it follows what matters."""
 
 
 def follow_choice(
@@ -27,23 +37,68 @@ def follow_choice(
         choice: position among the pairs of each node, [cap, nodes].
         beyond: charge, failure and goal of the tails beyond the cap, [layers beyond, nodes] each.
     """
-    from ssp_lp.compiled.streaming import follow_layer
-
-    base = process.base
-    parts = unsigned(base.pair_offsets), *row_parts(base.later)
-    mass, sums = LayerMass(base.start, process.levels), list[list[float]]()
+    mass, sums = LayerMass(process.base.start, process.levels), list[list[float]]()
     for layer in range(process.cap):
         check_time()
-        found = np.zeros((3, 2))
-        follow_layer(
-            mass.here, choice[layer], *parts, *process.charged(layer).parts, base.gain,
-            base.failure, base.survival, mass.onward, found,
-        )  # fmt: skip
-        sums.extend(found.T.tolist())
-        mass.step()
+        charge = process.charged(layer)
+        sums.append(_followed_layer(process.base, charge, choice[layer], mass).tolist())
     left = mass.left[: len(beyond[0])]
     sums.append([float((left * each).sum()) for each in beyond])
     return np.array([fsum(each) for each in zip(*sums, strict=True)])
+
+
+def mass_beyond(process: LayeredProcess, choice: IntArray) -> FloatArray:
+    """The mass with which a choice gets beyond the cap, [layers beyond, nodes] at least.
+
+    Args:
+        process: without free steps.
+        choice: position among the pairs of each node, [cap, nodes].
+    """
+    mass, free = LayerMass(process.base.start, process.levels), PairCost(process.base.gain_cost)
+    for layer in range(process.cap):
+        check_time()
+        _followed_layer(process.base, free, choice[layer], mass)
+    return mass.left
+
+
+def follow_rule(
+    base: AccumulatedCost, rule: IntArray, most_layers: int
+) -> tuple[float, float] | None:
+    """(E[cost; goal], goal) from the start, about, of a pair for each node whatever has been paid.
+
+    Args:
+        base: one layer of a process without free steps.
+        rule: position among the pairs of each node, [nodes].
+        most_layers: layers to follow it through.
+
+    Returns:
+        None where nothing is seen to arrive, or much is still on its way by then.
+    """
+    mass = LayerMass(base.start, Levels.of_lattice(base.exact_unit, 0, base.width))
+    found: FloatArray = np.zeros(3)
+    for layer in range(most_layers):
+        check_time()
+        charge = PairCost(base.gain_cost, base.gain, layer * base.unit)
+        mass.here[mass.here < _DROPPED] = 0.0
+        found = found + _followed_layer(base, charge, rule, mass)
+        if layer % _LAYERS_BETWEEN == 0 and mass.left.sum() <= _ON_ITS_WAY * found[2]:
+            return (float(found[0]), float(found[2])) if found[2] > 0.0 else None
+    return None
+
+
+def _followed_layer(
+    base: AccumulatedCost, charge: PairCost, choice: IntArray, mass: LayerMass
+) -> FloatArray:
+    """Charge, failure and goal of a layer's choice, [nodes]; its mass goes on to the next."""
+    from ssp_lp.compiled.streaming import follow_layer
+
+    found = np.zeros((3, 2))  # sums, and what was rounded off them
+    follow_layer(
+        mass.here, choice, unsigned(base.pair_offsets), *row_parts(base.later), *charge.parts,
+        base.gain, base.failure, base.survival, mass.onward, found,
+    )  # fmt: skip
+    mass.step()
+    return np.asarray(found.sum(axis=1))
 
 
 class LayerMass:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -33,6 +34,22 @@ _KEPT_VALUES = 25_000_000
 shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
 
 
+SAME: Final = 1e-14
+"""Relative difference of values, and share of a bound, below which there is only rounding."""
+
+
+def lost_beyond(process: LayeredProcess, price: float, failing: float) -> FloatArray:
+    """How much more the tails are worth than the lower bound beyond the cap, [layers, nodes].
+
+    Args:
+        process: the process.
+        price: of failure.
+        failing: what failing counts: the price, or 0 with minus the price for success.
+    """
+    tails, least = process.beyond_value(price, failing), process.beyond_bound(price, failing)
+    return np.where(tails - least > SAME * (np.abs(tails) + np.abs(least)), tails - least, 0.0)
+
+
 def bound_layers(
     process: LayeredProcess,
     price: float,
@@ -41,6 +58,7 @@ def bound_layers(
     beyond: FloatArray,
     whole: OnePass | None,
     first: IntArray,
+    choice: IntArray | None = None,
 ) -> Proof:
     """A lower bound of every policy's value, by a sweep that counts its rounding against itself.
 
@@ -52,6 +70,8 @@ def bound_layers(
         beyond: lower bounds beyond the cap, [layers beyond, nodes].
         whole: a compiled pass over all layers, where the process is small.
         first: pairs to begin with where a layer has free steps, [nodes].
+        choice: written by compiled loops where there are none: whose values these are, as
+            positions among the pairs of each node, [cap, nodes].
     """
     base, success = process.base, price - failing
     owed, saved = failing * base.failure, success * base.survival * base.gain
@@ -70,7 +90,9 @@ def bound_layers(
         if not asked:
             given = np.maximum(np.nan_to_num(given, nan=floor, posinf=np.inf), floor)
         if is_acyclic(base):
-            lowest = safe_minima(base.pair_offsets, base.later, *summed(layer), window.flat)
+            position = None if choice is None else choice[layer]
+            sums = *summed(layer), window.flat
+            lowest = safe_minima(base.pair_offsets, base.later, *sums, position)
             lowest = lowest if asked else np.minimum(lowest, given)
         else:
             lowest, inner = bound_free_steps(base, summed(layer), window.flat, given, inner, floor)

@@ -8,13 +8,20 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
-from ssp_lp.column_generation.pricing.followed_choice import follow_choice
-from ssp_lp.column_generation.pricing.layer_bounds import bound_layers, priced_layers
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.column_generation.pricing.followed_choice import follow_choice, mass_beyond
+from ssp_lp.column_generation.pricing.layer_bounds import (
+    SAME,
+    bound_layers,
+    lost_beyond,
+    priced_layers,
+)
 from ssp_lp.column_generation.pricing.layer_choices import (
     best_of_layer,
     is_acyclic,
+    measures_backwards,
     measures_of_layer,
+    room_for_choice,
 )
 from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
@@ -26,7 +33,6 @@ from ssp_lp.errors import ModelError
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.layered.layered_process import LayeredProcess
-from ssp_lp.processes.totals.levels import Window
 
 _NOBODY: IntArray = np.zeros(0, dtype=np.int64)
 
@@ -51,8 +57,10 @@ class LayeredPricing:
         return reached() if callable(reached) else None
 
     def first(self) -> Column:
-        """The first tail, which goes for the goal, followed from the start."""
+        """The first tail, which goes for the goal, followed from the start; or a guess at that."""
         base, tails = self.process.base, self.process.tails
+        if tails.guess is not None:
+            return Column(tails.guess[0], 1.0, tails.guess[1] + base.start_goal, None)
         nothing_paid = self.process.charge.beyond(np.zeros(base.n_nodes), tails.first)
         cost = float(base.start @ nothing_paid) + self.process.start_charge
         goal = float(base.start @ tails.goal[0])
@@ -63,29 +71,21 @@ class LayeredPricing:
     def minimise(self, failure_price: float, *warm: Column | None) -> Column:
         """A policy of least ``E[charge; goal] + failure_price * failure``, measured exactly."""
         base = self.process.base
-        most = int(np.diff(base.pair_offsets).max(initial=1))
-        choice = np.empty(self.value_shape, dtype=least_integer_type(most))
+        choice = room_for_choice(self.process)
         failing = failure_price if self._likely else 0.0
         owed = failing * base.failure - (failure_price - failing) * base.survival * base.gain
         if self._one_pass is not None:
-            beyond = self._tail_values(failure_price, failing)
-            measures = np.stack(self.process.beyond(failure_price), axis=-1)
+            beyond = self.process.beyond_value(failure_price, failing)
+            measures = self.process.measures_beyond(failure_price)
             totals = self._one_pass.minimise(owed, beyond, measures, choice)
             return self._column(base.start @ totals, choice, failure_price, self.process.cap)
-        totals = self._swept_down(failure_price, failing, owed, choice)
-        if not self._can_follow:
-            return self._column(base.start @ totals, choice, failure_price, self.process.cap)
-        try:
-            found = self._followed(choice, failure_price)
-        except STOPS as stop:
-            heed(stop)
-            raise Stop(partial(self._cut_short, totals, choice, failure_price, 0)) from stop
+        found = self._swept_down(failure_price, failing, owed, choice)
         return self._column(found, choice, failure_price, self.process.cap)
 
     def _swept_down(
         self, price: float, failing: float, owed: FloatArray, choice: IntArray
     ) -> FloatArray:
-        """Layer by layer the best choice, which is written, and its measures from the first.
+        """Layer by layer the best choice, which is written; its charge, failure and goal.
 
         Args:
             price: of failure.
@@ -93,18 +93,16 @@ class LayeredPricing:
             owed: what that adds to the cost of each pair, [pairs].
             choice: written, [cap, nodes].
 
-        Returns:
-            Charge, failure and goal from each node of the first layer, [nodes, 3]; no nodes where
-            a choice can be followed instead.
-
         Raises:
             Stop: with a function that gives what had been swept by then as a column.
         """
         process, base = self.process, self.process.base
         priced = priced_layers(process, owed)
         inner = self._first_choice if not self._acyclic else _NOBODY
-        ahead = process.window(self._tail_values(price, failing))
-        measured = None if self._can_follow else self._measures_beyond(price)
+        ahead = process.window(self.process.beyond_value(price, failing))
+        measured = None
+        if not self._can_follow:
+            measured = process.window(process.measures_beyond(price))
         totals, reached = np.zeros((0, 3)), process.cap
         try:
             for layer in reversed(range(process.cap)):
@@ -117,10 +115,10 @@ class LayeredPricing:
                 choice[layer] = inner - base.pair_offsets[:-1]
                 ahead.push(values)
                 reached, totals = layer, found
+            return self._followed(choice, price) if measured is None else base.start @ totals
         except STOPS as stop:
             heed(stop)
             raise Stop(partial(self._cut_short, totals, choice, price, reached)) from stop
-        return totals
 
     def _cut_short(
         self, totals: FloatArray, choice: IntArray, price: float, reached: int
@@ -155,29 +153,20 @@ class LayeredPricing:
             choice: [cap, nodes].
             tail_price: the price of failure by which tails are chosen beyond the cap.
         """
-        base, start = self.process.base, self.process.base.start
+        start = self.process.base.start
         if self._one_pass is not None:
-            measures = np.stack(self.process.beyond(tail_price), axis=-1)
+            measures = self.process.measures_beyond(tail_price)
             totals = self._one_pass.measure(measures, choice)
             return self._column(start @ totals, choice, tail_price, 0)
         if self._can_follow:
             return self._column(self._followed(choice, tail_price), choice, tail_price, 0)
-        measured, totals = self._measures_beyond(tail_price), np.zeros((base.n_nodes, 3))
-        for layer in reversed(range(self.process.cap)):
-            check_time()
-            chosen = base.pair_offsets[:-1] + choice[layer]
-            charge = self.process.charged(layer)
-            totals = measures_of_layer(base, chosen, charge, measured.flat)
-            measured.push(totals)
+        beyond = self.process.measures_beyond(tail_price)
+        totals = measures_backwards(self.process, choice, beyond)
         return self._column(start @ totals, choice, tail_price, 0)
 
     def _followed(self, choice: IntArray, tail_price: float) -> FloatArray:
         """Charge, failure and goal of a choice, [cap, nodes], found forwards."""
         return follow_choice(self.process, choice, self.process.beyond(tail_price))
-
-    def _measures_beyond(self, tail_price: float) -> Window:
-        """The measures of the tails beyond the layers."""
-        return self.process.window(np.stack(self.process.beyond(tail_price), axis=-1))
 
     def _column(
         self, totals: FloatArray, choice: IntArray, tail_price: float, backups: int
@@ -199,48 +188,67 @@ class LayeredPricing:
 
     def prove(self, price: float, best: Column | None = None, *, slack: bool = False) -> Proof:
         """The best lower bound of every policy that a sweep gives; none is needed for it."""
-        return self.check(price, self._anything, slack=slack)
+        failing = 0.0 if slack else price
+        beyond = self.process.beyond_bound(price, failing)
+        return self._bounded(price, failing, self._anything, beyond)
 
     def check(self, price: float, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [cap, nodes], to a checked sub-solution.
 
         The sweep starts from the lower bound beyond the cap and counts the rounding of every
-        backup against itself. Infinite values ask for the best that can be proved.
+        backup against itself. Infinite values ask for the best that can be proved: then the choice
+        behind them is kept, where it can be followed.
 
         Raises:
             ModelError: values of another shape.
         """
-        failing = 0.0 if slack else price
+        failing, choice = 0.0 if slack else price, None
         if values.shape != self.value_shape:
             raise ModelError(f"a value function of shape {self.value_shape} is needed")
-        return self._bounded(price, failing, values, self.process.beyond_bound(price, failing))
+        if self._can_follow and self._one_pass is None and np.isposinf(values).all():
+            choice = room_for_choice(self.process)
+        beyond = self.process.beyond_bound(price, failing)
+        return replace(self._bounded(price, failing, values, beyond, choice), choice=choice)
 
-    def tail_loss(self, price: float, *, slack: bool = False, proved: float = -np.inf) -> float:
-        """How much of the bound the cap costs: 0 where the tails are proved to be optimal.
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
+        """How much of the bound the cap costs, at most: 0 where the tails are proved to be optimal.
 
         The difference, at the start, between the bound with the tail policies' own values beyond
-        the cap and the one with the lower bound there.
+        the cap and the one with the lower bound there. It is no more than what the choice behind
+        the latter loses where it gets beyond the cap.
 
         Args:
             price: of failure.
             slack: as of :meth:`check`.
-            proved: a bound that was proved at this price; where it is as high, that is all.
+            proof: what was proved at this price; where its bound is as high, that is all.
         """
         failing = 0.0 if slack else price
-        if self.process.is_best_to_fail_beyond(price):
+        lost = lost_beyond(self.process, price, failing)
+        if not lost.any():
             return 0.0
-        beyond = self._tail_values(price, failing)
+        if proof is not None and proof.choice is not None:
+            left = mass_beyond(self.process, proof.choice)
+            most = float((left[: len(lost)] * lost).sum())
+            if most <= SAME * abs(proof.bound):
+                return most
+        beyond = self.process.beyond_value(price, failing)
         reached = self._bounded(price, failing, self._anything, beyond).bound
-        if reached <= proved:
+        if proof is not None and reached <= proof.bound:
             return 0.0
-        return max(reached - self.check(price, self._anything, slack=slack).bound, 0.0)
+        return max(reached - self.prove(price, slack=slack).bound, 0.0)
 
     def _bounded(
-        self, price: float, failing: float, values: FloatArray, beyond: FloatArray
+        self,
+        price: float,
+        failing: float,
+        values: FloatArray,
+        beyond: FloatArray,
+        choice: IntArray | None = None,
     ) -> Proof:
         """Lower values layer by layer, from what is given beyond the cap."""
         first = _NOBODY if self._acyclic or self._one_pass is not None else self._first_choice
-        return bound_layers(self.process, price, failing, values, beyond, self._one_pass, first)
+        given = values, beyond, self._one_pass, first
+        return bound_layers(self.process, price, failing, *given, choice)
 
     @property
     def _anything(self) -> FloatArray:
@@ -271,7 +279,8 @@ class LayeredPricing:
     def _likely(self) -> bool:
         """Whether some policy probably succeeds; else success is counted rather than failure."""
         base, tails = self.process.base, self.process.tails
-        return float(base.start @ tails.goal[0]) + base.start_goal >= 0.5
+        goal = tails.guess[1] if tails.guess else float(base.start @ tails.goal[0])
+        return goal + base.start_goal >= 0.5
 
     @cached_property
     def _first_choice(self) -> IntArray:
@@ -279,8 +288,3 @@ class LayeredPricing:
         base = self.process.base
         leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
         return approach_leaving(base.instant_dynamics, leaving)
-
-    def _tail_values(self, price: float, failing: float) -> FloatArray:
-        """Values of the tails beyond the cap, [layers, nodes]."""
-        cost, failure, goal = self.process.beyond(price)
-        return cost + failing * failure - (price - failing) * goal

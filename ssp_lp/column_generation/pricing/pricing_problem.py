@@ -62,6 +62,7 @@ class Proof:
     bound: float  # at the start
     values: FloatArray  # the checked sub-solution behind it, in the pricing problem's own shape
     work: Work = field(default_factory=Work)
+    choice: IntArray | None = None  # case S, where values were checked: whose they are
 
 
 def required(part: _Array | None) -> _Array:

@@ -36,6 +36,7 @@ class LayeredTails:
     exact: bool = True  # whether row 0 and the upper bound are those of the least failure
     least_cost: FloatArray | None = None  # [nodes] checked: of E[cost; goal], none where it is 0
     greatest_moment: FloatArray | None = None  # [nodes] checked: of E[exp(rate * cost); goal]
+    guess: tuple[float, float] | None = None  # E[cost; goal] and goal, where row 0 only fails
 
     @property
     def goal(self) -> FloatArray:
@@ -139,6 +140,20 @@ class LayeredProcess:
         chosen, paid = self.tails.values.chosen(last), self.beyond_units * self.base.unit
         return self.charge.beyond(paid, chosen), chosen.failure, chosen.goal
 
+    def measures_beyond(self, price: float) -> FloatArray:
+        """The same, [layers, nodes, 3]."""
+        return np.stack(self.beyond(price), axis=-1)
+
+    def beyond_value(self, price: float, failing: float) -> FloatArray:
+        """What the tails that a price chooses are worth at it, [layers, nodes].
+
+        Args:
+            price: kappa.
+            failing: what failing counts: kappa, or 0 with -kappa for success.
+        """
+        charge, failure, goal = self.beyond(price)
+        return charge + failing * failure - (price - failing) * goal
+
     def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
         """Lower bound of every policy's value beyond the cap, [layers, nodes].
 
@@ -161,16 +176,6 @@ class LayeredProcess:
             least = least + self.charge.slope * tails.least_cost
         size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)
         return np.asarray(rest + least - 8.0 * size)
-
-    def is_best_to_fail_beyond(self, price: float) -> bool:
-        """Whether from the cap on every node can fail for sure, and nothing is better.
-
-        Then what the last tail attains there is the lower bound of every policy.
-        """
-        tails, paid = self.tails, self.charge.at(self.levels.totals[self.cap :])
-        charged_later = tails.greatest_moment is not None or tails.least_cost is not None
-        best = bool((paid >= price * self.base.survival).all())
-        return best and not charged_later and not tails.least_goal.any()
 
     def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
         """Pull a choice back to the model.
