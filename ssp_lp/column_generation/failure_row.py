@@ -59,12 +59,12 @@ class FailureRow:
             return max(bound - worth - rounding, self.lowest)
         if proof.failing == 0.0:
             if bound >= 0.0:
-                return price + bound
-            return max(price + bound / share, 0.0) if share > 0.0 else 0.0
+                return max(price + bound, self.lowest)
+            return max(price + bound / share, self.lowest) if share > 0.0 else self.lowest
         if bound >= price:
-            return bound
+            return max(bound, self.lowest)
         rest = bound - worth - rounding
-        return max(rest / share, 0.0) if share > 0.0 else 0.0
+        return max(rest / share, self.lowest) if share > 0.0 else self.lowest
 
 
 def relative_gap(objective: float, lower_bound: float) -> float:

@@ -108,6 +108,7 @@ def approach(
     useful: IntArray,
     usable: BoolArray,
     choice: IntArray,
+    distance: IntArray,
 ) -> None:
     """By a graph search choose, in place, for each state a usable pair that comes nearer.
 
@@ -118,8 +119,8 @@ def approach(
         useful: usable pairs to begin with, ascending.
         usable: [pairs].
         choice: [states], -1 throughout, and where no useful pair can be reached.
+        distance: zeros, written: steps before a useful pair is taken, [states].
     """
-    distance = np.zeros(choice.size, dtype=np.int32)
     queue = np.empty(choice.size, dtype=np.uint32)
     home = unsigned(pair_state)
     arrays = offsets, unsigned(pairs), home, usable, choice, distance, queue

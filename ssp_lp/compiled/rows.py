@@ -236,3 +236,21 @@ def copy_rows(
         for k in range(own_indptr[s + 1] - place):
             own_indices[place + k] = indices[first + k]
             own_data[place + k] = data[begin + k]
+
+
+@one_or_all_cores
+def place_layers(choice: Array, first: Array, place: Array, node_of: Array, found: Array) -> None:
+    """Choices of nodes in many layers as decisions of their states, written, [layers, states].
+
+    Args:
+        choice: [layers, nodes].
+        first: what it is counted from, [nodes].
+        place: the decision that each pair stands for, [pairs].
+        node_of: negative where nothing is decided, [states].
+        found: written.
+    """
+    for s in prange(node_of.size):
+        node = node_of[s]
+        if node >= 0:
+            for layer in range(choice.shape[0]):
+                found[layer, s] = place[first[node] + np.uint64(choice[layer, node])]

@@ -96,8 +96,13 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
         as_positions: a decision is a position among the state's pairs.
     """
     low, high = model.pair_offsets[:-1], model.pair_offsets[1:]
-    low, high = (np.zeros_like(low), high - low) if as_positions else (low, high)
-    wrong = (decision < UNDECIDED) | ((decision >= 0) & ((decision < low) | (decision >= high)))
+    if as_positions:
+        counts = high - low
+        fits = int(counts.max(initial=0)) <= np.iinfo(decision.dtype).max
+        counts = counts.astype(decision.dtype) if fits else counts  # small integers compare fast
+        wrong = (decision < UNDECIDED) | (decision >= counts)
+    else:
+        wrong = (decision < UNDECIDED) | ((decision >= 0) & ((decision < low) | (decision >= high)))
     if wrong.any():
         name = model.states[int(np.argwhere(wrong)[0][-1])]
         raise ModelError(f"the decision in state {name!r} is no pair of that state")

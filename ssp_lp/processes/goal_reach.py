@@ -18,10 +18,9 @@ from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import (
-    approach_pairs,
     attention_states,
     dead_ends,
-    goal_pairs,
+    goal_approach,
     reaching_states,
     surely_reaching,
 )
@@ -203,7 +202,7 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     It reaches the goal with positive probability from wherever that can be done, and is found and
     evaluated without optimising anything; its cost bound is the trivial one.
     """
-    decision = approach_pairs(model, goal_pairs(model))
+    decision, _ = goal_approach(model)
     live = np.flatnonzero(decision >= 0)
     node_of = np.full(model.n_states, -1, dtype=np.int32)
     node_of[live] = np.arange(live.size)

@@ -1,17 +1,26 @@
 """The live part of a model: states that are neither goals nor dead-ends, grouped into nodes.
 
-A node is one live state, or a maximal end component of pairs that cost nothing: moving about in
-such a component is free, so an exact process treats it as one place (mathematics, section 4).
+A node is one live state, or a maximal end component of pairs that cost nothing: moving about in it
+is free, so an exact process treats it as one place (mathematics, section 4).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, least_integer_type, segment_ids
+from ssp_lp.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    least_integer_type,
+    segment_ids,
+    unsigned,
+)
+from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
@@ -96,8 +105,8 @@ class Quotient:
     def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
         """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].
 
-        Found on the model's graph, which is turned round once for all searches; so there is no
-        answer (None) where components are merged, whose members need not be equally near.
+        Found on the model's graph, turned round once for all searches; None where components are
+        merged, whose members need not be equally near.
 
         Args:
             leaving: [model pairs].
@@ -105,12 +114,25 @@ class Quotient:
         """
         if self.merged.any():
             return None
-        position = np.full(self.model.n_pairs, -1, dtype=np.int32)
+        kept = (self._places >= 0) & (True if usable is None else usable)
+        return self.placed(approach_pairs(self.model, leaving, kept))
+
+    def placed(self, decision: IntArray) -> IntArray:
+        """Where the pairs of the live states stand here, -1: nowhere or no pair, [nodes].
+
+        Args:
+            decision: pair of the model, negative for none, [states]; no components are merged.
+        """
+        taken = decision[self.node_of >= 0]
+        return np.where(taken >= 0, self._places[taken], -1)
+
+    @cached_property
+    def _places(self) -> IntArray:
+        """Where each pair of the model stands here, -1: nowhere, [model pairs]."""
+        place = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = np.flatnonzero(self.pair_at >= 0)
-        position[self.pair_at[acting]] = acting
-        kept = position >= 0 if usable is None else (position >= 0) & usable
-        taken = approach_pairs(self.model, leaving, kept)[self.node_of >= 0]
-        return np.where(taken >= 0, position[taken], -1)
+        place[self.pair_at[acting]] = acting
+        return place
 
     def least_over_members(self, values: FloatArray) -> FloatArray:
         """Minimum of state values over the members of each node, [nodes]."""
@@ -133,30 +155,34 @@ class Quotient:
             self.node_of[live], weights=distribution[live], minlength=self.n_nodes
         ).astype(np.float64)
 
-    def positions(self, n_layers: int, chosen: Callable[[slice], IntArray]) -> IntArray:
+    def positions(self, first: IntArray, choice: IntArray) -> IntArray:
         """Decisions on states in many layers, as positions among the states' pairs.
 
         Args:
-            n_layers: number of layers.
-            chosen: position among this quotient's pairs in some layers, [some layers, nodes].
+            first: what a choice is counted from among this quotient's pairs, [nodes].
+            choice: [layers, nodes].
 
         Returns:
-            [layers, states] in the smallest integers that hold them: a position or a code.
+            Positions or codes, in the smallest integers that hold them, [layers, states].
         """
-        first, live = self.model.pair_offsets[:-1], np.flatnonzero(self.node_of >= 0)
-        most = int(np.diff(self.model.pair_offsets).max(initial=1))
-        shape = n_layers, self.model.n_states
-        found = np.full(shape, UNDECIDED, dtype=least_integer_type(most))
-        place = self.pair_at - first[self.model.pair_state[np.maximum(self.pair_at, 0)]]
+        model, offsets = self.model, self.model.pair_offsets[:-1]
+        most = int(np.diff(model.pair_offsets).max(initial=1))
+        found = np.full((len(choice), model.n_states), UNDECIDED, dtype=least_integer_type(most))
+        place = self.pair_at - offsets[model.pair_state[np.maximum(self.pair_at, 0)]]
         place = np.where(self.pair_at < 0, self.pair_at, place).astype(found.dtype)
-        several = max(_TOGETHER // max(self.model.n_states, 1), 1)
-        for begin in range(0, n_layers, several):
-            some = slice(begin, min(begin + several, n_layers))
+        if not self.merged.any() and accelerated(choice.size):
+            from ssp_lp.compiled.rows import place_layers
+
+            place_layers(choice.size)(choice, unsigned(first), place, self.node_of, found)
+            return found
+        live, several = np.flatnonzero(self.node_of >= 0), max(_TOGETHER // max(len(offsets), 1), 1)
+        for begin in range(0, len(choice), several):
+            some = slice(begin, begin + several)
             if self.merged.any():
-                pairs = np.stack([self.pull_back(layer) for layer in chosen(some)])
-                found[some] = np.where(pairs < 0, pairs, pairs - first)
+                pairs = np.stack([self.pull_back(first + layer) for layer in choice[some]])
+                found[some] = np.where(pairs < 0, pairs, pairs - offsets)
             else:
-                found[some, live] = place[chosen(some)][:, self.node_of[live]]
+                found[some, live] = place[first + choice[some]][:, self.node_of[live]]
         return found
 
     def pull_back(self, choice: IntArray) -> IntArray:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     MOST_ENTRIES,
     CompiledLayered,
@@ -19,8 +19,9 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import goal_pairs
+from ssp_lp.model.graph.reachability import dead_ends, goal_approach
 from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.processes.expectations import uniform_cost
 from ssp_lp.processes.goal_reach import ReachPolicy, goal_directed
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import TailValues
@@ -61,7 +62,20 @@ class CompiledAccumulatedCost(CompiledLayered):
     exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
     is_for_bounds: bool = False  # nothing is followed: no way to the goal is looked for
     ratio: bool = field(default=True, init=False)
-    lowest: float = field(default=0.0, init=False)
+
+    @cached_property
+    def lowest(self) -> float:
+        """Every run that reaches the goal takes some steps, each of which costs the least one."""
+        begins = np.flatnonzero(self.start)
+        begins = begins[~dead_ends(self.model)[begins]]
+        if self.discount is not None or not begins.size:
+            return 0.0
+        steps, same = int(goal_approach(self.model)[1][begins].min()), uniform_cost(self.model)
+        if same is None:  # the last one may cost nothing
+            least, steps = self.base.lattice.least * self.base.unit, max(steps - 1, 0)
+        else:
+            least = same
+        return steps * least * (1.0 - MACHINE_EPSILON)
 
     @cached_property
     def base(self) -> AccumulatedCost:
@@ -87,12 +101,10 @@ class CompiledAccumulatedCost(CompiledLayered):
         """
         base, later = self.base, self.base.later
         is_large = base.instant.nnz == 0 and later.nnz >= _LARGE and accelerated(later.nnz)
-        if self.exact_tails or not is_large:
+        if self.exact_tails or not is_large or base.quotient.merged.any():
             return None
-        nearer = base.quotient.nearer(goal_pairs(self.model))
-        if nearer is None:
-            return None
-        return follow_rule(base, nearer - base.pair_offsets[:-1], _MOST_STEPS)
+        rule = base.quotient.placed(goal_approach(self.model)[0]) - base.pair_offsets[:-1]
+        return follow_rule(base, rule, _MOST_STEPS)
 
     @cached_property
     def _has_exact_tails(self) -> bool:

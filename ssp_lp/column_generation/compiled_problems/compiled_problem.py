@@ -60,7 +60,7 @@ class CompiledProblem(Protocol):
 
     @property
     def lowest(self) -> float:
-        """No objective is less; at most 0, and 0 where every cost is at least 0."""
+        """No objective is less."""
         ...
 
     @property

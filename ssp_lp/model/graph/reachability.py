@@ -140,12 +140,30 @@ def edges(columns: IntArray, offsets: IntArray) -> sp.csr_array:
     return sp.csr_array((weights, columns, narrow(offsets)), shape=shape)
 
 
+@kept
+def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
+    """A pair of each state by which it may come nearer to the goal, and in how many steps at least.
+
+    Args:
+        model: the model.
+
+    Returns:
+        The pairs, -1 at goals and where none can be reached, and the steps to the goal: 0 there,
+        [states] each.
+    """
+    distance = np.zeros(model.n_states, dtype=np.int32)
+    arguments = model.predecessors, model.pair_offsets, model.pair_state, goal_pairs(model)
+    choice = nearer_pairs(*arguments, distance=distance)
+    return choice, np.where(choice >= 0, distance + 1, 0)
+
+
 def nearer_pairs(
     before: Predecessors,
     pair_offsets: IntArray,
     pair_state: IntArray,
     leaving: BoolArray,
     usable: BoolArray | None = None,
+    distance: IntArray | None = None,
 ) -> IntArray:
     """For each state a pair by which it may come nearer to a leaving pair.
 
@@ -158,18 +176,20 @@ def nearer_pairs(
         pair_state: [pairs].
         leaving: [pairs].
         usable: pairs that may be taken, leaving ones included, [pairs]; all if left out.
+        distance: zeros, written: steps before a leaving pair is taken, [states] int32.
 
     Returns:
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
     free = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
     n = len(pair_offsets) - 1
+    distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = np.flatnonzero(leaving & free)
     if accelerated(len(before.pairs)):
         from ssp_lp.compiled.graph_searches import approach
 
-        approach(before.offsets, before.pairs, pair_state, useful, free, choice)
+        approach(before.offsets, before.pairs, pair_state, useful, free, choice, distance)
         return choice
     # by the distance of each state, found by scipy from a node added behind all ends
     reached = np.repeat(np.arange(n), np.diff(before.offsets))
@@ -178,13 +198,14 @@ def nearer_pairs(
     source = np.concatenate([reached, np.full(useful.size, n)])
     target = np.concatenate([pair_state[pairs], pair_state[useful]])
     graph = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
-    distance: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
+    steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
         graph, indices=n, unweighted=True
     )[:n]
+    distance[:] = np.where(np.isfinite(steps), steps - 1.0, 0.0)
     near = np.full(len(pair_state), np.inf)
-    np.minimum.at(near, pairs, distance[reached] + 1.0)
+    np.minimum.at(near, pairs, steps[reached] + 1.0)
     near[useful] = 1.0
-    best = np.flatnonzero((near == distance[pair_state]) & np.isfinite(near))
+    best = np.flatnonzero((near == steps[pair_state]) & np.isfinite(near))
     first = np.flatnonzero(np.diff(pair_state[best], prepend=-1))
     choice[pair_state[best[first]]] = best[first]
     return choice

@@ -189,7 +189,7 @@ class LayeredProcess:
         live = quotient.node_of >= 0
         threshold[live] = self.threshold(tail_price)[quotient.node_of[live]]
         first = self.base.pair_offsets[:-1]
-        decision = quotient.positions(self.cap, lambda some: first + choice[some])
+        decision = quotient.positions(first, choice)
         return CostAwarePolicy(
             model=model,
             unit=self.base.unit,

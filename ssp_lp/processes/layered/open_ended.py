@@ -99,7 +99,8 @@ class OpenEnded:
         base, n = self.base, self.n_nodes
         quotient, model = base.quotient, base.quotient.model
         inner = choice[: (self.cap + 1) * n].reshape(self.cap + 1, n) % max(len(base.gain), 1)
-        decision = quotient.positions(self.cap, lambda some: inner[some])
+        first = np.zeros(base.n_nodes, dtype=np.int32)
+        decision = quotient.positions(first, inner[: self.cap])
         never, beyond = np.full(model.n_states, np.inf), quotient.pull_back(inner[-1])[None, :]
         levels = None if self.ladder is None else self.ladder.rungs
         return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
