@@ -238,19 +238,23 @@ def copy_rows(
             own_data[place + k] = data[begin + k]
 
 
-@one_or_all_cores
-def place_layers(choice: Array, first: Array, place: Array, node_of: Array, found: Array) -> None:
-    """Choices of nodes in many layers as decisions of their states, written, [layers, states].
+@njit(cache=True)
+def place_layers(
+    choice: Array, first: Array, pair_at: Array, offsets: Array, node_of: Array, found: Array
+) -> None:
+    """Choices of nodes in many layers as positions among their states' pairs.
 
     Args:
         choice: [layers, nodes].
         first: what it is counted from, [nodes].
-        place: the decision that each pair stands for, [pairs].
+        pair_at: pair of the model, or a negative code, [pairs].
+        offsets: first pair of each state, [states].
         node_of: negative where nothing is decided, [states].
-        found: written.
+        found: written, [layers, states].
     """
-    for s in prange(node_of.size):
+    for s in range(node_of.size):
         node = node_of[s]
         if node >= 0:
             for layer in range(choice.shape[0]):
-                found[layer, s] = place[first[node] + np.uint64(choice[layer, node])]
+                pair = pair_at[first[node] + np.uint64(choice[layer, node])]
+                found[layer, s] = pair if pair < 0 else pair - offsets[s]

@@ -168,13 +168,13 @@ class Quotient:
         model, offsets = self.model, self.model.pair_offsets[:-1]
         most = int(np.diff(model.pair_offsets).max(initial=1))
         found = np.full((len(choice), model.n_states), UNDECIDED, dtype=least_integer_type(most))
-        place = self.pair_at - offsets[model.pair_state[np.maximum(self.pair_at, 0)]]
-        place = np.where(self.pair_at < 0, self.pair_at, place).astype(found.dtype)
         if not self.merged.any() and accelerated(choice.size):
             from ssp_lp.compiled.rows import place_layers
 
-            place_layers(choice.size)(choice, unsigned(first), place, self.node_of, found)
+            place_layers(choice, unsigned(first), self.pair_at, offsets, self.node_of, found)
             return found
+        place = self.pair_at - offsets[model.pair_state[np.maximum(self.pair_at, 0)]]
+        place = np.where(self.pair_at < 0, self.pair_at, place).astype(found.dtype)
         live, several = np.flatnonzero(self.node_of >= 0), max(_TOGETHER // max(len(offsets), 1), 1)
         for begin in range(0, len(choice), several):
             some = slice(begin, begin + several)
