@@ -9,6 +9,7 @@ is near the least failure or below it, is the least failure itself worked out.
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -132,13 +133,12 @@ def _initial_column_within(
     Raises:
         Stop: none of them keeps to the budget.
     """
-    columns = [column for column in known if column is not None]
+    columns = _measured_columns(known)
     try:
         with closing():
             if not _columns_within(row, columns):
                 reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
-                columns += [pricing.first() if reached is None else reached]
-        columns = [c for c in columns if c.choice is not None or c.policy is not None]
+                columns += _measured_columns([pricing.first() if reached is None else reached])
     except STOPS as again:
         heed(again)
     kept = _columns_within(row, columns)
@@ -146,6 +146,11 @@ def _initial_column_within(
         least = min((column.failure for column in columns), default=1.0)
         raise Stop(told=f"the safest policy known by then fails with {least:.6g}") from stop
     return min(kept, key=lambda column: row.objective(column.cost, column.goal))
+
+
+def _measured_columns(known: Iterable[Column | None]) -> list[Column]:
+    """Columns that stand for a policy, not for a guess at one."""
+    return [c for c in known if c and (c.choice is not None or c.policy is not None)]
 
 
 def _columns_within(row: FailureRow, columns: list[Column]) -> list[Column]:

@@ -94,7 +94,12 @@ def refined_optimum(
     """
     gaps: list[float] = []
     compiled = compiled if options.program is None else compiled.for_program()
-    row = FailureRow(budget, compiled.ratio, compiled.lowest)
+    try:
+        lowest = compiled.lowest
+    except STOPS as stop:  # what is next ends at once, and with a fallback
+        heed(stop)
+        lowest = 0.0
+    row = FailureRow(budget, compiled.ratio, lowest)
     try:
         outcome = _refined_attempt(compiled, row, None, options, guess)
     except STOPS as stop:

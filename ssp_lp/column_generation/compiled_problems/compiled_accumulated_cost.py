@@ -71,11 +71,11 @@ class CompiledAccumulatedCost(CompiledLayered):
         if self.discount is not None or not begins.size:
             return 0.0
         steps, same = int(goal_approach(self.model)[1][begins].min()), uniform_cost(self.model)
-        if same is None:  # the last one may cost nothing
-            least, steps = self.base.lattice.least * self.base.unit, max(steps - 1, 0)
-        else:
-            least = same
-        return steps * least * (1.0 - MACHINE_EPSILON)
+        if steps == 0:
+            return 0.0
+        last = float(self.model.costs.min()) if same is None else same
+        going_on = self.base.lattice.least * self.base.unit if same is None else same
+        return ((steps - 1) * going_on + last) * (1.0 - 2.0 * MACHINE_EPSILON)
 
     @cached_property
     def base(self) -> AccumulatedCost:
