@@ -98,8 +98,9 @@ def check_decisions(model: SSP, decision: IntArray, *, as_positions: bool = Fals
     low, high = model.pair_offsets[:-1], model.pair_offsets[1:]
     if as_positions:
         counts = high - low
-        fits = int(counts.max(initial=0)) <= np.iinfo(decision.dtype).max
-        counts = counts.astype(decision.dtype) if fits else counts  # small integers compare fast
+        most = np.iinfo(decision.dtype).max if decision.dtype.kind == "i" else -1
+        small = int(counts.max(initial=0)) <= most  # small integers compare fast
+        counts = counts.astype(decision.dtype) if small else counts
         wrong = (decision < UNDECIDED) | (decision >= counts)
     else:
         wrong = (decision < UNDECIDED) | ((decision >= 0) & ((decision < low) | (decision >= high)))

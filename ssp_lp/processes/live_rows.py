@@ -74,8 +74,8 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
     """
     counts, departs, _ = _count_live(rows)
     bounds = _row_bounds(rows, counts)
-    shared = None
-    if int(bounds[-1]) >= _WORTH_SHARING and accelerated(rows.model.n_outcomes):
+    shared, entries = None, int(bounds[-1])
+    if entries >= _WORTH_SHARING and accelerated(entries):
         shared = _shared_rows(rows, survival, bounds)
     return _filled_rows(rows, survival, counts, departs, bounds) if shared is None else shared
 

@@ -205,8 +205,9 @@ class LayeredPricing:
         failing, choice = 0.0 if slack else price, None
         if values.shape != self.value_shape:
             raise ModelError(f"a value function of shape {self.value_shape} is needed")
-        if self._can_follow and self._one_pass is None and np.isposinf(values).all():
-            choice = room_for_choice(self.process)
+        if self._can_follow and self._one_pass is None:
+            asked = all(bool(np.isposinf(layer).all()) for layer in values)
+            choice = room_for_choice(self.process) if asked else None
         beyond = self.process.beyond_bound(price, failing)
         return replace(self._bounded(price, failing, values, beyond, choice), choice=choice)
 
