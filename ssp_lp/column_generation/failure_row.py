@@ -56,15 +56,17 @@ class FailureRow:
         worth = price * self.budget
         rounding = _ROUNDED * (abs(bound) + worth) if worth > 0.0 else 0.0
         if not self.ratio:
-            return max(bound - worth - rounding, self.lowest)
-        if proof.failing == 0.0:
-            if bound >= 0.0:
-                return max(price + bound, self.lowest)
-            return max(price + bound / share, self.lowest) if share > 0.0 else self.lowest
-        if bound >= price:
-            return max(bound, self.lowest)
-        rest = bound - worth - rounding
-        return max(rest / share, self.lowest) if share > 0.0 else self.lowest
+            least = bound - worth - rounding
+        elif proof.failing == 0.0:
+            least = price + (bound if bound >= 0.0 else _over(bound, share))
+        else:
+            least = bound if bound >= price else _over(bound - worth - rounding, share)
+        return max(least, self.lowest)
+
+
+def _over(rest: float, share: float) -> float:
+    """What is left of a bound, over the share that has to succeed; nothing is known where none."""
+    return rest / share if share > 0.0 else -np.inf
 
 
 def relative_gap(objective: float, lower_bound: float) -> float:

@@ -94,37 +94,16 @@ def fill_rows(
 
 
 @njit(cache=True)
-def fill_shared_rows(
-    outcome_offsets: Array,
-    successors: Array,
-    probabilities: Array,
-    ahead: Array,
-    node_of: Array,
-    n_nodes: int,
-    pair_at: Array,
-    survival: float,
-    indptr: Array,
-    indices: Array,
-    begins: Array,
-    data: Array,
-    slots: Array,
-    used: int,
+def share_rows(
+    indptr: Array, numbers: Array, begins: Array, data: Array, slots: Array, used: int
 ) -> int:
-    """Columns of the entries, and their probabilities where no row before has the same ones.
+    """Keep the numbers of the rows that differ, and say where those of each row are.
 
     Args:
-        outcome_offsets: [pairs + 1].
-        successors: [outcomes].
-        probabilities: [outcomes].
-        ahead: blocks of columns ahead, [outcomes]; empty: none.
-        node_of: [states].
-        n_nodes: columns of a block.
-        pair_at: pair of each row, negative for an empty one, [rows].
-        survival: factor of every probability.
-        indptr: where each row's entries lie, [rows + 1].
-        indices: written, [entries].
-        begins: written: where each row's probabilities begin, [rows].
-        data: probabilities of the rows that differ, written from ``used`` on.
+        indptr: where each row's numbers lie, [rows + 1].
+        numbers: positive, [entries].
+        begins: written: where each row's numbers begin among the data, [rows].
+        data: written from ``used`` on.
         slots: where a row of this hash begins, -1: none so far; a power of two, and at least
             twice as many as there are data.
         used: how many of the data are.
@@ -132,38 +111,28 @@ def fill_shared_rows(
     Returns:
         How many of the data are used now; -1 where there is no room for more.
     """
-    bits, layered, mask = data.view(np.uint64), ahead.size > 0, np.uint64(slots.size - 1)
-    for row in range(pair_at.size):
-        first = np.int64(indptr[row])
-        length = np.int64(indptr[row + 1]) - first
-        if used + length > data.size:
-            return -1
-        mixed, place = np.uint64(length), used
-        if length > 0:
-            pair = np.uint32(pair_at[row])
-            for k in range(outcome_offsets[pair], outcome_offsets[pair + np.uint32(1)]):
-                node = node_of[successors[k]]
-                if node < 0 or probabilities[k] <= 0.0:
-                    continue
-                column = np.int64(node)
-                if layered:
-                    column += np.int64(ahead[k]) * n_nodes
-                indices[first + place - used] = column
-                data[place] = probabilities[k] * survival
-                mixed = (mixed ^ bits[place]) * np.uint64(0x9E3779B97F4A7C15)
-                mixed ^= mixed >> np.uint64(29)
-                place += 1
-        slot = mixed & mask
+    bits, known = numbers.view(np.uint64), data.view(np.uint64)
+    for row in range(begins.size):
+        first, length = np.int64(indptr[row]), np.int64(indptr[row + 1]) - np.int64(indptr[row])
+        mixed = np.uint64(length)
+        for k in range(first, first + length):
+            mixed = (mixed ^ bits[k]) * np.uint64(0x9E3779B97F4A7C15)
+            mixed ^= mixed >> np.uint64(29)
+        slot = mixed & np.uint64(slots.size - 1)
         while slots[slot] >= 0:
-            known, same = slots[slot], 0
-            if known + length <= used:
-                while same < length and bits[known + same] == bits[used + same]:
+            begin, same = slots[slot], 0
+            if begin + length <= used:
+                while same < length and known[begin + same] == bits[first + same]:
                     same += 1
             if same == length:
                 break
-            slot = (slot + np.uint64(1)) & mask
+            slot = (slot + np.uint64(1)) & np.uint64(slots.size - 1)
         if slots[slot] < 0:
-            slots[slot], used = used, place
+            if used + length > data.size:
+                return -1
+            data[used : used + length] = numbers[first : first + length]
+            slots[slot] = used
+            used += int(length)
         begins[row] = slots[slot]
     return used
 

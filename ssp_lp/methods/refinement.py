@@ -94,13 +94,9 @@ def refined_optimum(
     """
     gaps: list[float] = []
     compiled = compiled if options.program is None else compiled.for_program()
+    row = FailureRow(budget, compiled.ratio)
     try:
-        lowest = compiled.lowest
-    except STOPS as stop:  # what is next ends at once, and with a fallback
-        heed(stop)
-        lowest = 0.0
-    row = FailureRow(budget, compiled.ratio, lowest)
-    try:
+        row = replace(row, lowest=compiled.lowest)
         outcome = _refined_attempt(compiled, row, None, options, guess)
     except STOPS as stop:
         heed(stop)

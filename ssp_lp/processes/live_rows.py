@@ -69,14 +69,14 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
     """The matrix of live rows alone, with each probability once where rows repeat each other.
 
     Args:
-        rows: the rows; waiting is kept.
+        rows: the rows.
         survival: factor of every probability.
     """
     counts, departs, _ = _count_live(rows)
     bounds = _row_bounds(rows, counts)
     shared, entries = None, int(bounds[-1])
     if entries >= _WORTH_SHARING and accelerated(entries):
-        shared = _shared_rows(rows, survival, bounds)
+        shared = _shared_rows(rows, survival, departs, bounds)
     return _filled_rows(rows, survival, counts, departs, bounds) if shared is None else shared
 
 
@@ -88,24 +88,47 @@ def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
     return bounds.astype(np.int32) if small else bounds
 
 
-def _shared_rows(rows: RowChoice, survival: float, bounds: IntArray) -> SharedRows | None:
+def _shared_rows(
+    rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
+) -> SharedRows | None:
     """The rows with their numbers shared; None where few of them repeat each other."""
-    from ssp_lp.compiled import rows as compiled
+    from ssp_lp.compiled.rows import share_rows
 
-    model, n_rows = rows.model, len(rows.pair_at)
+    n_rows, n_outcomes = len(rows.pair_at), rows.model.n_outcomes
     indices = np.empty(int(bounds[-1]), dtype=bounds.dtype)
     begins, data = np.empty(n_rows, dtype=np.int32), np.empty(_MOST_NUMBERS)
     slots, used = np.full(2 * _MOST_NUMBERS, -1, dtype=np.int32), 0
-    for some in pieces(n_rows, model.n_outcomes):
-        used = compiled.fill_shared_rows(
-            model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
-            _row_array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some], survival,
-            bounds[some.start : some.stop + 1], indices, begins[some], data, slots, used,
-        )  # fmt: skip
-        if used < 0 or used > bounds[some.stop] // _TIMES_SHARED:
+    numbers = np.zeros(0)  # of one piece
+    for some in pieces(n_rows, n_outcomes):
+        first, end = bounds[some.start], bounds[some.stop]
+        own = bounds[some.start : some.stop + 1] - first
+        numbers = np.empty(end - first) if end - first > numbers.size else numbers
+        _fill_compiled(rows, some, departs, survival, own, indices[first:end], numbers)
+        used = share_rows(own, numbers, begins[some], data, slots, used)
+        if used < 0 or used > end // _TIMES_SHARED:
             return None
     shape = n_rows, rows.width * rows.n_nodes
     return SharedRows(bounds, begins, indices, data[:used].copy(), shape)
+
+
+def _fill_compiled(
+    rows: RowChoice,
+    some: slice,
+    departs: FloatArray,
+    survival: float,
+    bounds: IntArray,
+    indices: IntArray,
+    data: FloatArray,
+) -> None:
+    """Write columns and probabilities of some rows, whose entries lie at the bounds."""
+    from ssp_lp.compiled.rows import fill_rows
+
+    model, home = rows.model, _row_array(rows.home)
+    fill_rows(
+        model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
+        _row_array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
+        home[some] if home.size else home, departs[some], survival, bounds, indices, data,
+    )  # fmt: skip
 
 
 def _filled_rows(
@@ -116,16 +139,9 @@ def _filled_rows(
     indices = np.empty(int(bounds[-1]), dtype=bounds.dtype)
     data = np.empty(len(indices))
     if accelerated(rows.model.n_outcomes):
-        from ssp_lp.compiled import rows as compiled
-
-        model, home = rows.model, _row_array(rows.home)
-        for some in pieces(n_rows, model.n_outcomes):
-            compiled.fill_rows(
-                model.outcome_offsets, model.successors.view(np.uint32), model.probabilities,
-                _row_array(rows.ahead), rows.node_of, rows.n_nodes, rows.pair_at[some],
-                home[some] if home.size else home, departs[some], survival,
-                bounds[some.start : some.stop + 1], indices, data,
-            )  # fmt: skip
+        for some in pieces(n_rows, rows.model.n_outcomes):
+            own = bounds[some.start : some.stop + 1]
+            _fill_compiled(rows, some, departs, survival, own, indices, data)
     else:
         for some in _row_chunks(rows):
             column, probability, row = _entries_of_live_rows(rows, some, counts)

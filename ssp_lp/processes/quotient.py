@@ -105,8 +105,7 @@ class Quotient:
     def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
         """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].
 
-        Found on the model's graph, turned round once for all searches; None where components are
-        merged, whose members need not be equally near.
+        None where components are merged, whose members need not be equally near.
 
         Args:
             leaving: [model pairs].

@@ -25,14 +25,12 @@ Summands = tuple[PairCost, FloatArray, FloatArray]
 
 _ONE = np.ones(1)
 
-
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
 
 _KEPT_VALUES = 25_000_000
 """Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
 shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
-
 
 SAME: Final = 1e-14
 """Relative difference of values, and share of a bound, below which there is only rounding."""
