@@ -1,9 +1,12 @@
 """Families of models that differ in structure: acyclic, windy, narrow, hanging together, slow.
 
-Every model has its live states first, then one goal and one trap; its start is state 0.
+Games, queues and worlds of the planning literature stand beside them. Every model's start is state
+0; where nothing else is said its live states come first, then one goal and one trap.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -126,26 +129,206 @@ def ring(states: int, *, leak: float = _LEAK) -> SSP:
     return _model(successors, probabilities, costs)
 
 
+def holes(side: int, *, slip: float = 0.2, share: float = 0.07, seed: int = _SEED) -> SSP:
+    """Return a square with four moves that slip to either side, and holes; its corners are free.
+
+    Far from the start least failure is tiny: whoever keeps off the holes falls by slips alone.
+    """
+    rng, n = np.random.default_rng(seed), side * side
+    x, y = np.arange(n) % side, np.arange(n) // side
+    is_hole = (rng.random(n) < share) & (x + y > 2) & (x + y < 2 * side - 4)
+    name = np.where(is_hole, n + 1, np.arange(n))
+    name[n - 1] = n
+    moves = ((1, 0), (0, 1), (-1, 0), (0, -1))
+    ahead = np.stack([_cell(name, side, x + dx, y + dy) for dx, dy in moves], axis=1)
+    successors = np.stack([ahead, np.roll(ahead, 1, axis=1), np.roll(ahead, -1, axis=1)], axis=-1)
+    shares = np.broadcast_to([1.0 - slip, slip / 2, slip / 2], successors.shape)
+    return _model(successors, shares, np.ones((n, 4)))
+
+
+def headings(side: int, *, directions: int = 8, seed: int = _SEED) -> SSP:
+    """Return a vehicle on a square that turns by one direction or none, with noise, and holes."""
+    rng, cells = np.random.default_rng(seed), side * side
+    x, y = np.arange(cells) % side, np.arange(cells) // side
+    is_hole = (rng.random(cells) < 0.04) & (x + y > 3) & (x + y < 2 * side - 5)
+    angle = 2.0 * np.pi * np.arange(directions) / directions
+    dx, dy = np.rint(np.cos(angle)).astype(int), np.rint(np.sin(angle)).astype(int)
+    cell, heading = np.divmod(np.arange(cells * directions), directions)
+    turned = (heading[:, None] + np.arange(-2, 3)) % directions
+    ahead_x, ahead_y = x[cell][:, None] + dx[turned], y[cell][:, None] + dy[turned]
+    is_inside = (ahead_x == np.clip(ahead_x, 0, side - 1)) & (
+        ahead_y == np.clip(ahead_y, 0, side - 1)
+    )
+    there = np.clip(ahead_y, 0, side - 1) * side + np.clip(ahead_x, 0, side - 1)
+    n, is_goal = cell.size, ahead_x + ahead_y >= 2 * side - 4
+    after = np.where(is_inside & ~is_hole[there], there * directions + turned, n + 1)
+    after = np.where(is_inside & is_goal, n, after)
+    successors = np.stack([after[:, k : k + 3] for k in range(3)], axis=1)
+    shares = np.broadcast_to([0.1, 0.8, 0.1], successors.shape)
+    return _model(successors, shares, np.broadcast_to([1.5, 1.0, 1.5], (n, 3)))
+
+
+def tandem(capacity: int, *, arriving: float = 0.22) -> SSP:
+    """Return two queues in a row, served fast (dear) or slowly, until both are empty at once.
+
+    Whoever finds a full queue is lost: the trap. Both are half full at the start.
+    """
+    width = capacity + 1
+    first, second = np.divmod(_begun_at(np.arange(1, width**2), capacity // 2 * (width + 1)), width)
+    n = first.size
+    name = np.full((width, width), n)
+    name[first, second] = here = np.arange(n)
+    full = np.full(n, n + 1)
+    arrives = np.where(first < capacity, name[np.minimum(first + 1, capacity), second], full)
+    passed = np.where(second < capacity, name[first - 1, np.minimum(second + 1, capacity)], full)
+    passed, leaves = (
+        np.where(first > 0, passed, here),
+        np.where(second > 0, name[first, second - 1], here),
+    )
+    speeds = np.array([[0.25, 0.25], [0.25, 0.45], [0.45, 0.25], [0.45, 0.45]]) * (1.0 - arriving)
+    shares = np.column_stack([np.full(4, arriving), speeds, 1.0 - arriving - speeds.sum(axis=1)])
+    successors = np.stack([arrives, passed, leaves, here], axis=1)[:, None, :]
+    costs = np.array([1.0, 2.0, 2.0, 3.0]) + (first + second)[:, None] // 4
+    shape = n, 4, 4
+    return _model(np.broadcast_to(successors, shape), np.broadcast_to(shares, shape), costs)
+
+
+def inventory(capacity: int, days: int) -> SSP:
+    """Return a season of daily orders against a demand that is not known: no cycles.
+
+    Orders and stock cost; a demand that is not met ends the season in the trap by 1 in 20.
+    """
+    levels = capacity + 1
+    day, stock = np.divmod(np.arange(levels * days), levels)
+    ordered = np.arange(0, levels, max(capacity // 4, 1))
+    demand = np.arange(capacity // 2 + 1)
+    chance = _normalised(np.minimum(demand, demand[-1] - demand) + 1.0)
+    filled = np.minimum(stock[:, None] + ordered, capacity)
+    left, n = filled[:, :, None] - demand, day.size
+    next_day = (day[:, None, None] + 1) * levels + np.maximum(left, 0)
+    next_day = np.where(day[:, None, None] == days - 1, n, next_day)
+    lost = np.where(left < 0, 0.05, 0.0) * chance
+    bought = filled - stock[:, None]
+    return _model(
+        np.concatenate([next_day, np.full(left.shape, n + 1)], axis=-1),
+        np.concatenate([chance - lost, lost], axis=-1),
+        2.0 * (bought > 0) + bought + filled // 4,
+    )
+
+
+def sysadmin(machines: int) -> SSP:
+    """Return a ring of machines of which one is rebooted a step, until all work at once.
+
+    Machines fail the likelier the fewer of their neighbours work; where none works all is lost.
+    Every other one works at the start.
+    """
+    bits, every = 1 << np.arange(machines), (1 << machines) - 1
+    up = _begun_at(np.arange(1, every), int(bits[::2].sum()))
+    n = up.size
+    name = np.full(every + 1, n)
+    name[up], name[0] = np.arange(n), n + 1
+    works = (up[:, None] & bits) > 0
+    neighbours_down = 2.0 - np.roll(works, 1, axis=1) - np.roll(works, -1, axis=1)
+    fails = np.where(works, (0.02 + 0.15 * neighbours_down) / machines, 0.0)
+    is_rebooted = np.eye(machines, dtype=bool)
+    flips = np.where(is_rebooted, np.where(works, 0.0, 0.5)[:, None, :], fails[:, None, :])
+    stays = 1.0 - flips.sum(axis=-1, keepdims=True)
+    shape = n, machines, machines + 1
+    successors = np.column_stack([name[up[:, None] ^ bits], np.arange(n)])[:, None, :]
+    costs = np.repeat(1.0 + (~works).sum(axis=1, keepdims=True), machines, axis=1)
+    return _model(np.broadcast_to(successors, shape), np.concatenate([flips, stays], -1), costs)
+
+
+def factored(variables: int, *, seed: int = _SEED) -> SSP:
+    """Return a random domain of truth values, to be made all true by actions that set one each.
+
+    How likely an action works hangs on two other values; where both are false it may be the last.
+    """
+    rng, n = np.random.default_rng(seed), (1 << variables) - 1
+    here, actions = np.arange(n), variables + 2
+    successors = np.empty((n, actions, 4), dtype=np.int64)
+    shares, costs = np.empty(successors.shape), np.empty((n, actions))
+    for action in range(actions):
+        made = action if action < variables else int(rng.integers(variables))
+        undone, *parents = rng.integers(0, variables, 3).tolist()
+        true = sum(here >> parent & 1 for parent in parents)
+        works = np.array([0.2, 0.6, 0.95])[true]
+        slips, dies = rng.uniform(0.0, 0.3) * (1.0 - works), np.where(true == 0, 0.005, 0.0)
+        shares[:, action] = np.stack([works, slips, dies, 1.0 - works - slips - dies], axis=1)
+        after = [here | 1 << made, here & ~(1 << undone), np.full(n, n + 1), here]
+        successors[:, action] = np.stack(after, axis=1)
+        costs[:, action] = rng.integers(1, 5)
+    return _model(successors, shares, costs)
+
+
+def blocks(count: int) -> SSP:
+    """Return exploding blocks: one tower to be rebuilt upside down.
+
+    A block that is put down explodes by 1 in 10 (on the table by 1 in 25) unless it was defused,
+    which takes time; what it destroys cannot be built with any more.
+    """
+    start, goal = (((*range(count),),), 0), (((*reversed(range(count)),),), 0)
+
+    def successors(state: Any) -> dict[Hashable, list[tuple[float, Any, float]]]:
+        towers, defused = state
+        moves: dict[Hashable, list[tuple[float, Any, float]]] = {}
+        for tower in towers:
+            block, others = tower[-1], [t for t in towers if t is not tower] + [tower[:-1]]
+            if not defused >> block & 1:
+                safe = towers, defused | 1 << block
+                moves["defuse", block] = [(0.9, safe, 3.0), (0.1, state, 3.0)]
+            for on in [(), *others[:-1]]:
+                built = tuple(sorted([t for t in others if t and t is not on] + [(*on, block)]))
+                risk = 0.0 if defused >> block & 1 else (0.1 if on else 0.04)
+                is_done = len(built) == 1 and built[0] == goal[0][0]
+                after = goal if is_done else (built, defused)
+                steps = [(1.0 - risk, after, 1.0), (risk, "trap", 1.0)]
+                moves[block, on] = [step for step in steps if step[0] > 0.0]
+        return moves
+
+    model = SSP.from_successors(
+        start,
+        lambda state: {} if state == "trap" else successors(state),
+        {goal},
+        treat_actionless_as_dead_ends=True,
+    )
+    return replace(model, states=tuple(range(model.n_states)))
+
+
 FAMILIES: dict[str, Callable[..., SSP]] = {
-    family.__name__: family for family in (layered, scattered, grid, river, corridor, rooms, ring)
-}
+    family.__name__: family
+    for family in (
+        layered, scattered, grid, river, corridor, rooms, ring,
+        holes, headings, tandem, inventory, sysadmin, factored, blocks,
+    )
+}  # fmt: skip
 """The families by name; their sizes are one or two whole numbers."""
 
-RANDOM = ("layered", "scattered", "grid", "rooms")
+RANDOM = ("layered", "scattered", "grid", "rooms", "holes", "headings", "factored")
 """Families that are drawn, and take a seed."""
 
-SQUARES = ("scattered", "grid", "corridor", "ring")
+SQUARES = (
+    "scattered", "grid", "corridor", "ring",
+    "holes", "headings", "tandem", "sysadmin", "factored", "blocks",
+)  # fmt: skip
 """Families of one size."""
 
 WARM_UP_SIZES = {
     "layered": (80, 100), "scattered": (8_000,), "grid": (100,), "river": (100, 100),
     "corridor": (10_000,), "rooms": (20, 20), "ring": (10_000,),
+    "holes": (100,), "headings": (40,), "tandem": (100,), "inventory": (100, 100),
+    "sysadmin": (10,), "factored": (12,), "blocks": (4,),
 }  # fmt: skip
 """Sizes that solvers are warmed up with."""
 
 
 def _cell(name: np.ndarray, side: int, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return name[np.clip(y, 0, side - 1) * side + np.clip(x, 0, side - 1)]
+
+
+def _begun_at(names: np.ndarray, start: int) -> np.ndarray:
+    """Return names in a row, turned round so that the start comes first."""
+    return np.roll(names, -int(np.flatnonzero(names == start)[0]))
 
 
 def _normalised(weights: np.ndarray) -> np.ndarray:

@@ -35,6 +35,13 @@ STRUCTURES = (
     "scattered-100000-M",
     "rooms-250x20-M",
     "ring-10000-M",
+    "holes-100-M",
+    "headings-60-M",
+    "tandem-100-M",
+    "inventory-80x100-M",
+    "sysadmin-11-M",
+    "factored-13-M",
+    "blocks-5-M",
     "robot-40x24-M",
 )
 """One instance of each structure."""
