@@ -50,6 +50,17 @@ def test_names_carry_caps_and_discounts() -> None:
             parse_instance(name)
 
 
+def test_criteria_without_a_budget_are_compared_with_storm(tmp_path: Path) -> None:
+    pytest.importorskip("stormpy")
+    asked = ["blocks-3-P", "blocks-3-C", "tandem-6-P", "tandem-6-C"]
+    runs = compare_solvers.main(
+        ["--instances", *asked, "--solvers", "columns", "storm", "--output", str(tmp_path)]
+    )
+    assert {run.outcome for run in runs} == {Outcome.SOLVED}
+    assert runs[2].objective == pytest.approx(runs[3].objective, rel=1e-5)
+    assert [run.objective for run in runs[6:]] == [None, None]  # nobody is sure to get there
+
+
 def test_large_instances_are_warmed_up_on_a_small_one() -> None:
     assert parse_instance("robot-80x36-S80").warm_up.name == "robot-20x12-S80"
     assert parse_instance("robot-6x6-M").warm_up.name == "robot-6x6-M"

@@ -4,7 +4,8 @@
     random-STATES-CASE               a random sparse model
     grid-300-M, layered-1000x100-M   ... a family of `families`
 
-CASE is M or S, with a cap on accumulated cost as S80, or a discount as M@0.999.
+CASE is M or S, with a cap on accumulated cost as S80, or a discount as M@0.999; P asks for the
+greatest goal probability (`MaxProb`), C for the least cost of reaching the goal surely (`MinCost`).
 """
 
 import re
@@ -49,7 +50,7 @@ STRUCTURES = (
 _WARM_UP_SIZE = {"robot": (20, 12), "random": (5_000,), **WARM_UP_SIZES}
 _PATTERN = re.compile(
     rf"(?P<family>{'|'.join(_WARM_UP_SIZE)})-(?P<size>\d+(x\d+)?)"
-    r"-(?P<case>[MS])(?P<cap>\d+)?(@(?P<discount>.+))?"
+    r"-(?P<case>[MSPC])(?P<cap>\d+)?(@(?P<discount>.+))?"
 )
 
 
@@ -59,7 +60,7 @@ class Instance:
 
     family: str  # "robot", "random", or one of `families`
     size: tuple[int, ...]  # (segments, headings), (states,), or as the family has it
-    case: str  # "M" or "S"
+    case: str  # "M", "S", "P" or "C"
     cost_cap: float | None = None  # case S: the cap on accumulated cost
     discount: float | None = None
     failure_budget: float = FAILURE_BUDGET

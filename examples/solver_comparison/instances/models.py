@@ -7,7 +7,7 @@ import numpy as np
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from examples.solver_comparison.instances.families import FAMILIES
 from examples.solver_comparison.instances.instance import Instance
-from formulations import MCMP, S3P
+from formulations import MCMP, S3P, MaxProb, MinCost
 from ssp_lp import SSP
 
 N_ACTIONS, N_SUCCESSORS = 5, 8
@@ -24,9 +24,11 @@ class ReadyInstance:
     model: SSP
     start: int
 
-    def problem(self) -> MCMP | S3P:
+    def problem(self) -> MCMP | S3P | MaxProb | MinCost:
         """Return the problem on a copy of the model that remembers nothing of earlier calls."""
         asked, model = self.instance, replace(self.model)
+        if asked.case in "PC":
+            return (MaxProb if asked.case == "P" else MinCost)(model, self.start)
         if asked.case == "S":
             return S3P(
                 model, self.start, asked.failure_budget, asked.discount, cost_cap=asked.cost_cap

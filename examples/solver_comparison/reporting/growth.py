@@ -30,8 +30,8 @@ class Work:
 
 
 def work_of(run: SolverRun) -> Work | None:
-    """Return the work of a solved run, or None where the run does not say."""
-    if run.outcome is not Outcome.SOLVED or run.backups is None:
+    """Return the work of a solved run; None where it does not say, or the graph said it all."""
+    if run.outcome is not Outcome.SOLVED or not (run.backups or run.products):
         return None
     if not (run.seconds and run.transitions and run.pairs and run.states):
         return None
@@ -40,9 +40,9 @@ def work_of(run: SolverRun) -> Work | None:
         instance=run.instance,
         group=parse_instance(run.instance).group,
         transitions=run.transitions,
-        backups=run.backups,
+        backups=run.backups or 0,
         products=products,
-        sweeps=run.backups + products * run.states / run.pairs,
+        sweeps=(run.backups or 0) + products * run.states / run.pairs,
         seconds=run.seconds,
     )
 

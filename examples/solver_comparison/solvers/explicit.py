@@ -1,5 +1,7 @@
 """The augmented process written out state by state, as the peers of the comparison take it."""
 
+from dataclasses import replace
+
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
@@ -11,11 +13,15 @@ from ssp_lp.processes.explicit import ExplicitProcess
 def written_out(ready: ReadyInstance) -> ExplicitProcess:
     """Return the part of an instance's augmented process that its start can reach.
 
+    What has no budget is asked of the process of case M.
+
     Raises:
         ValueError: case S without a cap on accumulated cost has no finite process.
     """
     if ready.instance.case == "S" and ready.instance.cost_cap is None:
         raise ValueError(f"only a cap can be written out: {ready.instance.name}80")
+    if ready.instance.case in "PC":
+        ready = replace(ready, instance=replace(ready.instance, case="M"))
     return reachable_part(ready.problem().compile().explicit())
 
 

@@ -2,11 +2,13 @@
 
 import math
 import time
+from contextlib import suppress
 
+from examples.solver_comparison.instances.instance import parse_instance
 from examples.solver_comparison.instances.models import ReadyInstance, build
 from examples.solver_comparison.solvers.answer import Answer, Prepared, joined
 from examples.solver_comparison.solvers.catalogue import Order
-from ssp_lp import LinearProgramming, Solution, SolverError, solve
+from ssp_lp import InfeasibleError, LinearProgramming, Solution, SolverError, solve
 from ssp_lp.compiled.accelerator import has_accelerator
 
 
@@ -27,6 +29,8 @@ def prepare(ready: ReadyInstance, order: Order, *, method: str, backend: str | N
                 tolerance=order.tolerance,
                 time_limit=order.time_limit,
             )
+        except InfeasibleError:  # of case C: the goal cannot be reached surely
+            return Answer(math.inf, note="no policy reaches the goal surely")
         except SolverError as error:
             if time.perf_counter() - began < order.time_limit:
                 raise
@@ -35,20 +39,21 @@ def prepare(ready: ReadyInstance, order: Order, *, method: str, backend: str | N
 
     small = ready if ready.instance.warm_up == ready.instance else None
 
-    def warm_up() -> Solution:
+    def warm_up() -> None:
         problem = (small or build(ready.instance.warm_up)).problem()
         if small is None and has_accelerator():  # the loops of large models, on a small one
             from ssp_lp.compiled.cores import on_all_cores
 
-            with on_all_cores():
+            with on_all_cores(), suppress(InfeasibleError):
                 solve(problem, "columns")
-        return solve(problem, "columns")
+        with suppress(InfeasibleError):
+            solve(problem, "columns")
 
     return Prepared(call, warm_up)
 
 
 def _answer(solution: Solution, order: Order, failure_budget: float) -> Answer:
-    run = solution.run
+    run, has_no_budget = solution.run, parse_instance(order.instance).case in "PC"
     loops = "numba" if has_accelerator() else "numpy"
     return Answer(
         objective=solution.objective,
@@ -58,5 +63,5 @@ def _answer(solution: Solution, order: Order, failure_budget: float) -> Answer:
         in_time=solution.gap <= order.tolerance or run.seconds < order.time_limit,
         backups=run.backups,
         products=run.products,
-        excess=lambda: max(solution.budget_used - failure_budget, 0.0),
+        excess=None if has_no_budget else lambda: max(solution.budget_used - failure_budget, 0.0),
     )
