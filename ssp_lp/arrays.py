@@ -70,6 +70,15 @@ def read_only(array: npt.ArrayLike, dtype: npt.DTypeLike | None = None) -> npt.N
     return view
 
 
+class ReadOnlyCopies:
+    """Mix-in of values whose arrays stay read-only in copies and pickles; numpy's own do not."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over what a copy is made of."""
+        kept = {k: read_only(v) if isinstance(v, np.ndarray) else v for k, v in state.items()}
+        vars(self).update(kept)
+
+
 def least_integer_type(most: int) -> npt.DTypeLike:
     """The smallest signed integers that hold -2 .. most."""
     return np.min_scalar_type(-max(most, 2) - 1)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Hashable, Iterable, Mapping, Sized
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sized
 from difflib import get_close_matches
 from fractions import Fraction
 from importlib import import_module
@@ -42,6 +42,10 @@ class SSPError(Exception):
     def __str__(self) -> str:
         """The message, arguments as Python code has them."""
         return "".join(map(str, self.args))
+
+    def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
+        """Pickled by its message and what it carries, whatever its constructor asks for."""
+        return type(self).__new__, (type(self), *self.args), vars(self)
 
 
 class ModelError(SSPError, ValueError):

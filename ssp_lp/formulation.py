@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, read_only
+from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
     CompiledAccumulatedCost,
@@ -117,7 +117,7 @@ _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
 
 
-class _Inherited:
+class _Inherited(ReadOnlyCopies):
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
     failure_budget: float | FailureBudget | None = 1.0

@@ -9,7 +9,7 @@ from functools import cached_property
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.analysis.visits import equivalent_randomised_policy
 from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, ReadOnlyCopies
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
@@ -45,7 +45,7 @@ class Run:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution:
+class Solution(ReadOnlyCopies):
     """The optimal value c*, a certified lower bound, and a mixed policy that attains the value.
 
     ``objective`` and ``budget_used`` are exact measures of the policy on the augmented process. The

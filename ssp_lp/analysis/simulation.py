@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
 from ssp_lp.analysis.failure_costs import state_give_up_charges
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -114,7 +114,7 @@ class _CountingSimulator:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SimulationReport:
+class SimulationReport(ReadOnlyCopies):
     """What happened in the episodes."""
 
     episodes: int

@@ -9,7 +9,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, IntArray
+from ssp_lp.arrays import BoolArray, IntArray, ReadOnlyCopies
 from ssp_lp.errors import ModelError, did_you_mean
 from ssp_lp.model.html_table import html_table
 
@@ -28,7 +28,7 @@ class ByName(dict[str, _Value]):
         raise KeyError(f"{name!r} is no name here{nearest}")
 
 
-class Naming:
+class Naming(ReadOnlyCopies):
     """The names of a model's states and actions, and the model in a line."""
 
     states: Sequence[Hashable]  # [states] labels

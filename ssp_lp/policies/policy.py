@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, ReadOnlyCopies
 from ssp_lp.errors import ModelError, check_whole, in_short
 from ssp_lp.model import SSP
 from ssp_lp.policies.randomness import Randomness, generator_of
@@ -61,7 +61,7 @@ class CostLayers:
         return len(self.decision)
 
 
-class Playable(ABC):
+class Playable(ReadOnlyCopies, ABC):
     """Mix-in of the policies that a person's own loop can drive.
 
     Example:

@@ -54,6 +54,10 @@ class ConvexProgram:
         self._stated = dict(self.constraints), self.objective
         self._compiled: tuple[tuple[int, ...], Any] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Copies and pickles carry what is stated; what a solver holds of it cannot be copied."""
+        return vars(self) | {"_compiled": None}
+
     @property
     def problem(self) -> Any:
         """The cvxpy problem; the same object until a constraint or the objective is changed."""

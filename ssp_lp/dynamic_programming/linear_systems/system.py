@@ -71,6 +71,10 @@ class System:
         self._large: dict[int, LargeComponent] = {}
         self._transposed: tuple[IntArray, linalg.SuperLU] | None = None
 
+    def __reduce__(self) -> tuple[type[System], tuple[sp.csr_array, FloatArray]]:
+        """Copies and pickles carry the equations alone: factors cannot be, and are found again."""
+        return System, (self.matrix, self.exits)
+
     @property
     def size(self) -> int:
         """Number of states."""

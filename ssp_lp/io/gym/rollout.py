@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
-from ssp_lp.arrays import FloatArray, read_only
+from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.io.gym.environment import name_of_environment, step_limit_of
 from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP
@@ -40,7 +40,7 @@ class StepLimitWarning(UserWarning):
 
 
 @dataclass(frozen=True, eq=False)
-class RolloutReport:
+class RolloutReport(ReadOnlyCopies):
     """What happened in the episodes."""
 
     episodes: int

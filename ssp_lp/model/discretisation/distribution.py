@@ -5,17 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import PROBABILITY_SUM, FloatArray, read_only
+from ssp_lp.arrays import PROBABILITY_SUM, FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import check_fields, explained
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Distribution:
+class Distribution(ReadOnlyCopies):
     """A random number, given by its quantile function; drawn independently of all others.
 
     ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one: any vectorised function from
@@ -36,7 +37,7 @@ class Distribution:
         """Uniform between two numbers; raises :class:`ModelError` unless low <= high, finite."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
-        return cls(lambda levels: low + (high - low) * levels)
+        return cls(_Uniform(float(low), float(high)))
 
     @classmethod
     @explained
@@ -56,12 +57,7 @@ class Distribution:
         if not (chance >= 0.0).all() or not abs(total - 1.0) <= PROBABILITY_SUM:
             raise ModelError(f"probabilities of a distribution must be >= 0 and sum to 1: {total}")
         atoms, chance = atoms[chance > 0.0], chance[chance > 0.0] / total
-        cumulative = np.cumsum(chance[:-1])
-
-        def quantile(levels: FloatArray) -> FloatArray:
-            """The atom at each level, like ``levels``."""
-            return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
-
+        quantile = partial(_atoms_at, atoms, np.cumsum(chance[:-1]))
         return cls(quantile, read_only(atoms), read_only(chance))
 
     def __repr__(self) -> str:
@@ -77,3 +73,20 @@ class Distribution:
         if not real or not np.isfinite(found).all():
             raise ModelError("a quantile function must return a finite number for each level")
         return found.astype(np.float64, copy=False)
+
+
+@dataclass(frozen=True)
+class _Uniform:
+    """The quantile function of a uniform distribution."""
+
+    low: float
+    high: float
+
+    def __call__(self, levels: FloatArray) -> FloatArray:
+        """The value at each level, like ``levels``."""
+        return self.low + (self.high - self.low) * levels
+
+
+def _atoms_at(atoms: FloatArray, cumulative: FloatArray, levels: FloatArray) -> FloatArray:
+    """The atom of a discrete distribution at each level, like ``levels``."""
+    return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
