@@ -8,8 +8,9 @@ from dataclasses import replace
 from math import isfinite
 
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.compiled.deadline import Deadline, Stop, until
+from ssp_lp.compiled.deadline import STOPS, Deadline, Stop, closing, heed, until
 from ssp_lp.errors import Argument, ModelError, OutOfTimeError, SolverError
+from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.methods.one_row import (
     best_within_budget,
     cheapest_at_least_failure,
@@ -112,11 +113,20 @@ def _solved_with_proof(
     problem: Problem, method: Method, options: SolveOptions
 ) -> tuple[Solution, Status]:
     """The answer to the problem that is solved, checked, and why the search ended."""
-    try:
-        with until(options.deadline) as deadline:
+    solution: Solution | None = None
+    incumbent = Incumbent(problem, deterministic=isinstance(method, DeterministicPolicies))
+    with until(options.deadline, prepare=incumbent.find) as deadline:
+        try:
             solution = _solved_by_driver(unrolled(problem), method, options)
-    except Stop as stop:
-        raise _unsolved(problem, deadline, stop) from None
+        except STOPS as stop:
+            heed(stop)
+            with closing():
+                incumbent.find()
+            solution = incumbent.solution
+            if solution is None:
+                raise _unsolved(problem, deadline, stop) from None
+    if deadline.was_met:
+        solution = incumbent.improving(solution)
     _check_solution(solution)
     found = solution.run.method, solution.run.pricing_calls, solution.objective
     _SEARCH.info("%s: %d pricing calls, objective %.9g", *found)
@@ -125,11 +135,12 @@ def _solved_with_proof(
     return solution, deadline.status(solution.gap, options.tolerance)
 
 
-def _unsolved(problem: Problem, deadline: Deadline, stop: Stop) -> BaseException:
+def _unsolved(problem: Problem, deadline: Deadline, stop: BaseException) -> BaseException:
     """What to raise where the time ended before there was an answer."""
+    told = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
-        return KeyboardInterrupt(stop.told)
-    known, model = stop.told or "nothing but the model was known by then", problem.model
+        return KeyboardInterrupt(told)
+    known, model = told or "nothing but the model was known by then", problem.model
     size = f"the model has {model.n_states:,} states and {model.n_outcomes:,} outcomes"
     return OutOfTimeError(
         f"the time limit of {max(deadline.at - deadline.began, 0.0):.3g} s ended before a policy "

@@ -21,7 +21,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem
 from ssp_lp.column_generation.secant import Secant
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, has_answer, heed, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.options import SolveOptions
 
@@ -84,6 +84,7 @@ def columns_by_pricing(
                 outside = last
             elif value < np.inf:
                 inside = last
+                has_answer(by_itself=True)
             if options.progress is not None:
                 options.progress(calls, price, value if last is inside else np.inf)
             enough = one_sided or outside is not None or is_late()

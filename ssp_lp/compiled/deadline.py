@@ -8,7 +8,7 @@ and every pass over a process, compiled or not, looks at it. Loops that have an 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -26,6 +26,9 @@ _CLOSING = 0.65
 """Seconds beyond the deadline by which what an answer still needs is done: measures, a proof."""
 
 _LEAST = 0.1  # seconds for each of them in any case
+_PREPARED = 1.0  # seconds of a search after which an answer is to be in hand
+_PREPARED_SHARE = 0.1  # of the time limit, where that is less
+_PREPARING = 0.5  # share of the time left that it may take
 _CLOSING_SHARE = 0.1  # of what was spent before, where it was Ctrl-C that stopped the search
 _PIECE = 1_000_000  # entries of a compiled loop between two looks: some hundredths of a second
 
@@ -56,6 +59,30 @@ class Deadline:
     is_interrupted: bool = False  # by Ctrl-C
     closes: float = float("inf")  # what an answer still needs is to be done by then
     was_met: bool = False  # whether some loop ended because of it
+    prepare: Callable[[], None] | None = None  # finds an answer where none is in hand soon
+
+    def has_an_answer(self) -> None:
+        """Find an answer, with a share of the time that is left, where none has been looked for."""
+        prepare, self.prepare, now = self.prepare, None, time.perf_counter()
+        if prepare is None or self.is_past():
+            return
+        with until(now + _PREPARING * (self.at - now)) as within:
+            prepare()
+        if within.is_interrupted:
+            heed(KeyboardInterrupt())
+
+    def look(self) -> None:
+        """End the loop that asks, if it is time; before that see to it that there is an answer.
+
+        Raises:
+            Stop: the deadline has passed, with its grace, or Ctrl-C came.
+        """
+        if self.prepare is not None:
+            soon = min(_PREPARED, _PREPARED_SHARE * (self.at - self.began))
+            if time.perf_counter() - self.began > soon:
+                self.has_an_answer()
+        if self.is_past(self.grace):
+            raise Stop
 
     def is_past(self, grace: float = 0.0) -> bool:
         """Whether it is time to end, which is remembered."""
@@ -76,15 +103,19 @@ _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
 @contextmanager
-def until(at: float, *, is_closing: bool = False) -> Iterator[Deadline]:
+def until(
+    at: float, *, is_closing: bool = False, prepare: Callable[[], None] | None = None
+) -> Iterator[Deadline]:
     """Within it loops end at a point in time, or when Ctrl-C comes.
 
     Args:
         at: on the clock of ``time.perf_counter``; infinite: only Ctrl-C ends them.
         is_closing: there is no grace after that.
+        prepare: finds an answer. It is called in the middle of a search that goes on for a moment
+            without one, with a share of the time that is left.
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
-    deadline = Deadline(at, grace, time.perf_counter(), closes=at + more)
+    deadline = Deadline(at, grace, time.perf_counter(), closes=at + more, prepare=prepare)
     before = _running.set(deadline)
     try:
         yield deadline
@@ -121,8 +152,21 @@ def check_time() -> None:
         Stop: the deadline has passed, with its grace, or Ctrl-C came.
     """
     deadline = _running.get()
-    if deadline is not None and deadline.is_past(deadline.grace):
-        raise Stop
+    if deadline is not None:
+        deadline.look()
+
+
+def has_answer(*, by_itself: bool = False) -> None:
+    """See to it that there is an answer before a search that may take long.
+
+    Args:
+        by_itself: the search has one: none need be prepared.
+    """
+    deadline = _running.get()
+    if deadline is not None and by_itself:
+        deadline.prepare = None
+    elif deadline is not None:
+        deadline.has_an_answer()
 
 
 def is_late() -> bool:

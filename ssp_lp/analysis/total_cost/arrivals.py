@@ -13,6 +13,7 @@ import scipy.sparse as sp
 from ssp_lp.analysis.total_cost.layer_powers import LayerPlaces, LayerPowers
 from ssp_lp.analysis.total_cost.live_chain import FreeChainMoves, LiveChain
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, concatenated_ranges
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.totals.lattice import common_unit, last_layer, layers_of, totals_of
 
@@ -104,8 +105,10 @@ class Arrivals:
 
         Raises:
             ModelError: this would take too long.
+            Stop: the time ended.
         """
         while self.settled < layers:
+            check_time()
             ahead = self._to_next()
             if ahead is None or self.settled + ahead >= layers:
                 self.settled = layers

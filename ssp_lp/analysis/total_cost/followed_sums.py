@@ -20,6 +20,7 @@ import scipy.sparse as sp
 from ssp_lp.analysis.total_cost.arrivals import Arrivals
 from ssp_lp.analysis.total_cost.live_chain import FreeChainMoves, LiveChain
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.totals.lattice import common_unit, exact_cost
 
@@ -105,8 +106,10 @@ class FollowedSums:
 
         Raises:
             _TooManySumsError: there are too many sums below it.
+            Stop: the time ended.
         """
         while self._next and self._next[0] < layers:
+            check_time()
             self._followed += 1
             if not self._are_few:
                 raise _TooManySumsError(f"more than {self._followed:,} sums of costs can occur")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ssp_lp.compiled.deadline import has_answer
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.quantile import least_quantile, quantile_bound
 from ssp_lp.methods.risk.question import Near, Question, question_of
@@ -30,6 +31,7 @@ def least_risk(
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
         ModelError: another measure, or a table of costs that would be too large.
     """
+    has_answer()
     question = question_of(problem) if question is None else question
     match problem.semantics.measure:
         case CostQuantileOf(level):

@@ -1,0 +1,146 @@
+"""An answer in hand while a search goes on: a policy of case M, judged by the criterion itself.
+
+A policy that keeps to the budget and to all limits in case M keeps to them in every criterion on
+the same model. It is found in the time that a few pricing calls on the model take, while a search
+on accumulated costs may not come to its first policy in minutes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph
+
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
+from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
+from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
+from ssp_lp.compiled.deadline import STOPS, heed
+from ssp_lp.errors import SSPError
+from ssp_lp.methods.assembling import Found, assembled
+from ssp_lp.methods.refinement import refined_optimum
+from ssp_lp.methods.rows.rows_optimum import rows_optimum
+from ssp_lp.options import SolveOptions
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.problem import Problem, conditions_of, unrolled
+from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
+from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.solution import CUT_SHORT, Run, Solution
+
+_ROUGH = SolveOptions(1e-3)  # how exactly case M is solved: its policy is not the best one anyway
+_DEAREST = 1.0 - 1e-12  # of the least total: what its sums may have been rounded by
+
+
+@dataclass(eq=False)
+class Incumbent:
+    """The best policy of case M. Mutable: it is there once it has been found."""
+
+    stated: Problem
+    deterministic: bool = False  # no lottery will do
+    solution: Solution | None = field(default=None, init=False)
+
+    def find(self) -> None:
+        """Find it, where it is of use and there is none yet, as far as the time allows."""
+        measured = self.stated.ratio or self.stated.semantics.measure is not None
+        if self.solution is not None or not measured:
+            return
+        problem = unrolled(self.stated)
+        for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
+            try:
+                policy = _cheapest_policy(problem, at_least_failure=at_least_failure)
+                if policy is not None and not (self.deterministic and len(policy.policies) > 1):
+                    self.solution = _judged(problem, policy)
+            except STOPS as stop:
+                heed(stop)
+            except SSPError:  # what the search itself will find, and name
+                pass
+            if self.solution is not None:
+                return
+
+    def improving(self, other: Solution) -> Solution:
+        """A search's solution that was cut short, with this one's policy or bound where better."""
+        mine = self.solution
+        if mine is None:
+            return other
+        if other.upper_bound is not None and mine.upper_bound is not None:
+            upper = min(mine.upper_bound, other.upper_bound)
+            best = max(mine, other, key=lambda solution: solution.objective)
+            return replace(best, upper_bound=max(upper, best.objective))
+        best = min(other, mine, key=lambda solution: solution.objective)
+        lower = max(mine.lower_bound, other.lower_bound)
+        return replace(best, lower_bound=min(lower, best.objective))
+
+
+def _cheapest_policy(problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
+    """A policy of about the least cost in case M that keeps to all limits; None: none is sought.
+
+    Args:
+        problem: the problem.
+        at_least_failure: among the policies of least failure.
+    """
+    model, budget = problem.model, problem.failure_budget
+    start = start_distribution(model, problem.start)
+    semantics = replace(problem.semantics, measure=None)
+    budget = None if at_least_failure else budget
+    side = tuple(row for condition in conditions_of(problem) for row in condition.rows)
+    if side:
+        rows = CompiledConstrained(model, start, semantics, problem.discount, side, budget)
+        return rows_optimum(rows, _ROUGH).policy
+    compiled = CompiledFailureLabel(model, start, semantics, problem.discount)
+    if budget is None:
+        return as_lottery(checked_least_failure(compiled, problem.failure_budget).policy)
+    return None if budget >= 1.0 else refined_optimum(compiled, budget, _ROUGH).lottery
+
+
+def _judged(problem: Problem, policy: MixedPolicy) -> Solution | None:
+    """What a policy is worth in a problem's own terms; None where it breaks a limit, or fails."""
+    found, budget = evaluate(policy, problem), problem.failure_budget
+    failure = found.discounted_failure
+    failure = found.failure_probability if failure is None else failure
+    if not np.isfinite(found.objective) or (budget is not None and failure > budget + LEAST_BUDGET):
+        return None
+    for condition in conditions_of(problem):
+        spent = found.secondary_costs[condition.name]
+        for row in condition.rows:
+            if row.activity(spent) > row.bound + ATTAINABLE * abs(row.bound):
+                return None
+    measure, bound = problem.semantics.measure, worth_bound(problem)
+    sense, sign = AS_ASKED, 1.0
+    if measure is not None and measure.maximised:
+        sense, sign = ObjectiveSense(0.0), -1.0
+    reason = "a policy of case M, as the search had none so good by then"
+    answer = Found(policy, sign * found.objective, sign * bound, failure, note=CUT_SHORT)
+    return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)
+
+
+def worth_bound(problem: Problem) -> float:
+    """What no policy does better than, as the goal costs no run less than the least total.
+
+    It holds for costs given success, for their quantiles and tail means, and from above for what
+    arriving is worth, as no charge falls as the total grows.
+
+    Args:
+        problem: its cost is counted given success, or something is made of its law.
+    """
+    start, measure = start_distribution(problem.model, problem.start), problem.semantics.measure
+    least = _least_total(problem, start)
+    if measure is None or not measure.maximised:
+        return least
+    charge = min(float(measure.charge.at(np.array([least]))[0]), 0.0)
+    greatest = float(start @ greatest_goal_reach(problem.model).bound)
+    return problem.semantics.failing_worth - charge * min(greatest, 1.0)
+
+
+def _least_total(problem: Problem, start: FloatArray) -> float:
+    """The least cost of a way from the start to the goal; 0 where there is none."""
+    model = problem.model
+    begins = np.asarray(model.outcome_offsets)[model.pair_offsets].astype(np.int32)
+    ways = model.costs, model.successors.astype(np.int32), begins
+    graph = sp.csr_array(ways, shape=(model.n_states, model.n_states))
+    totals = csgraph.dijkstra(graph, indices=np.flatnonzero(start > 0.0), min_only=True)
+    least = float(totals[model.goal_mask].min(initial=np.inf))
+    return _DEAREST * least if np.isfinite(least) else 0.0

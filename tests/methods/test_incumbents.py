@@ -1,0 +1,157 @@
+"""An answer in hand before a search: what comes back where the time is too short for its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.solver_comparison.instances.families import corridor, grid, layered, scattered
+from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
+from ssp_lp import SSP, Status, evaluate, solve, visits
+from ssp_lp.compiled import deadline
+from ssp_lp.methods import incumbent
+from ssp_lp.methods.incumbent import Incumbent, worth_bound
+
+LIMIT = 0.3
+
+
+def with_real_costs(model: SSP) -> SSP:
+    """The model with a cost of its own for every pair."""
+    factor = np.random.default_rng(1).uniform(0.5, 1.5, model.n_pairs)
+    costs = model.costs * np.repeat(factor, np.diff(model.outcome_offsets))
+    return replace(model, costs=costs, exact_costs={})
+
+
+def dense(states: int) -> SSP:
+    """Many actions with many successors each, all over the model."""
+    rng, shape = np.random.default_rng(3), (states, 20, 20)
+    successors, drawn = rng.integers(0, states, shape), rng.random(shape)
+    successors = np.where(drawn < 0.01, states, np.where(drawn > 0.999, states + 1, successors))
+    n = states * 20
+    return SSP.from_arrays(
+        pair_offsets=np.append(np.arange(0, n + 1, 20), [n, n]),
+        outcome_offsets=np.arange(0, 20 * n + 1, 20),
+        successors=successors.ravel(),
+        probabilities=np.full(successors.size, 0.05),
+        costs=np.repeat(rng.integers(1, 10, n).astype(float), 20),
+        goal_states=[states],
+        treat_actionless_as_dead_ends=True,
+    )
+
+
+SEARCHES = {
+    "case S, scattered real costs": lambda: S3P(with_real_costs(scattered(1500)), 0, 0.02),
+    "case S, layered real costs": lambda: S3P(with_real_costs(layered(60, 30)), 0, 0.05),
+    "tail mean, windy grid": lambda: CVaR(grid(50), 0, 0.9, 0.2),
+    "tail mean, dense": lambda: CVaR(dense(150), 0, 0.9, 0.05),
+    "quantile, dense": lambda: CostQuantile(dense(200), 0, 0.9, 0.05),
+    "quantile, corridor": lambda: CostQuantile(corridor(150), 0, 0.9, 0.01),
+    "case S, limits": lambda: S3P(
+        grid(40), 0, 0.2, constraints={"early": visits(41) <= 1.5}
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SEARCHES)
+def test_no_search_ends_without_a_policy(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the time is short an answer of case M comes back, in the criterion's own numbers.
+
+    However busy the machine, there is time for that one.
+    """
+    monkeypatch.setattr(deadline, "_PREPARED_SHARE", 0.0)
+    monkeypatch.setattr(deadline, "_PREPARING", 100.0)
+    problem: Any = SEARCHES[name]()
+    solution = solve(problem, time_limit=LIMIT)
+    assert solution.status in (Status.TIME_LIMIT, Status.OPTIMAL)
+    found = evaluate(solution.policy, problem)
+    assert found.objective == pytest.approx(solution.objective, rel=1e-9)
+    assert found.failure_probability <= problem.failure_budget + 1e-12
+    assert 0.0 < worth_bound(problem) <= solution.lower_bound <= solution.objective
+    if "limits" in name:
+        assert found.secondary_costs["early"] <= 1.5 + 1e-9
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        pytest.param(criterion, id=type(criterion).__name__)
+        for model in [layered(6, 5, seed=2)]
+        for criterion in (
+            S3P(model, 0, 0.1),
+            S3P(model, {0: 0.5, 1: 0.5}, 0.3, discount=0.99),
+            CVaR(model, 0, 0.7, 0.1),
+            CostQuantile(model, 0, 0.7, 0.1),
+            CostQuantile(model, 0, 0.7, 1.0),
+            S3P(model, 0, None, horizon=6),
+            CostBoundedReach(model, 0, 20.0),
+            EGUBS(model, 0, -0.1, 1.0),
+        )
+    ],
+)
+def test_the_incumbent_keeps_to_the_budget_and_lies_beside_the_optimum(problem: Any) -> None:
+    best, held = solve(problem), Incumbent(problem)
+    held.find()
+    found = held.solution
+    assert found is not None
+    budget = problem.failure_budget
+    assert found.budget_used <= (best.budget_used if budget is None else budget) + 1e-12
+    if found.upper_bound is None:
+        assert found.lower_bound <= best.objective * (1.0 + 1e-12)
+        assert best.lower_bound <= found.objective * (1.0 + 1e-9)
+    else:
+        assert best.objective <= found.upper_bound * (1.0 + 1e-12)
+        assert found.objective <= best.upper_bound * (1.0 + 1e-9)
+    improved = held.improving(best)
+    assert improved.gap <= best.gap
+
+
+def test_the_bound_of_the_least_total_is_attained_where_one_way_leads() -> None:
+    """Two ways of three steps and one of cost 0.1 + 0.2, of which dead-ends take no part."""
+    model = SSP.from_transitions(
+        {
+            "a": {"go": [(0.5, "b", 0.1), (0.5, "pit", 0.0)], "round": [(1.0, "c", 0.0)]},
+            "b": {"go": [(1.0, "g", 0.2)]},
+            "c": {"go": [(1.0, "b", 0.4)], "stay": [(1.0, "c", 0.0)]},
+            "pit": {},
+        },
+        goal={"g"},
+        treat_actionless_as_dead_ends=True,
+    )
+    for level in (0.1, 0.9):
+        risky = CostQuantile(model, "a", level, 0.5)
+        assert worth_bound(risky) == pytest.approx(0.3, rel=1e-11)
+        assert worth_bound(risky) <= solve(risky).objective
+    assert worth_bound(S3P(model, {"a": 0.5, "c": 0.5}, 0.5)) == pytest.approx(0.3, rel=1e-11)
+    assert worth_bound(CVaR(model, "c", 0.5)) == pytest.approx(0.6, rel=1e-11)
+    assert worth_bound(CostBoundedReach(model, "c", 0.5)) == 0.0
+    assert worth_bound(CostBoundedReach(model, "c", 0.7)) == pytest.approx(1.0)
+
+
+def test_ctrl_c_while_an_answer_is_looked_for_ends_the_call(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    problem = CVaR(layered(6, 5, seed=2), 0, 0.7, 0.1)
+    monkeypatch.setattr(incumbent, "_cheapest_policy", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        solve(problem)
+
+
+def test_what_a_search_finds_is_kept_where_it_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Looked for at once, the incumbent changes no answer of a search that ends by itself."""
+    monkeypatch.setattr(deadline, "_PREPARED", 0.0)
+    problem = S3P(layered(6, 5, seed=2), 0, 0.1)
+    plain = solve(problem)
+    assert plain.status is Status.OPTIMAL
+    assert "case M" not in plain.run.reason
+
+
+def test_criteria_of_case_m_have_no_other_incumbent() -> None:
+    held = Incumbent(MCMP(layered(6, 5, seed=2), 0, 0.1))
+    held.find()
+    assert held.solution is None
