@@ -29,7 +29,9 @@ class CostBudgetedMaxProb(Formulation):
 
     Problem:
         max over policies of Pr(the goal is ever reached) among those whose expected total cost
-        until failure is declared is at most the budget: MAXPROB with a bounded resource.
+        until failure is declared is at most the budget: MAXPROB with a bounded resource, the same
+        as ``MaxProb(model, start, constraints={"cost budget": expected_cost() <= cost_budget})``
+        unless ``give_up`` says otherwise.
 
     Program:
         minimise <failure, x> subject to flow balance, <cost, x> <= cost_budget, x >= 0, where x
@@ -42,16 +44,25 @@ class CostBudgetedMaxProb(Formulation):
 
     Semantics:
         that of ``MaxProb``, wandering for ever is failure. The cost is counted until failure is
-        declared, in the mean over all runs, and giving up, where the goal can be avoided for sure,
-        is not charged. Policies that pay for ever do not count.
+        declared, in the mean over all runs, and giving up is not charged. ``give_up`` says where
+        that is allowed: where the goal can be avoided for sure (the paper's stopping time, the
+        default); nowhere, so that runs pay until they end in the goal or a dead-end, and those that
+        pay for ever do not count (constrained Markov decision processes, and multi-objective model
+        checking); or anywhere, so that whoever runs out of budget stops for nothing (flows may
+        vanish in any state) and no budget is too small. The greatest probability never falls from
+        "dead_ends" to "attention" to "anywhere".
 
     Reference:
-        Altman: Constrained Markov decision processes, 1999.
+        Altman: Constrained Markov decision processes, 1999; Forejt, Kwiatkowska, Norman, Parker,
+        Qu: Quantitative multi-objective verification for probabilistic systems, TACAS 2011;
+        Trevizan, Teichteil-Koenigsbuch, Thiebaux: Efficient solutions for stochastic shortest path
+        problems with dead ends, UAI 2017 ("anywhere").
 
     Args:
         model: the model.
         start: a state, or ``{state: probability}``; the budget holds in the mean.
         cost_budget: the largest expected total cost, a number, finite and not negative.
+        give_up: "attention" (the paper), "dead_ends" or "anywhere".
         constraints: name -> constraint on a quantity, any number (``Formulation``).
         horizon: count the goal within so many steps only (``Formulation``); None: at any time.
 
@@ -60,8 +71,8 @@ class CostBudgetedMaxProb(Formulation):
         the price of the budget in ``prices``, what is spent in ``secondary_costs``, and a lottery.
 
     Raises:
-        ModelError: a budget that is no number or out of range, an unknown start, or a further
-            constraint that is named "cost budget".
+        ModelError: a budget that is no number or out of range, an unknown start or ``give_up``, or
+            a further constraint that is named "cost budget".
 
     Example:
         >>> from ssp_lp import SSP, solve
@@ -77,6 +88,7 @@ class CostBudgetedMaxProb(Formulation):
     model: SSP
     start: Start
     cost_budget: float
+    give_up: str | GiveUp = GiveUp.ATTENTION
 
     failure_budget = 1.0  # failing is not limited: it is what is minimised
 
@@ -93,5 +105,5 @@ class CostBudgetedMaxProb(Formulation):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Only the goal counts; whoever runs out of budget stops where he is, for nothing."""
-        return FailureSemantics(GiveUp.ANYWHERE, aim=Aim.GREATEST_GOAL)
+        """Only the goal counts, and giving up is free where it is allowed."""
+        return FailureSemantics(GiveUp(self.give_up), aim=Aim.GREATEST_GOAL)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
+from ssp_lp.analysis.failure_costs import check_giving_up
 from ssp_lp.analysis.layers.chain_of_law import chain_of_law
 from ssp_lp.analysis.layers.layered_measures import Measures, layered_measures, mean_of
 from ssp_lp.analysis.quantity_values import (
@@ -169,13 +170,13 @@ def _evaluated_measures(chain: Chain, problem: Problem) -> Measures:
     kept, surrogate = (
         _evaluated_two_ways(chain, early, alive, gamma) if gamma < 1.0 else (reached, failed)
     )
-    free = free_in_everything(problem)
-    stopped = value_until_failure(chain, counted, problem.semantics, 1.0, free)
+    check_giving_up(chain, problem.semantics, free_in_everything(problem))
+    stopped = value_until_failure(chain, counted, problem.semantics, 1.0)
     if problem.ratio:
         target = float(chain.start @ early_cost)
     else:
         target = stopped if gamma == 1.0 else value_until_failure(
-            chain, counted, problem.semantics, gamma, free
+            chain, counted, problem.semantics, gamma
         )  # fmt: skip
     return Measures(
         goal=reached,

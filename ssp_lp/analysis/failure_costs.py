@@ -23,17 +23,28 @@ from ssp_lp.processes.failure_semantics import (
 def give_up_costs(
     chain: Chain, semantics: FailureSemantics, free: BoolArray | None = None
 ) -> FloatArray:
-    """Charge of giving up at each node that may do so, 0 elsewhere, [nodes].
+    """Charge of giving up at each node that may do so, 0 elsewhere, [nodes]."""
+    if not chain.give_up.any():
+        return np.zeros(len(chain.give_up))
+    charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
+    return np.where(chain.give_up > 0, charge, 0.0)
+
+
+def check_giving_up(chain: Chain, semantics: FailureSemantics, free: BoolArray) -> None:
+    """Check that a policy gives up only where it may, or may stay for ever.
+
+    Args:
+        chain: the policy's.
+        semantics: where giving up is allowed.
+        free: pairs that are free in all that is minimised and limited, [pairs].
 
     Raises:
-        ModelError: the policy gives up in a state where the semantics forbids it.
+        ModelError: it does elsewhere.
     """
-    charge = state_give_up_charges(chain.model, semantics, free)[chain.state]
-    forbidden = (chain.give_up > 0) & np.isinf(charge)
+    forbidden = np.isinf(give_up_costs(chain, semantics, free))
     if forbidden.any():
         state = chain.model.states[int(chain.state[int(np.argmax(forbidden))])]
         raise ModelError(f"the policy gives up in state {state!r}: not with {semantics.give_up!s}")
-    return np.where(chain.give_up > 0, charge, 0.0)
 
 
 def lost_costs(
@@ -91,7 +102,10 @@ def state_give_up_charges(
     Args:
         model: the model.
         semantics: where giving up is allowed and whether it is charged.
-        free: pairs that are free in all that is counted, [pairs]; None: those that cost nothing.
+        free: pairs among which one may stay, [pairs]; None: those that cost nothing.
     """
-    component, _ = end_components(model, costless_pairs(model) if free is None else free)
-    return give_up_charges(model, attention_states(model), component >= 0, semantics)
+    wandering = np.zeros(model.n_states, dtype=np.bool_)
+    if semantics.give_up is GiveUp.DEAD_ENDS:  # else whoever may stay may give up for as little
+        free = costless_pairs(model) if free is None else free
+        wandering = end_components(model, free)[0] >= 0
+    return give_up_charges(model, attention_states(model), wandering, semantics)

@@ -10,9 +10,8 @@ from ssp_lp.analysis.chain import Chain, reaching_in_chain
 from ssp_lp.analysis.failure_costs import give_up_costs, lost_costs
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.problem import Problem, conditions_of, objective_of
-from ssp_lp.processes.expectations import costless_pairs
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
-from ssp_lp.processes.quantities.conditions import StepTerm, Term
+from ssp_lp.processes.quantities.conditions import StepTerm, Term, free_pairs
 
 
 def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArray:
@@ -30,30 +29,27 @@ def counted_nodes(chain: Chain, hopeful: BoolArray, problem: Problem) -> BoolArr
 
 def quantity_values(chain: Chain, counted: BoolArray, problem: Problem) -> dict[str, float]:
     """The value of each constrained quantity, and of one that is minimised, as the cost is."""
-    objective, free = objective_of(problem), free_in_everything(problem)
+    objective = objective_of(problem)
     asked = conditions_of(problem) + (() if objective is None else (objective,))
     return {
         condition.name: condition.constant
-        + sum(
-            w * _quantity_value(chain, counted, problem, term, free) for w, term in condition.terms
-        )
+        + sum(w * _quantity_value(chain, counted, problem, term) for w, term in condition.terms)
         for condition in asked
     }
 
 
-def _quantity_value(
-    chain: Chain, counted: BoolArray, problem: Problem, term: Term, free: BoolArray | None
-) -> float:
+def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Term) -> float:
     """One term of a quantity: a cost on the same chain, visits as a cost, or a way to end."""
     survival = survival_of(problem.discount)
     if isinstance(term, StepTerm):
         other = replace(chain, model=term.model, cost=term.model.costs[chain.outcome])
-        return value_until_failure(other, counted, problem.semantics, survival, free)
+        return value_until_failure(other, counted, problem.semantics, survival)
     there = term.states[chain.state].astype(np.float64)
     if not term.final:
         entering = replace(chain, cost=survival * there[chain.target])
         plain = FailureSemantics(problem.semantics.give_up)
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
+        free = term.free
         return value_until_failure(entering, counted, plain, survival, free) + float(at_once)
     ended = ending_value(chain, there[:, None], survival)[0]
     return complement(ended) if term.others else ended
@@ -74,20 +70,15 @@ def ending_value(chain: Chain, at_end: FloatArray, survival: float) -> FloatArra
     return np.asarray(chain.start @ (totals + at_end))
 
 
-def free_in_everything(problem: Problem) -> BoolArray | None:
-    """Pairs that are free in all that a problem counts, [pairs]; None: those free in the cost.
-
-    To stay among them for ever is a way to fail that costs nothing.
-    """
+def free_in_everything(problem: Problem) -> BoolArray:
+    """Pairs that are free in all that a problem minimises and limits, [pairs]."""
     objective = objective_of(problem)
-    rows = [row for condition in conditions_of(problem) for row in condition.rows]
-    rows += [] if objective is None else [objective.minimised()]
-    if not rows:
-        return None
-    free = costless_pairs(problem.model)
-    for row in rows:
-        free = free & row.free
-    return free
+    return free_pairs(
+        problem.model,
+        problem.semantics.aim,
+        (row for condition in conditions_of(problem) for row in condition.rows),
+        None if objective is None else objective.minimised(),
+    )
 
 
 def value_until_failure(
@@ -104,16 +95,16 @@ def value_until_failure(
         hopeful: nodes at which failure has not been declared, [nodes].
         semantics: what failing costs.
         survival: the discount.
-        free: pairs among which one may stay for ever, [pairs]; None: those that cost nothing.
+        free: pairs that are free in these costs, [pairs]; None: those that cost nothing.
     """
     lost = lost_costs(chain, hopeful, semantics, survival, free)
     if semantics.forbids_failing:
         lost = np.where(hopeful & (chain.give_up == 0.0), lost, np.inf)
-    charged = chain.give_up * give_up_costs(chain, semantics, free)
-    endless = np.isinf(lost)
+    charged = give_up_costs(chain, semantics, free)
+    endless = np.isinf(lost) | np.isinf(charged)
     if endless.any() and (chain.start[reaching_in_chain(chain, endless)] > 0).any():
         return float("inf")
-    lost = np.where(endless, 0.0, lost)
+    lost, charged = np.where(endless, 0.0, [lost, chain.give_up * charged])
     alive = hopeful & (chain.goal == 0) & (chain.dead == 0)
     stage = chain.per_node(chain.cost) + charged + survival * (chain.matrix @ lost)
     return float(

@@ -6,6 +6,7 @@ gives up takes its mass out as failure. What is left are the states labelled s.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from ssp_lp.model.graph.reachability import (
 )
 from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.processes.counting import Counting, stage_costs
-from ssp_lp.processes.expectations import costless_pairs, successor_means
+from ssp_lp.processes.expectations import successor_means
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import (
     Aim,
@@ -30,6 +31,7 @@ from ssp_lp.processes.failure_semantics import (
     GiveUp,
     survival_of,
 )
+from ssp_lp.processes.quantities.conditions import UpperRow, free_pairs
 from ssp_lp.processes.quotient import Quotient, build_quotient
 
 
@@ -75,7 +77,8 @@ def label_failure(
     semantics: FailureSemantics,
     discount: float | None = None,
     usable: BoolArray | None = None,
-    also_free: BoolArray | None = None,
+    side: Sequence[UpperRow] = (),
+    objective: UpperRow | None = None,
 ) -> FailureLabelled:
     """Build the process of case M.
 
@@ -88,11 +91,10 @@ def label_failure(
             what leaks out of a non-goal state counts as failure (paper, section 3.5).
         usable: pairs that may be used, [pairs]; with it nobody may give up or wander, which is
             the second stage of a least-failure problem (mathematics, section 4).
-        also_free: pairs that are free in every secondary cost, too, [pairs]; None: there is none.
+        side: what is limited besides.
+        objective: what is minimised in place of what the aim counts.
     """
-    free = None if discount is not None else _free_labelled_pairs(model, semantics.aim)
-    if free is not None and also_free is not None:
-        free = free & also_free
+    free = None if discount is not None else free_pairs(model, semantics.aim, side, objective)
     attention, unsure = attention_states(model), None
     if semantics.forbids_failing:
         sure, keeping, _ = surely_reaching(model)
@@ -131,15 +133,6 @@ def counting_of(
     ends = process.goal[:n_pairs], process.failure[:n_pairs]
     survival = survival_of(discount)
     return Counting(labelled.quotient, labelled.departs, *ends, start, semantics, survival)
-
-
-def _free_labelled_pairs(model: SSP, aim: Aim) -> BoolArray:
-    """Pairs that add nothing to what is counted, [pairs]: moving among them for ever is free."""
-    if aim is Aim.GREATEST_GOAL:
-        return np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
-    if aim is Aim.LEAST_GOAL:
-        return ~goal_pairs(model)
-    return costless_pairs(model)
 
 
 def _counted_under_label(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArray:

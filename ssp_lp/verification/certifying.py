@@ -14,10 +14,11 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import Compiled
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
+from ssp_lp.column_generation.pricing.pricing_problem import Proof
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.risk.least_risk import risk_bound
 from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
-from ssp_lp.methods.rows.proof import lagrange_bound, ratios_below, rows_bound
+from ssp_lp.methods.rows.proof import lagrange_bound, rows_bound
 from ssp_lp.methods.split_costs import proved_on_split_costs
 from ssp_lp.methods.split_model import span_of_steps, span_to_split
 from ssp_lp.options import CERTIFYING, Game, progress_shown
@@ -201,16 +202,16 @@ def _certified_rows_bound(
 
     Where the values are None, they are worked out afresh.
     """
-    found, pricing = [0.0], compiled.pricing
-    ratios = [r for c in claims if c > 0.0 for r in ratios_below(c)] if compiled.ratio else [0.0]
-    for ratio in ratios:
-        weights = np.concatenate([[1.0, prices[0] + ratio], prices[1:]])
+    pricing = compiled.pricing
+
+    def prove(weights: FloatArray) -> Proof:
+        """What the values prove at weights of the rewards."""
         if values is None:
-            proof = pricing.prove(weights, pricing.minimise(weights))
-        else:
-            proof = pricing.check(weights, values)
-        found.append(rows_bound(compiled, prices, bounds, ratio, proof))
-    return max(found)
+            return pricing.prove(weights, pricing.minimise(weights))
+        return pricing.check(weights, values)
+
+    ratios = [claim for claim in claims if claim > 0.0] if compiled.ratio else [0.0]
+    return max([0.0, *(rows_bound(compiled, prices, bounds, r, prove)[0] for r in ratios)])
 
 
 def _certified_lower_bound(

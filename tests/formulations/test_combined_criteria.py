@@ -195,7 +195,6 @@ CRITERIA = {
         lambda m, t, n, c: CostBudgetedMaxProb(m, t.start, n.bound / 2, constraints=c | safe(t)),
         lambda t, p, n: greatest(t._replace(most_cost=n.bound / 2), p, lambda total: 1.0),
         counts_cost=False,
-        anywhere=True,
     ),
     "FinitePenalty": Criterion(
         lambda m, t, n, c: FinitePenalty(m, t.start, n.penalty, constraints=c | safe(t)),

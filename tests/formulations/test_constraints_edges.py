@@ -11,12 +11,15 @@ from formulations import (
     MCMP,
     S3P,
     CostBoundedReach,
+    CostBudgetedMaxProb,
+    CostQuantile,
+    CVaR,
     FinitePenalty,
     LeastQuantity,
     MaxProb,
     MinCost,
 )
-from small_models import model_of
+from small_models import each_meaning, model_of
 from ssp_lp import (
     GIVE_UP,
     SSP,
@@ -253,3 +256,114 @@ def test_the_least_of_the_cost_is_the_least_cost() -> None:
         plain = MCMP(HUT, "a", budget, charge_failing_step=False)
         own = LeastQuantity(HUT, "a", expected_cost(), budget)
         assert solve(own).objective == pytest.approx(solve(plain).objective, rel=1e-12)
+
+
+TANK = model_of({"x": {"go": [(1.0, "g", 1.0)], "stay": [(1.0, "x", 1.0)]}})
+FUEL = {"x": {"go": 1.0}}
+
+
+@each_meaning
+@pytest.mark.parametrize("method", ["columns", "lp"])
+def test_what_uses_none_of_the_quantity_may_go_on_for_ever(method: str, give_up: str) -> None:
+    """Half go for fuel 1; the others stay, which costs something, but no fuel."""
+    problem = LeastQuantity(TANK, "x", secondary_cost(FUEL), 0.5, give_up=give_up)
+    solution = solve(problem, method)
+    assert (solution.objective, solution.lower_bound) == pytest.approx((0.5, 0.5), rel=1e-12)
+    assert certify(solution).accepted
+    assert problem.program().solve().objective == pytest.approx(0.5, rel=1e-9)
+    staying = DeterministicPolicy.from_actions(TANK, {"x": "stay"})
+    found = evaluate(staying, problem)
+    assert found.objective == 0.0
+    assert found.expected_cost == (np.inf if give_up == "dead_ends" else 0.0)
+
+
+def test_to_pay_for_ever_is_no_way_to_fail_where_that_is_limited() -> None:
+    """The same where the cost is limited, or is the quantity itself."""
+    for quantity, limits in (
+        (secondary_cost(FUEL), {"cost": expected_cost() <= 5.0}),
+        (secondary_cost(FUEL) + 0.1 * expected_cost(), {}),
+    ):
+        problem = LeastQuantity(TANK, "x", quantity, 0.5, give_up="dead_ends", constraints=limits)
+        assert solve(problem).failure_probability == 0.0
+        with pytest.raises(ModelError, match="gives up"):
+            evaluate(DeterministicPolicy.from_actions(TANK, {"x": GIVE_UP}), problem)
+
+
+@pytest.mark.parametrize("horizon", [None, 3])
+def test_a_start_where_nothing_is_left_to_decide(horizon: int | None) -> None:
+    start, limits = {"g": 0.5, "d": 0.5}, {"c": expected_cost() <= 3.0}
+    model = model_of({"x": {"go": [(1.0, "g", 1.0)]}, "d": {}})
+    beside = {"constraints": limits, "horizon": horizon}
+    for problem, value in (
+        (S3P(model, start, 0.6, **beside), 0.0),
+        (CostBoundedReach(model, start, 2, **beside), 0.5),
+    ):
+        solution = solve(problem)
+        assert solution.objective == value
+        assert (certify(solution).accepted, certify(solution).gap) == (True, 0.0)
+
+
+WAITING = model_of(
+    {
+        "x": {
+            "cheap": [(0.6, "g", 1.0), (0.4, "d", 1.0)],
+            "dear": [(0.9, "g", 3.0), (0.1, "d", 3.0)],
+            "wait": [(1.0, "x", 1.0)],
+        },
+        "d": {},
+    }
+)
+
+
+def test_the_least_goal_mass_follows_from_all_rows() -> None:
+    """0.483 cheap and 0.233 dear use up the fuel and reach the goal with 1/2; the others stop."""
+    limits = {
+        "goal": goal_probability() >= 0.5,
+        "fuel": secondary_cost({"x": {"cheap": 2.0, "dear": 1.0}}) <= 1.2,
+    }
+    for problem, value in (
+        (S3P(WAITING, "x", 1.0, constraints=limits), 1.84),
+        (CVaR(WAITING, "x", 0.5, 1.0, constraints=limits), 2.68),
+        (CostQuantile(WAITING, "x", 0.5, 1.0, constraints=limits), 1.0),
+        (CostQuantile(WAITING, "x", 0.7, 1.0, constraints=limits), 3.0),
+    ):
+        solution = solve(problem)
+        certificate = certify(solution)
+        assert solution.objective == pytest.approx(value, rel=1e-12)
+        assert solution.lower_bound == pytest.approx(value, rel=1e-9)
+        assert certificate.accepted
+        assert certificate.lower_bound == pytest.approx(value, rel=1e-9)
+
+
+LADDER = model_of(
+    {
+        "a": {"go": [(0.5, "g", 1.0), (0.5, "b", 1.0)]},
+        "b": {"go": [(0.5, "g", 2.0), (0.5, "d", 2.0)]},
+    }
+    | {"d": {}}
+)
+
+
+@pytest.mark.parametrize(
+    ("give_up", "values"),
+    [("anywhere", (0.0, 0.25, 0.625)), ("attention", None), ("dead_ends", None)],
+)
+def test_where_a_run_without_budget_may_stop(give_up: str, values: tuple | None) -> None:
+    """Of LADDER every run costs 2 in the mean unless it may stop anywhere: a costs 1, b 1/2 * 2."""
+    for place, budget in enumerate((0.0, 0.5, 1.5)):
+        problem = CostBudgetedMaxProb(LADDER, "a", budget, give_up)
+        if values is None:
+            with pytest.raises(InfeasibleError, match="at least 2"):
+                solve(problem)
+        else:
+            assert solve(problem).objective == pytest.approx(values[place], rel=1e-12)
+    assert solve(CostBudgetedMaxProb(LADDER, "a", 2.0, give_up)).objective == 0.75
+
+
+@pytest.mark.parametrize(("give_up", "value"), [("attention", 0.3), ("dead_ends", 0.25)])
+def test_to_stop_where_the_goal_can_be_avoided(give_up: str, value: float) -> None:
+    """Budget 1/2: half may quit, for nothing, or by a step to the ditch that costs 1/7."""
+    model = model_of(
+        {"x": {"go": [(0.6, "g", 1.0), (0.4, "d", 1.0)], "quit": [(1.0, "d", 1 / 7)]}, "d": {}}
+    )
+    assert solve(CostBudgetedMaxProb(model, "x", 0.5, give_up)).objective == pytest.approx(value)

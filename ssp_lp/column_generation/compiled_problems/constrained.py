@@ -156,19 +156,11 @@ class CompiledConstrained:
         return greatest_goal_reach(self.model, survival_of(self.discount)).usable
 
     @cached_property
-    def _shared(self) -> BoolArray:
-        """Pairs that are free in all rows, [model pairs]."""
-        shared = np.ones(self.model.n_pairs, dtype=np.bool_)
-        for row in self.side if self.objective is None else (*self.side, self.objective):
-            shared &= row.free
-        return shared
-
-    @cached_property
     def augmented(self) -> FailureLabelled | OpenEnded:
         """The process, in which only what is free in everything counted is collapsed."""
         if self.charge is None:
-            setting = self.start, self.semantics, self.discount
-            return label_failure(self.model, *setting, self._usable, self._shared)
+            setting = self.start, self.semantics, self.discount, self._usable
+            return label_failure(self.model, *setting, self.side, self.objective)
         how = self.base, self.charge, self.sense.shift, self.layers, self.start
         return OpenEnded(*how, self.ladder, self._least_goals)
 
@@ -225,7 +217,7 @@ class CompiledConstrained:
             self.discount,
             arrivals=self.semantics.measure is not None,
             usable=self._usable,
-            also_free=self._shared,
+            side=self.side,
             by_steps=self.rungs is not None,
         )
 
@@ -283,7 +275,8 @@ class CompiledConstrained:
         """The same with as many layers as a value function has, [process states]; or ModelError."""
         if self.charge is None or self.rungs is not None:
             return self
-        layers, odd = divmod(values.size - 1, max(self.base.n_nodes, 1))
+        nodes = self.base.n_nodes
+        layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)
         if values.ndim != 1 or odd or layers < 2:
             raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
         return self.with_layers(layers - 1)

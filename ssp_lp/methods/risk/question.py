@@ -22,7 +22,7 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.methods.risk.thresholds import ThresholdMultiples, Thresholds, ThresholdSums
 from ssp_lp.methods.rows.lottery import Truth, taken_by_lottery
-from ssp_lp.methods.rows.proof import bound_at
+from ssp_lp.methods.rows.proof import bound_at, least_goal_within
 from ssp_lp.methods.rows.rows_optimum import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -183,7 +183,13 @@ class _QuestionWithinRows:
         """The bound at the prices of another charge's optimum."""
         del slack
         ratio = kappa - prices.get(FAILURE_ROW, 0.0)
-        return bound_at(self.compiled.charging(charge), prices, ratio)
+        return bound_at(self.compiled.charging(charge), prices, ratio, self._least_goal)
+
+    @cached_property
+    def _least_goal(self) -> float:
+        """A goal probability that all lotteries within the rows have."""
+        bounds = self.compiled.bounds
+        return least_goal_within(self.compiled, np.where(np.isfinite(bounds), bounds, 0.0))
 
     def _truth(self, charge: Charge) -> Truth:
         """The charge of a lottery given success, by the law of its total cost."""

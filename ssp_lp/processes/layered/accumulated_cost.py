@@ -7,6 +7,7 @@ here, so where the goal can be avoided for sure (attention states) a policy may 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -20,10 +21,11 @@ from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
 from ssp_lp.dynamic_programming.shared_rows import SparseRows, written_out
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
-from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
-from ssp_lp.processes.failure_semantics import survival_of
+from ssp_lp.processes.expectations import cost_means, successor_means
+from ssp_lp.processes.failure_semantics import Aim, survival_of
 from ssp_lp.processes.layered.charges import Charge, TotalCostCharge
 from ssp_lp.processes.live_rows import RowChoice, live_rows, shared_live_rows
+from ssp_lp.processes.quantities.conditions import UpperRow, free_pairs
 from ssp_lp.processes.quotient import Quotient, build_quotient
 from ssp_lp.processes.totals.lattice import Lattice, lattice_of, totals_of
 from ssp_lp.processes.totals.step_sums import last_steps, step_lattice
@@ -109,7 +111,7 @@ def accumulate_cost(
     *,
     arrivals: bool = False,
     usable: BoolArray | None = None,
-    also_free: BoolArray | None = None,
+    side: Iterable[UpperRow] = (),
     by_steps: bool = False,
 ) -> AccumulatedCost:
     """Build the process of case S.
@@ -122,16 +124,14 @@ def accumulate_cost(
             of the total cost can be charged.
         usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
             the second stage of a least-failure problem (mathematics, section 4).
-        also_free: pairs that are free in everything else that counts, [model pairs]; None: all.
+        side: what is limited besides.
         by_steps: "layers" are distinct costs of a step, in place of multiples of a common unit.
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
     """
     survival = survival_of(discount)
-    free = costless_pairs(model) if discount is None else None
-    if free is not None and also_free is not None:
-        free = free & also_free
+    free = free_pairs(model, Aim.LEAST_COST, side) if discount is None else None
     exits = attention_states(model) if usable is None else None
     quotient = build_quotient(model, usable=usable, free=free, exits=exits)
     going_on = quotient.node_of >= 0

@@ -7,6 +7,7 @@ have no upper limit of their own, so that nothing bounds them from below in this
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,9 +16,10 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import pairs_into
+from ssp_lp.model.graph.reachability import goal_pairs, pairs_into
 from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.expectations import costless_pairs
+from ssp_lp.processes.failure_semantics import Aim
 
 FAILURE_ROW = "failure"
 """Name of the row of the failure budget; no other constraint may bear it."""
@@ -201,6 +203,31 @@ class Condition:
             sign=sign,
             offset=offset + shift,
         )
+
+
+def free_pairs(
+    model: SSP, aim: Aim, side: Iterable[UpperRow] = (), objective: UpperRow | None = None
+) -> BoolArray:
+    """Pairs that add nothing to what is minimised and limited, [pairs].
+
+    To move among them for ever is a way to fail that costs nothing, whatever the model's own cost
+    is: that counts only where it is asked for.
+
+    Args:
+        model: the model.
+        aim: what is minimised unless there is an objective.
+        side: what is limited.
+        objective: a quantity that is minimised; None: what the aim counts.
+    """
+    if objective is not None:
+        free = objective.free
+    elif aim is Aim.GREATEST_GOAL:
+        free = np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
+    else:
+        free = ~goal_pairs(model) if aim is Aim.LEAST_GOAL else costless_pairs(model)
+    for row in side:
+        free = free & row.free
+    return free
 
 
 def _signed_in_condition(offset: float, sign: float) -> str:
