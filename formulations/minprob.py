@@ -34,7 +34,7 @@ class MinProb(Formulation):
 
     Semantics:
         exact, wandering for ever is not reaching. At an attention state that is no dead-end the
-        policy gives up; ``policy.continue_after_give_up`` plays what avoids the goal from there.
+        policy gives up; an episode's ``continue_after_give_up`` avoids the goal from there on.
 
     Reference:
         paper, section 2.3.

@@ -121,16 +121,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print(f"{model!r}\n{made!r}, with the memory of the key")
     print(solution.summary())
     print(f"without the key the door would cost {anyhow.objective:.4f}")
-    policy, rng = on_original(solution.policy), np.random.default_rng(3)
-    policy.reset(rng)
+    rng = np.random.default_rng(3)
+    episode = on_original(solution.policy).start(rng)
     cell, path = found("S"), [found("S")]
     while PLAN[cell[0]][cell[1]] not in "D~":
-        action = policy.action(cell)
+        action = episode.action(cell)
         row = int(model.pair_offsets[model.index_of(cell)]) + list(MOVES).index(str(action))
         begin, end = model.outcome_offsets[row : row + 2].tolist()
         drawn = rng.choice(np.arange(begin, end), p=model.probabilities[begin:end])
         cell = model.states[int(model.successors[drawn])]
-        policy.observe(cell, 1.0)
+        episode.observe(cell, 1.0)
         path.append(cell)
     print(f"one episode: {len(path) - 1} steps, ends at {PLAN[cell[0]][cell[1]]}")
     draw(solution, options.output)

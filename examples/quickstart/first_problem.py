@@ -21,6 +21,5 @@ model = SSP.from_transitions(
 )
 solution = solve(MCMP(model, start="depot", failure_budget=0.05))
 print(solution.summary())
-policy = solution.policy
-policy.reset(0)  # it is a lottery between the two ways
-print("first action:", policy.action("depot"))
+episode = solution.policy.start(0)  # a seed: it is a lottery between the two ways
+print("first action:", episode.action("depot"))

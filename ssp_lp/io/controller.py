@@ -4,6 +4,8 @@ This one file may be copied onto a robot; it needs no other part of ssp-lp. ``wr
 writes the files that it reads:
 
 - ``format``: "ssp-lp controller"; ``version``: 1; ``model``: the model's fingerprint;
+- ``checksum``: the SHA-256 of all else, as JSON with sorted keys and no blanks;
+- ``ends``: the numbers of the states in which an episode is over, goals and dead-ends;
 - ``states``: the labels of the states, or their number where they are 0, 1, ...; tuples as lists;
 - ``actions``: the labels of the actions;
 - ``members``: the policies of a lottery that is drawn once in each episode, each with
@@ -34,7 +36,10 @@ import json
 import random
 from bisect import bisect_left
 from collections.abc import Hashable
+from contextlib import suppress
+from hashlib import sha256
 from math import ceil, inf, isclose, isfinite
+from numbers import Integral, Real
 from os import PathLike
 from typing import Any
 
@@ -44,90 +49,125 @@ GIVE_UP = "give up"
 _GIVE_UP_CODE = -1
 _VERSION = 1
 _SAME_TOTAL = 5e-13  # relative distance of costs that are one, summed in two ways
+_FAR = 1e15  # units: no step passes more
 _OFF_LATTICE = 1e-6  # of a unit: far above the rounding of a sum of costs, far below a step
 
 
 class Controller:
     """A policy read from a file, and the episode that it plays.
 
-    Several controllers of one file play several episodes side by side.
+    Several controllers of one file play several episodes side by side. ``model`` is the fingerprint
+    of the model that the policy was made for.
 
     Args:
         path: a file of ``write_controller``.
 
     Raises:
-        ValueError: the file is none, or of a later version.
+        ValueError: the file is none, of another version, or was changed since it was written.
     """
 
     def __init__(self, path: str | PathLike[str]) -> None:
         try:
             with open(path, encoding="utf-8") as file:
                 told = json.load(file)
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"{path!r} is no ssp-lp controller file") from error
+        except (TypeError, ValueError, RecursionError) as error:
+            raise ValueError(f"{path!r} is no ssp-lp controller file: {error}") from error
         if not isinstance(told, dict) or told.get("format") != "ssp-lp controller":
             raise ValueError(f"{path} is no ssp-lp controller file")
-        if told["version"] > _VERSION:
-            raise ValueError(f"{path} has version {told['version']}, not 1 .. {_VERSION}")
-        states = told["states"]
-        labels = range(states) if isinstance(states, int) else map(_controller_label, states)
+        if told.get("version") != _VERSION:
+            raise ValueError(f"{path} has version {told.get('version')!r}, not {_VERSION}")
+        if told.get("checksum") != controller_checksum(told):
+            raise ValueError(f"{path} is damaged: its content does not agree with its checksum")
+        self.model: str = told["model"]
+        states, self._are_numbered = told["states"], isinstance(told["states"], int)
+        labels = range(states) if self._are_numbered else map(_controller_label, states)
         self._index: dict[Hashable, int] = {label: k for k, label in enumerate(labels)}
         self._actions: list[Hashable] = [_controller_label(action) for action in told["actions"]]
+        self._ends = frozenset(told["ends"])
         self._members: list[dict[str, Any]] = told["members"]
         self._rng = random.Random()
         self._member: dict[str, Any] | None = None
-        self._memory: Any = None  # a number, or [number, inner memory]
-        self._step = -1, -1  # the last state and action
 
-    def reset(self, seed: int | None = None) -> None:
+    def reset(self, seed: int | None = None, *, world: str = "model") -> None:
         """Begin an episode.
 
         Args:
             seed: of the lottery and of random actions; None: go on with the generator as it is.
+            world: "model" refuses a state other than the one observed and a second observation of
+                one action, "other" does not; which steps the model has is not known here.
+
+        Raises:
+            ValueError: another word for the world.
         """
+        if world not in {"model", "other"}:
+            raise ValueError(f"world must be 'model' or 'other', not {world!r}")
         if seed is not None:
             self._rng.seed(seed)
         weights = [member["weight"] for member in self._members]
         self._member = self._rng.choices(self._members, weights)[0]
-        self._memory = None
+        self._is_model = world == "model"
+        self._memory: Any = None  # a number, or [number, inner memory]
+        self._step = -1, -1  # the state, and the last action in it
+        self._is_observed = True  # what that action led to
+        self._is_over = False
+        self._answer: Hashable = None  # the last one, which is all from when it is over on
 
     def action(self, state: Hashable) -> Hashable:
-        """The action in this state, or "give up", with which an episode ends.
+        """The action in this state; "give up" or None from where the episode is over.
+
+        It is over from giving up on, or from a goal or a dead-end.
 
         Raises:
-            ValueError: unknown state, or one in which the policy has no decision.
+            ValueError: unknown state or another than the one observed, or one in which the policy
+                has no decision.
             RuntimeError: no episode was begun.
         """
         member, here = self._current(), self._state(state)
-        if self._memory is None:
+        begun = self._memory is not None
+        if begun and self._is_model and not self._is_over and here != self._step[0]:
+            raise ValueError(f"by what was observed the episode is not in state {state!r}")
+        if not self._is_over and here in self._ends:
+            self._is_over, self._answer = True, None
+        if self._is_over:
+            return self._answer
+        if not begun:
             self._memory = _controller_start(member["memory"], here)
         memory, place = _innermost_of_controller(member["memory"], self._memory, here)
         choice = member["decision"][memory][place]
         if isinstance(choice, list):
             codes, shares = zip(*choice, strict=True)
             choice = self._rng.choices(codes, shares)[0]
-        if choice == _GIVE_UP_CODE:
-            return GIVE_UP
         if choice < _GIVE_UP_CODE:
             raise ValueError(f"the policy has no decision in state {state!r}")
-        self._step = here, choice
-        found: Hashable = self._actions[choice]
-        return found
+        self._step, self._is_observed = (here, choice), False
+        self._is_over = choice == _GIVE_UP_CODE
+        self._answer = GIVE_UP if self._is_over else self._actions[choice]
+        return self._answer
 
     def observe(self, successor: Hashable, cost: float) -> None:
         """Tell where the step led and what it cost; this moves the memory.
 
         Raises:
-            ValueError: unknown state, a cost that is no whole number of units, or a step that leads
-                to a memory that the policy does not have.
+            ValueError: unknown state, an episode that is over, an action that was observed already,
+                a cost that is negative, not finite or no whole number of units, or a step that
+                leads to a memory that the policy does not have.
             RuntimeError: no action was asked for yet.
         """
         member, there = self._current(), self._state(successor)
+        if self._is_over:
+            raise ValueError("the episode is over: there is no step to observe")
         if self._memory is None:
             raise RuntimeError("observe() was called before the first action() of the episode")
-        self._memory = _controller_after(
-            member["memory"], self._memory, (*self._step, there), float(cost)
-        )
+        if self._is_observed and self._is_model:
+            raise ValueError("observe() was called twice after one action()")
+        if not (isinstance(cost, Real) and isfinite(cost) and cost >= 0.0):
+            raise ValueError(f"observed cost {cost!r} must be a number >= 0, and finite")
+        if there in self._ends:
+            self._is_over, self._answer = True, None
+        else:
+            step = (*self._step, there)
+            self._memory = _controller_after(member["memory"], self._memory, step, float(cost))
+        self._step, self._is_observed = (there, self._step[1]), True
 
     def _current(self) -> dict[str, Any]:
         """The member that the controller plays."""
@@ -137,9 +177,21 @@ class Controller:
 
     def _state(self, label: Hashable) -> int:
         """The number of a state that the controller is told of."""
-        if label not in self._index:
-            raise ValueError(f"{label!r} is not a state of the model")
-        return self._index[label]
+        with suppress(KeyError, TypeError):  # a list, say, has no hash
+            if isinstance(label, Integral) or not self._are_numbered:
+                return self._index[label]
+        raise ValueError(f"{label!r} is not a state of the model")
+
+    def __repr__(self) -> str:
+        """One line: the model's fingerprint, its states and the policy's members."""
+        states, members = len(self._index), len(self._members)
+        return f"Controller(model {self.model[:16]}, {states:,} states, members: {members})"
+
+
+def controller_checksum(told: dict[str, Any]) -> str:
+    """The SHA-256 of all that a controller's file says but its checksum, as compact sorted JSON."""
+    said = {name: value for name, value in told.items() if name != "checksum"}
+    return sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
 def _controller_label(value: Any) -> Hashable:
@@ -199,12 +251,13 @@ def _controller_after(
     if not memory["acting"][successor] or number >= memory["cap"]:
         return number
     if memory["levels"] is not None:
-        return _nearest_level(memory, number, successor, cost if isfinite(cost) else 0.0)
-    paid = cost / memory["unit"] if isfinite(cost) else -1.0
-    if memory["rounds_up"] and paid >= 0.0:
-        return _controller_layer(memory, number + ceil(paid * (1.0 - _SAME_TOTAL)), successor)
-    steps = round(paid)
-    if steps < 0 or abs(paid - steps) > _OFF_LATTICE:
+        return _nearest_level(memory, number, successor, cost)
+    paid = cost / memory["unit"]
+    if memory["rounds_up"]:
+        passed = ceil(min(paid, _FAR) * (1.0 - _SAME_TOTAL))
+        return _controller_layer(memory, number + passed, successor)
+    steps = round(min(paid, 2.0 * _FAR))
+    if steps > _FAR or abs(paid - steps) > _OFF_LATTICE:
         raise ValueError(f"observed cost {cost!r} is no whole number of units {memory['unit']!r}")
     return _controller_layer(memory, number + steps, successor)
 

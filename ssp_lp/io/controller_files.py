@@ -12,6 +12,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD
+from ssp_lp.io.controller import controller_checksum
 from ssp_lp.io.json_labels import are_numbers_in_turn, label_value
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint
@@ -57,6 +58,7 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
         if are_numbers_in_turn(model.states)
         else [label_value(label) for label in model.states],
         "actions": [label_value(label) for label in model.action_names],
+        "ends": np.flatnonzero(model.goal_mask | dead_ends(model)).tolist(),
         "members": [
             {
                 "weight": weight,
@@ -66,6 +68,7 @@ def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
             for member, weight in zip(lottery.policies, lottery.weights.tolist(), strict=True)
         ],
     }
+    told["checksum"] = controller_checksum(told)
     text = json.dumps(told, separators=(",", ":"), allow_nan=False)
     Path(path).write_text(text + "\n", encoding="utf-8")
 

@@ -13,7 +13,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
 from ssp_lp.model.chunks import chunks
 from ssp_lp.policies.deterministic import check_decisions
-from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy
+from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy, check_costs
 
 _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are held at once
 _FAR = 1e15  # layers: no step passes more
@@ -121,14 +121,15 @@ class CostAwarePolicy(Policy):
         """Add the observed cost; switch to a tail when the cap is reached.
 
         Raises:
-            ModelError: a cost is no whole number of layers, and nothing says how to round it.
+            ModelError: a cost is negative or not finite, or no whole number of layers where nothing
+                says how to round it.
         """
+        check_costs(costs)
         if self.levels is not None:
             return self._nearest(self.levels, memory, successors, costs)
-        paid = np.where(np.isfinite(costs), costs / self.unit, -1.0)
-        steps, off = self._passed(paid)
+        steps, off = self._passed(np.asarray(costs / self.unit))
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
-        off = acting & (off | ~((steps >= 0) & (steps <= _FAR)))
+        off = acting & (off | (steps > _FAR))
         if off.any():
             cost = float(costs[int(np.argmax(off))])
             raise ModelError(f"observed cost {cost!r} is no whole number of units {self.unit!r}")
@@ -138,7 +139,8 @@ class CostAwarePolicy(Policy):
     def _passed(self, units: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Whole layers that costs in units pass, and which have none, like ``units``."""
         if self.rounds_up:
-            return np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR), units < 0.0
+            passed = np.minimum(np.ceil(units * (1.0 - SAME_TOTAL)), _FAR)
+            return passed, np.zeros(units.shape, dtype=np.bool_)
         steps = np.rint(units)
         return steps, ~(np.abs(units - steps) <= _OFF_LATTICE)
 
@@ -195,7 +197,7 @@ class CostAwarePolicy(Policy):
         """The level nearest to the total, or the tail from the last one on."""
         cap = self.cap
         acting = (self.tails[0, successors] != UNDECIDED) & (memory < cap)
-        total = levels[np.minimum(memory, cap)] + np.where(np.isfinite(costs), costs, 0.0)
+        total = levels[np.minimum(memory, cap)] + costs
         nearest = _nearest_cost_level(levels, total)
         late = total >= self.tail_threshold[successors]
         tail = cap + np.where(late, len(self.tails) - 1, 0)

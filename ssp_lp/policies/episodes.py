@@ -3,76 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import cached_property
+from typing import get_args
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.errors import ModelError
+from ssp_lp.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    concatenated_ranges,
+    offsets_of,
+    segment_sums,
+)
+from ssp_lp.errors import ModelError, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_pairs, attention_states, dead_ends
-from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.policy import (
+    GIVE_UP,
+    GIVE_UP_CODE,
+    UNDECIDED,
+    Policy,
+    World,
+    check_costs,
+)
 
-
-@dataclass
-class Episode:
-    """One episode of a policy: the member drawn, its memory, whether it gave up. Mutable.
-
-    Any number of episodes run side by side, each with a memory of its own.
-    """
-
-    policy: Policy
-    rng: np.random.Generator | None
-    memory: IntArray | None = None
-    taken: int = UNDECIDED  # the pair of the last action
-    staying: IntArray | None = None  # [states], once the episode goes on after giving up
-
-    def action(self, state: Hashable) -> Hashable:
-        """The action in this state, or :data:`GIVE_UP`, with which the episode ends.
-
-        Raises:
-            ModelError: unknown state, or one in which the policy has no decision.
-        """
-        model = self.policy.model
-        here = np.array([model.index_of(state)])
-        if self.staying is not None:
-            pair = int(self.staying[here[0]])
-            if pair == UNDECIDED:
-                raise ModelError(f"no action of state {state!r} surely avoids the goal")
-            return model.action_of(pair)
-        if self.memory is None:
-            self.memory = self.policy.start_memory(here)
-        pair = self.taken = int(self.policy.sample(here, self.memory, self.rng)[0])
-        return GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
-
-    def observe(self, successor: Hashable, cost: float) -> None:
-        """Tell where the step led and what it cost; this moves the memory.
-
-        Raises:
-            ModelError: a cost off the lattice that the policy was made for.
-        """
-        if self.memory is None:
-            raise ModelError("observe() was called before the first action() of the episode")
-        if self.staying is None:
-            there = np.array([self.policy.model.index_of(successor)])
-            taken, paid = np.array([self.taken]), np.array([float(cost)])
-            self.memory = self.policy.remember(self.memory, taken, there, paid)
-
-    def continue_after_give_up(self) -> None:
-        """From now on play the policy that stays in the attention states (it avoids the goal)."""
-        self.staying = staying_policy(self.policy.model)
+_OTHER_WORLD = "start(rng, world='other') plays where the model does not hold"
 
 
 class EpisodeBatch:
     """The members of a policy, each playing the episodes that the lottery gave it. Mutable.
 
     A person's own loop calls ``actions`` and ``observe`` with the states of all episodes;
-    ``begin``, ``decide`` and ``remember`` take indices of episodes, states and pairs.
+    ``begin``, ``decide`` and ``remember`` take indices of episodes, states and pairs. An episode
+    is over from a goal, a dead-end or giving up on, whatever is said of it afterwards.
     """
 
     def __init__(
-        self, members: Sequence[Policy], drawn: IntArray, rng: np.random.Generator | None
+        self,
+        members: Sequence[Policy],
+        drawn: IntArray,
+        rng: np.random.Generator | None,
+        world: World = "model",
     ) -> None:
         """Begin episodes.
 
@@ -80,12 +52,18 @@ class EpisodeBatch:
             members: the policies that play.
             drawn: the position of the one that plays each episode, [episodes].
             rng: draws random actions; None: there are none to draw.
+            world: as of ``Policy.start``.
         """
+        if world not in get_args(World):
+            raise wrong_argument("world", "be 'model' or 'other'", world)
         self._members, self._drawn, self._rng = tuple(members), drawn, rng
-        self._model = self._members[0].model
+        self.model = self._members[0].model
+        self._is_model = world == "model"
         self._memory = np.zeros(len(drawn), dtype=np.int64)
         self._pairs = np.full(len(drawn), UNDECIDED, dtype=np.int64)  # of the last actions
-        self._begun = False
+        self._state: IntArray | None = None  # [episodes] where they stand, once begun
+        self._is_observed = True  # what the last actions led to
+        self.over = np.zeros(len(drawn), dtype=np.bool_)  # [episodes]
 
     def actions(self, states: Sequence[Hashable]) -> list[Hashable]:
         """The action of each episode in its state, [episodes].
@@ -97,37 +75,69 @@ class EpisodeBatch:
             states: [episodes].
 
         Raises:
-            ModelError: unknown state, another number of episodes, or a state in which the policy
-                has no decision.
+            ModelError: unknown state or another than the one observed, another number of episodes,
+                or a state in which the policy has no decision.
         """
         here = self._indices(states)
-        gave_up = self._pairs == GIVE_UP_CODE
-        going = ~(self._over[here] | gave_up)
-        if not self._begun:
-            self.begin(here, going)
-            self._begun = True
-        playing = np.flatnonzero(going)
-        self._pairs = np.where(gave_up, GIVE_UP_CODE, UNDECIDED)
+        if self._state is None:
+            self.begin(here, ~self._ends[here])
+        elif self._is_model and (moved := ~self.over & (here != self._state)).any():
+            k = int(np.argmax(moved))
+            raise ModelError(
+                f"the episode is in state {self.model.states[int(self._state[k])]!r} by what was "
+                f"observed, not in {states[k]!r}; {_OTHER_WORLD}"
+            )
+        self.over |= self._ends[here]
+        playing = np.flatnonzero(~self.over)
         self._pairs[playing] = self.decide(playing, here[playing])
+        self.over |= self._pairs == GIVE_UP_CODE
+        self._state, self._is_observed = here, False
         told = {GIVE_UP_CODE: GIVE_UP, UNDECIDED: None}
-        return [told[k] if k in told else self._model.action_of(k) for k in self._pairs.tolist()]
+        shown = np.where(self.over & (self._pairs >= 0), UNDECIDED, self._pairs)
+        return [told[k] if k in told else self.model.action_of(k) for k in shown.tolist()]
 
     def observe(self, successors: Sequence[Hashable], costs: Sequence[float] | FloatArray) -> None:
         """Tell where the step of each episode led and what it cost; this moves the memories.
 
         Args:
             successors: [episodes]; of those that are over, any state.
-            costs: [episodes].
+            costs: [episodes]; any costs >= 0 that the memory can count, the model's or not.
 
         Raises:
-            ModelError: unknown state, another number of episodes, or a cost off the lattice that
-                the policy was made for.
+            ModelError: unknown state or one that the step cannot lead to, another number of
+                episodes, no action or one observed already, or a cost that is negative, not finite
+                or off the lattice that the policy was made for.
         """
         there, paid = self._indices(successors), np.asarray(costs, dtype=np.float64)
         if paid.shape != there.shape:
             raise ModelError(f"{paid.size} costs given for {there.size} episodes")
-        moved = np.flatnonzero((self._pairs >= 0) & ~self._over[there])
-        self.remember(moved, self._pairs[moved], there[moved], paid[moved])
+        if self._state is None:
+            raise ModelError("observe() was called before the first action of the episode")
+        moved = np.flatnonzero(~self.over)
+        successor, pairs = there[moved], self._pairs[moved]
+        check_costs(paid[moved])
+        if self._is_model:
+            self._check_steps(pairs, successor)
+        going = ~self._ends[successor]
+        self.remember(moved[going], pairs[going], successor[going], paid[moved[going]])
+        self._state[moved] = successor
+        self.over[moved] = ~going
+        self._is_observed = True
+
+    def _check_steps(self, pairs: IntArray, successors: IntArray) -> None:
+        """Raise :class:`ModelError` unless each step is new, and one of the model's."""
+        if self._is_observed and pairs.size:
+            raise ModelError(f"observe() was called twice after one action; {_OTHER_WORLD}")
+        first, model = self.model.outcome_offsets[pairs], self.model
+        count = model.outcome_offsets[pairs + 1] - first
+        index = concatenated_ranges(first, count)
+        hit = model.successors[index] == np.repeat(successors, count)
+        mass = segment_sums(np.where(hit, model.probabilities[index], 0.0), offsets_of(count))
+        if (mass == 0.0).any():
+            k = int(np.argmin(mass))
+            told = model.describe_pair(int(pairs[k]))
+            there = model.states[int(successors[k])]
+            raise ModelError(f"{told} cannot lead to {there!r}; {_OTHER_WORLD}")
 
     def begin(self, states: IntArray, going: BoolArray) -> None:
         """Set the memories of the episodes that do not end where they start, [episodes]."""
@@ -157,18 +167,71 @@ class EpisodeBatch:
     def _shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
         """Each member with those of the episodes that it plays."""
         for number, member in enumerate(self._members):
-            yield member, episodes[self._drawn[episodes] == number]
+            mine = episodes[self._drawn[episodes] == number]
+            if mine.size:
+                yield member, mine
 
     @cached_property
-    def _over(self) -> BoolArray:
+    def _ends(self) -> BoolArray:
         """The states in which episodes are over, [states]."""
-        return np.asarray(self._model.goal_mask | dead_ends(self._model))
+        return np.asarray(self.model.goal_mask | dead_ends(self.model))
 
     def _indices(self, states: Sequence[Hashable]) -> IntArray:
         """The positions of the episodes' states."""
         if len(states) != len(self._drawn):
             raise ModelError(f"{len(states)} states given for {len(self._drawn)} episodes")
-        return np.array([self._model.index_of(state) for state in states], dtype=np.int64)
+        return np.array([self.model.index_of(state) for state in states], dtype=np.int64)
+
+
+class Episode:
+    """One episode of a policy: the member drawn, its memory, and whether it is over. Mutable.
+
+    Any number of episodes run side by side, each with a memory of its own.
+    """
+
+    def __init__(self, alone: EpisodeBatch) -> None:
+        """Play the only episode of a batch."""
+        self._alone = alone
+        self._staying: IntArray | None = None  # [states], once it goes on after giving up
+
+    def action(self, state: Hashable) -> Hashable:
+        """The action in this state; :data:`GIVE_UP` or None from where the episode is over.
+
+        It is over from giving up on, or from a goal or a dead-end.
+
+        Raises:
+            ModelError: unknown state or another than the one observed, or one in which the policy
+                has no decision.
+        """
+        if self._staying is None:
+            return self._alone.actions([state])[0]
+        model = self._alone.model
+        pair = int(self._staying[model.index_of(state)])
+        if pair == UNDECIDED:
+            raise ModelError(f"no action of state {state!r} surely avoids the goal")
+        return model.action_of(pair)
+
+    def observe(self, successor: Hashable, cost: float) -> None:
+        """Tell where the step led and what it cost; this moves the memory.
+
+        Args:
+            successor: the state that the action led to.
+            cost: of the step, >= 0, the model's or not.
+
+        Raises:
+            ModelError: unknown state or one that the step cannot lead to, an episode that is over,
+                no action or one observed already, or a cost that is negative, not finite or off the
+                lattice that the policy was made for.
+        """
+        if self._staying is not None:
+            return
+        if self._alone.over.any():
+            raise ModelError("the episode is over: there is no step to observe")
+        self._alone.observe([successor], [cost])
+
+    def continue_after_give_up(self) -> None:
+        """From now on play the policy that stays in the attention states (it avoids the goal)."""
+        self._staying = staying_policy(self._alone.model)
 
 
 def staying_policy(model: SSP) -> IntArray:

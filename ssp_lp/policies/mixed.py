@@ -44,18 +44,6 @@ class MixedPolicy(Playable):
         """The model that the members act on."""
         return self.policies[0].model
 
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """Draw the member that plays the next episode.
-
-        Raises:
-            ModelError: there are several members and no generator.
-        """
-        if len(self.policies) == 1:
-            return self.policies[0]
-        if rng is None:
-            raise ModelError("a lottery over policies needs a random generator: reset(rng)")
-        return self.policies[int(rng.choice(len(self.policies), p=self.weights))]
-
     def draw(
         self, episodes: int, rng: np.random.Generator | None
     ) -> tuple[tuple[Policy, ...], IntArray]:
@@ -64,9 +52,11 @@ class MixedPolicy(Playable):
         Raises:
             ModelError: there are several members and no generator.
         """
-        if rng is None:
-            return super().draw(episodes, rng)
-        return self.policies, rng.choice(len(self.policies), size=episodes, p=self.weights)
+        if rng is not None:
+            return self.policies, rng.choice(len(self.policies), size=episodes, p=self.weights)
+        if len(self.policies) > 1:
+            raise ModelError("a lottery over policies needs a random generator: start(rng)")
+        return self.policies[0].draw(episodes, rng)
 
     def __repr__(self) -> str:
         """One line: how many members there are, and the first of them with their weights."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import enum
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Hashable, Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Final, Literal, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,10 @@ GIVE_UP_CODE: Final = -1
 
 UNDECIDED: Final = -2
 """Stands in arrays of pairs for states in which a policy never has to act."""
+
+
+World = Literal["model", "other"]
+"""Where episodes are played: in the policy's model, or in another world that it stands for."""
 
 
 class Branches(NamedTuple):
@@ -62,45 +66,47 @@ class CostLayers:
 
 
 class Playable(ReadOnlyCopies, ABC):
-    """Mix-in of the policies that a person's own loop can drive.
+    """Mix-in of the policies that a person's own loop can drive: they start episodes.
 
     Example:
         >>> from ssp_lp import SSP, DeterministicPolicy
         >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
-        >>> policy = DeterministicPolicy.from_actions(model, {"door": "open"})
-        >>> policy.reset(0)
-        >>> policy.action("door")
+        >>> episode = DeterministicPolicy.from_actions(model, {"door": "open"}).start()
+        >>> episode.action("door")
         'open'
-        >>> policy.observe("out", 2.0)
+        >>> episode.observe("out", 2.0)
+        >>> episode.action("out") is None
+        True
     """
 
-    _episode: Episode | None = None
-
-    @abstractmethod
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """The policy that plays the next episode, drawn where there is a lottery."""
-
-    def start(self, rng: Randomness | None = None) -> Episode:
+    def start(self, rng: Randomness | None = None, *, world: World = "model") -> Episode:
         """A new episode of the policy, beside any others; ``rng`` draws the lottery and actions.
+
+        The policy is data and stays as it is: all that an episode remembers is its own.
 
         Args:
             rng: a generator, which goes on from episode to episode, or a seed, with which every
                 episode begins afresh.
+            world: "model" where episodes are played in the policy's model: steps that it does not
+                have, a state other than the one observed and a second observation of one action
+                are refused. "other" where they are not, as in a simulator or a machine.
 
         Raises:
             ModelError: a lottery without a generator.
         """
         from ssp_lp.policies.episodes import Episode
 
-        drawn = None if rng is None else generator_of(rng)
-        return Episode(self.member(drawn), drawn)
+        return Episode(self.start_many(1, rng, world=world))
 
-    def start_many(self, episodes: int, rng: Randomness | None = None) -> EpisodeBatch:
+    def start_many(
+        self, episodes: int, rng: Randomness | None = None, *, world: World = "model"
+    ) -> EpisodeBatch:
         """Many new episodes of the policy side by side, whose ``actions`` are asked for together.
 
         Args:
             episodes: how many.
             rng: as of :meth:`start`.
+            world: as of :meth:`start`.
 
         Raises:
             ModelError: no episodes, or a lottery without a generator.
@@ -109,47 +115,13 @@ class Playable(ReadOnlyCopies, ABC):
 
         check_whole("episodes", episodes)
         drawn = None if rng is None else generator_of(rng)
-        return EpisodeBatch(*self.draw(episodes, drawn), drawn)
+        return EpisodeBatch(*self.draw(episodes, drawn), drawn, world)
 
+    @abstractmethod
     def draw(
         self, episodes: int, rng: np.random.Generator | None
     ) -> tuple[tuple[Policy, ...], IntArray]:
         """The members of the lottery, and the position of the one that plays each episode."""
-        return (self.member(rng),), np.zeros(episodes, dtype=np.int64)
-
-    def reset(self, rng: Randomness | None = None) -> None:
-        """Begin the policy's own episode afresh; ``rng`` draws the lottery and random actions.
-
-        Raises:
-            ModelError: a lottery without a generator.
-        """
-        object.__setattr__(self, "_episode", self.start(rng))
-
-    def action(self, state: Hashable) -> Hashable:
-        """The action in this state, or :data:`GIVE_UP`, with which an episode ends.
-
-        Raises:
-            ModelError: unknown state, or one in which the policy has no decision.
-        """
-        return self._current().action(state)
-
-    def observe(self, successor: Hashable, cost: float) -> None:
-        """Tell the policy where the step led and what it cost; this moves its memory.
-
-        Raises:
-            ModelError: a cost off the lattice that the policy was made for.
-        """
-        self._current().observe(successor, cost)
-
-    def continue_after_give_up(self) -> None:
-        """From now on play the policy that stays in the attention states (it avoids the goal)."""
-        self._current().continue_after_give_up()
-
-    def _current(self) -> Episode:
-        """The policy's own episode."""
-        if self._episode is None:
-            raise ModelError("call reset(rng) before the first action of an episode")
-        return self._episode
 
 
 class Policy(Playable):
@@ -162,9 +134,11 @@ class Policy(Playable):
     model: SSP
     is_stationary: ClassVar[bool] = False  # whether there is no memory at all
 
-    def member(self, rng: np.random.Generator | None) -> Policy:
-        """The policy itself."""
-        return self
+    def draw(
+        self, episodes: int, rng: np.random.Generator | None
+    ) -> tuple[tuple[Policy, ...], IntArray]:
+        """The policy itself, for all episodes."""
+        return (self,), np.zeros(episodes, dtype=np.int64)
 
     @property
     def step_limit(self) -> int | None:
@@ -202,7 +176,7 @@ class Policy(Playable):
             pairs = found.pair
         else:
             if rng is None:
-                raise ModelError("a stochastic policy needs a random generator: reset(rng)")
+                raise ModelError("a stochastic policy needs a random generator: start(rng)")
             cumulative = np.cumsum(found.probability)
             first = np.searchsorted(found.situation, np.arange(len(states)))
             before = np.concatenate([[0.0], cumulative])[first]
@@ -221,3 +195,12 @@ def check_policies(policies: Iterable[object]) -> None:
         if not isinstance(one, Policy):
             told = "; pass solution.policy" if hasattr(one, "policy") else ""
             raise ModelError(f"a policy is needed, not {in_short(one)}{told}")
+
+
+def check_costs(costs: FloatArray | float) -> None:
+    """Raise :class:`ModelError` unless costs of steps are numbers >= 0, and finite."""
+    paid = np.atleast_1d(costs)
+    wrong = ~((paid >= 0.0) & np.isfinite(paid))
+    if wrong.any():
+        cost = float(paid[int(np.argmax(wrong))])
+        raise ModelError(f"observed cost {cost!r} must be >= 0 and finite")

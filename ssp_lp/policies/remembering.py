@@ -13,7 +13,7 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP, check_product
 from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy, check_costs
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,8 +70,10 @@ class RememberingPolicy(Policy):
         """Update the memory with each step, and the inner policy's, [episodes].
 
         Raises:
-            ModelError: a step leads to a memory that the product does not have.
+            ModelError: a cost is negative or not finite, or a step leads to a memory that the
+                product does not have.
         """
+        check_costs(costs)
         product, model = self.product, self.model
         inner, number = np.divmod(memory, len(product.memories))
         steps = np.stack([number, pairs, successors], axis=1).astype(np.float64)

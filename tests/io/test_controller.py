@@ -28,7 +28,7 @@ from ssp_lp import (
     product,
     solve,
 )
-from ssp_lp.io import Controller, policy_table, write_controller
+from ssp_lp.io import Controller, fingerprint, policy_table, write_controller
 from ssp_lp.io.policy_tables import memories_of
 from ssp_lp.policies.mixed import as_lottery
 
@@ -50,19 +50,17 @@ def acts_the_same(
     """Side by side, through random episodes of the model."""
     rng, model = np.random.default_rng(1), policy.model
     for _ in range(episodes):
-        policy.reset()
+        episode = policy.start()
         controller.reset()
         state = start
         for _ in range(60):
-            if not np.diff(model.pair_offsets)[model.index_of(state)]:
-                break
-            action = policy.action(state)
+            action = episode.action(state)
             assert controller.action(state) == ("give up" if action is GIVE_UP else action)
-            if action is GIVE_UP:
+            if action in (GIVE_UP, None):
                 break
             state, cost = step(model, state, action, rng)
             cost += surprise * (rng.random() < 0.1)  # so that all of a memory is seen
-            policy.observe(state, cost)
+            episode.observe(state, cost)
             controller.observe(state, cost)
 
 
@@ -130,9 +128,9 @@ def test_random_policies_have_the_same_distribution(name: str, tmp_path: Path) -
     controller, rng = written(policy, tmp_path), np.random.default_rng(2)
     mine, theirs = {}, {}
     for k in range(runs):
-        policy.reset(rng)
+        episode = policy.start(rng, world="other")
         controller.reset(k)
-        for player, found in ((policy, mine), (controller, theirs)):
+        for player, found in ((episode, mine), (controller, theirs)):
             first = player.action(START)
             there = START if name == "carried" else ("hall", 1)
             player.observe(there, 1.0)
@@ -189,10 +187,10 @@ def test_the_file_runs_without_the_library(tmp_path: Path) -> None:
         [sys.executable, "-I", "-S", "-c", code],
         cwd=tmp_path, capture_output=True, text=True, check=True, env={**os.environ},
     ).stdout.splitlines()  # fmt: skip
-    policy.reset()
-    first = policy.action(START)
-    policy.observe(START, 99.0)
-    late = policy.action(START)
+    episode = policy.start()
+    first = episode.action(START)
+    episode.observe(START, 99.0)
+    late = episode.action(START)
     assert told[0] == str([first, None, "give up" if late is GIVE_UP else late])
     assert told[1] == "False False"
 
@@ -215,9 +213,10 @@ def test_what_a_controller_refuses(tmp_path: Path) -> None:
     for cost in (0.5, -1.0, float("nan"), float("inf")):
         with pytest.raises(ValueError, match="observed cost"):
             controller.observe(START, cost)
-    with pytest.raises(ValueError, match="not a state"):
-        controller.action("window")
-    with pytest.raises(ValueError, match="no decision"):
+    for state in ("window", 1.5, None, ["hall", 0], {"hall"}):
+        with pytest.raises(ValueError, match="not a state"):
+            controller.action(state)
+    with pytest.raises(ValueError, match="not in state 'pit'"):
         controller.action("pit")
     for told, words in (({"format": "other"}, "no ssp-lp"), ([], "no ssp-lp")):
         (tmp_path / "other.json").write_text(json.dumps(told))
@@ -254,3 +253,39 @@ def test_labels_come_back_as_they_were(tmp_path: Path) -> None:
     )  # fmt: skip
     plain = DeterministicPolicy(numbered, np.array([0, -2]))
     acts_the_same(plain, written(MixedPolicy((plain,), np.ones(1)), tmp_path), 0)
+
+
+def test_a_damaged_file_is_refused_with_the_reason(tmp_path: Path) -> None:
+    """Whatever is cut off, missing or changed, anywhere in it."""
+    path = tmp_path / "controller.json"
+    write_controller(policies(hall())["solution"], path)
+    text = path.read_text()
+    told = json.loads(text)
+    assert Controller(path).model == fingerprint(hall())
+    assert repr(Controller(path)) == f"Controller(model {told['model'][:16]}, 5 states, members: 2)"
+    damaged = [
+        text[: len(text) // 2],
+        "",
+        "[" * 100_000,
+        text.replace('"weight":0.', '"weight":1.'),
+    ]
+    damaged += [json.dumps({k: v for k, v in told.items() if k != name}) for name in told]
+    damaged += [json.dumps(told | {name: None}) for name in told]
+    damaged += [json.dumps(told | {"ends": [0]}), json.dumps(told | {"version": 2})]
+    for one in damaged:
+        path.write_text(one)
+        with pytest.raises(ValueError, match=r"damaged|is no ssp-lp controller file|has version"):
+            Controller(path)
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match="is no ssp-lp controller file"):
+        Controller(path)
+
+
+def test_a_cost_beyond_all_layers_is_refused_as_by_the_policy(tmp_path: Path) -> None:
+    policy = policies(hall())["cost aware"]
+    controller = written(policy, tmp_path)
+    controller.reset()
+    for player in (policy.start(), controller):
+        player.action(START)
+        with pytest.raises((ModelError, ValueError), match="no whole number of units"):
+            player.observe(("hall", 0), 1e30)

@@ -240,16 +240,15 @@ def test_labels_of_many_kinds_can_be_stated_and_others_are_refused() -> None:
 
 
 def test_episodes_run_side_by_side() -> None:
-    """Each has a memory of its own; the policy's own episode is not touched."""
+    """Each has a memory of its own."""
     policy = policies(hall())["cost aware"]
-    policy.reset()
-    first = policy.action(START)
-    one, other = policy.start(), policy.start()
-    assert one.action(START) == other.action(START) == first
+    one, other = (policy.start(world="other") for _ in range(2))
+    first = one.action(START)
+    assert other.action(START) == first
     for _ in range(60):
         one.observe(START, 1.0)
     late = one.action(START)
-    assert other.action(START) == policy.action(START) == first
+    assert other.action(START) == policy.start().action(START) == first
     other.observe(START, 60.0)
     assert other.action(START) == late
     lottery = policies(hall())["mixed"]

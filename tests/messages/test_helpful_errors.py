@@ -189,9 +189,7 @@ def test_a_seed_is_a_generator() -> None:
     by_seed = simulate(SOLUTION.policy, PROBLEM, rng=3, episodes=500)
     by_generator = simulate(SOLUTION.policy, PROBLEM, rng=np.random.default_rng(3), episodes=500)
     assert by_seed.ends == by_generator.ends
-    policy = SOLUTION.policy
-    policy.reset(0)
-    assert policy.action("depot") == "alley"
+    assert SOLUTION.policy.start(0).action("depot") == "alley"
     given = np.random.default_rng(1)
     assert generator_of(given) is given
     for wrong in (-1, 0.5, "0", True, None):

@@ -115,17 +115,17 @@ def test_its_policy_plays_on_the_original_model(memory: Memory) -> None:
     assert policy.model is model
     wins, episodes = 0, 3_000
     for _ in range(episodes):
-        policy.reset(rng)
+        episode = policy.start(rng)
         state, kept = "hall", memory.start
         while state not in ("door", "cellar") and not memory.fails(kept):
-            action = policy.action(state)
+            action = episode.action(state)
             if action is GIVE_UP:
                 break
             outcomes = HOUSE[state][action]
             drawn = rng.choice(len(outcomes), p=[p for p, _, _ in outcomes])
             _, to, cost = outcomes[drawn]
             kept = memory.update(kept, state, action, to, cost)
-            policy.observe(to, cost)
+            episode.observe(to, cost)
             state = to
         wins += state == "door" and memory.accepts(kept) and not memory.fails(kept)
     interval = binomtest(wins, episodes).proportion_ci(0.9999)
@@ -159,11 +159,10 @@ def test_cost_aware_policies_carry_both_memories() -> None:
     made = product(house(), TASKS["never hide twice"])
     solution = solve(S3P(made, made.start("hall"), failure_budget=0.2))
     policy = on_original(solution.policy)
-    rng = np.random.default_rng(0)
-    policy.reset(rng)
-    assert policy.action("hall") in HOUSE["hall"]
-    policy.observe("ward", 1.0)
-    assert policy.action("ward") in HOUSE["ward"]
+    episode = policy.start(0)
+    assert episode.action("hall") in HOUSE["hall"]
+    episode.observe("ward", 1.0)
+    assert episode.action("ward") in HOUSE["ward"]
 
 
 def test_labels_of_the_model_are_kept_and_new_ones_say_why() -> None:

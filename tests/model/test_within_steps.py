@@ -140,11 +140,11 @@ def test_where_too_few_steps_are_left_the_policy_gives_up() -> None:
     model = SSP.from_transitions(walk, goal={"out"})
     horizon = within_steps(model, 3, start=["far"])
     policy = on_original(solve(MCMP(horizon, ("far", 0), failure_budget=None)).policy)
-    policy.reset(np.random.default_rng(0))
+    episode = policy.start(0)
     for _ in range(2):  # it stays twice: two steps are needed and one is left
-        assert policy.action("far") == "go"
-        policy.observe("far", 1.0)
-    assert policy.action("far") is GIVE_UP
+        assert episode.action("far") == "go"
+        episode.observe("far", 1.0)
+    assert episode.action("far") is GIVE_UP
 
 
 def test_being_late_is_a_way_to_end() -> None:

@@ -18,7 +18,7 @@ def test_each_remembers_its_own_costs_and_gives_up_by_itself() -> None:
     batch.observe(["door", "door", "out"], [1.0, 3.0, 1.0])  # what came of it, whatever it was
     assert batch.actions(["door", "door", "out"]) == ["try", GIVE_UP, None]
     batch.observe(["door", "door", "out"], [1.0, 0.0, 0.0])
-    assert batch.actions(["door", "out", "out"]) == ["try", GIVE_UP, None]
+    assert batch.actions(["door", "out", "door"]) == ["try", GIVE_UP, None]
     batch.observe(["door", "door", "out"], [1.0, 0.0, 0.0])
     assert batch.actions(["door", "door", "out"]) == [GIVE_UP, GIVE_UP, None]
 

@@ -26,25 +26,20 @@ def test_an_episode_step_by_step() -> None:
     """With budget 1/8 for S3P one tries three times and then fails: 1/2 + 2/4 + 3/8 over 7/8."""
     solution = solve(S3P(TRIES, start="door", failure_budget=0.125))
     assert solution.objective == pytest.approx((0.5 + 0.5 + 0.375) / 0.875)
-    policy = solution.policy
-    policy.reset(np.random.default_rng(0))
+    episode = solution.policy.start(0)
     for _ in range(3):
-        assert policy.action("door") == "try"
-        policy.observe("door", 1.0)
-    assert policy.action("door") is GIVE_UP
-    policy.continue_after_give_up()
-    assert policy.action("door") == "wait"
-    policy.observe("door", 3.0)
-    assert policy.action("door") == "wait"
-    policy.reset(np.random.default_rng(0))
-    assert policy.action("door") == "try"
+        assert episode.action("door") == "try"
+        episode.observe("door", 1.0)
+    assert episode.action("door") is GIVE_UP
+    episode.continue_after_give_up()
+    assert episode.action("door") == "wait"
+    episode.observe("door", 3.0)
+    assert episode.action("door") == "wait"
+    assert solution.policy.start(0).action("door") == "try"
 
 
-def test_playing_needs_a_reset_and_honest_costs() -> None:
-    fresh = solve(S3P(TRIES, start="door", failure_budget=0.125)).policy
-    with pytest.raises(ModelError, match="reset"):
-        fresh.action("door")
-    fresh.reset(np.random.default_rng(0))
+def test_playing_needs_honest_costs() -> None:
+    fresh = solve(S3P(TRIES, start="door", failure_budget=0.125)).policy.start(0)
     with pytest.raises(ModelError, match="before the first action"):
         fresh.observe("door", 1.0)
     fresh.action("door")
@@ -60,12 +55,12 @@ def test_a_lottery_is_drawn_once() -> None:
     go = DeterministicPolicy.from_actions(TRIES, {"door": "try"})
     lottery = MixedPolicy((stay, go), np.array([0.25, 0.75]))
     with pytest.raises(ModelError, match="random generator"):
-        lottery.reset()
+        lottery.start()
     rng, drawn = np.random.default_rng(3), []
     for _ in range(2000):
-        lottery.reset(rng)
-        first = lottery.action("door")
-        assert lottery.action("door") == first
+        episode = lottery.start(rng)
+        first = episode.action("door")
+        assert episode.action("door") == first
         drawn.append(first == "wait")
     assert np.mean(drawn) == pytest.approx(0.25, abs=4 * np.sqrt(0.25 * 0.75 / 2000))
 

@@ -110,15 +110,15 @@ def traces(policy, start, seed: int, episodes: int = 30) -> list[list[tuple[str,
     rng, model = np.random.default_rng(seed), policy.model
     found = []
     for _ in range(episodes):
-        policy.reset(rng)
+        episode = policy.start(rng)
         state, steps = start, []
         while len(steps) < 40 and np.diff(model.pair_offsets)[model.index_of(state)]:
-            action = policy.action(state)
+            action = episode.action(state)
             if action is GIVE_UP:
                 steps.append((repr(state), "give up", 0.0))
                 break
             successor, cost = step(model, state, action, rng)
-            policy.observe(successor, cost)
+            episode.observe(successor, cost)
             steps.append((repr(state), repr(action), cost))
             state = successor
         found.append(steps)

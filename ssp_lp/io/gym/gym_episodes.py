@@ -13,7 +13,7 @@ from ssp_lp.io.gym.environment import step_limit_of
 from ssp_lp.io.gym.from_gymnasium import EnvironmentSSP, gym_value
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.policies.mixed import MixedPolicy
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy, check_costs
 
 if TYPE_CHECKING:
     from gymnasium.vector import VectorEnv
@@ -122,6 +122,7 @@ class GymEpisode:
         party.check(self._pair, successor, bool(terminated))
         action = model.action_of(self._pair)
         paid = float(model.step_cost(self._shown, action, there, float(reward)))
+        check_costs(paid)
         self.cost += paid
         self.steps += 1
         if party.over[successor]:
