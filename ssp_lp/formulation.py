@@ -220,6 +220,7 @@ class Formulation(_Inherited):
             return self._asked
         start, begin = self._begun, np.flatnonzero(self._begun)
         model = unroll_steps(self._asked.model, self.horizon, begin.tolist())
+        model = replace(model, is_hidden=True)
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
         return cast("Problem", replace(self, **on_it, **as_stated(self)))

@@ -81,6 +81,7 @@ class ProductSSP(SSP):
 
     original: SSP = field(kw_only=True)
     memory: Memory = field(kw_only=True)
+    is_hidden: bool = field(kw_only=True, default=False)  # behind a problem that states another
 
     def start(self, start: Hashable | Mapping[Hashable, float]) -> dict[Hashable, float]:
         """The start of the product for a start of the original.
@@ -131,7 +132,7 @@ class ProductSSP(SSP):
         found = self.find(state)
         if found is not None:
             return np.array([found])
-        copies = self.table[self.original.index_of(state)]
+        copies = self.table[self.original.places_of(state)]
         return np.asarray(copies[copies >= 0])
 
     def hint(self, state: Hashable) -> str:

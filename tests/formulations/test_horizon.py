@@ -261,14 +261,16 @@ def test_limits_of_a_criterion_and_its_own_objective() -> None:
     assert least.problem.objective_condition.minimised().bound == np.inf
 
 
-def test_an_array_that_fits_both_models_is_refused() -> None:
+def test_an_array_that_fits_a_product_and_its_original_is_refused() -> None:
     model = SSP.from_transitions(
         {"b": {"go": [(0.5, "goal", 1.0), (0.5, "b", 1.0)]}, "a": {"go": [(1.0, "b", 1.0)]}},
         goal={"goal"},
     )
     cost = secondary_cost([1.0, 5.0]) <= 9.0  # of b, a; on (state, time) of (a, 0), (b, 1)
     with pytest.raises(ModelError, match="fits both the product and its original"):
-        MCMP(model, "a", 0.6, horizon=2, constraints={"cost": cost})
+        MCMP(within_steps(model, 2, start=["a"]), ("a", 0), 0.6, constraints={"cost": cost})
+    within = solve(MCMP(model, "a", 0.6, horizon=2, constraints={"cost": cost}))
+    assert within.secondary_costs["cost"] == pytest.approx(6.0)  # what horizon= makes is unseen
 
 
 def test_a_product_understands_the_words_of_its_original() -> None:
@@ -416,6 +418,74 @@ def test_what_is_saved_is_what_was_found(tmp_path, criterion: type[MCMP] | type[
     for beside in (unrolled(again).model, within_steps(again.model, 5, start=["camp"])):
         policy = load_policy(tmp_path / "policy.npz", beside)
         assert policy.model.states == again.model.states
+
+
+@pytest.mark.parametrize("horizon", [1, 2, 4])
+@pytest.mark.parametrize("seed", SEEDS)
+def test_arrays_are_the_stated_models(seed: int, horizon: int) -> None:
+    """As many outcomes or pairs as the model has steps: an array says what nested dicts say."""
+    model, _ = drawn(seed)
+    costs = np.random.default_rng(seed).integers(0, 9, model.n_pairs).astype(np.float64)
+    nested: dict[Any, dict[Any, float]] = {state: {} for state in model.states}
+    for pair, state in enumerate(model.pair_state.tolist()):
+        nested[model.states[state]][model.action_of(pair)] = costs[pair]
+    listed = {state: of for state, of in nested.items() if of}
+    by_outcome = np.repeat(costs, np.diff(model.outcome_offsets))
+    least = [
+        solve(LeastQuantity(model, "s0", secondary_cost(cost), horizon=horizon)).objective
+        for cost in (listed, costs, by_outcome)
+    ]
+    assert least == pytest.approx([least[0]] * 3, abs=1e-9)
+
+
+def test_an_array_that_would_fit_the_unrolled_model_too_is_the_stated_models() -> None:
+    """From x to g or y, from y to g: within two steps three outcomes as well, in another order."""
+    model = model_of(
+        {"y": {"b": [(1.0, "g", 1.0)]}, "x": {"a": [(0.5, "g", 1.0), (0.5, "y", 1.0)]}}
+    )
+    cost = np.array([1.0, 2.0, 3.0])
+    problem = LeastQuantity(model, "x", secondary_cost(cost), horizon=2)
+    assert unrolled(problem).model.n_outcomes == model.n_outcomes == 3
+    assert solve(problem).objective == pytest.approx(0.5 * 2.0 + 0.5 * (3.0 + 1.0))
+    with pytest.raises(ModelError, match="2 pairs or 3 outcomes are needed"):
+        LeastQuantity(model, "x", secondary_cost(np.ones(4)), horizon=2)
+    remembering = product(model, Memory(0, lambda memory, *step: memory + 1))
+    within = LeastQuantity(remembering, ("x", 0), secondary_cost({"y": {"b": 8.0}}), horizon=2)
+    assert solve(within).objective == pytest.approx(4.0)
+
+
+def test_what_no_episode_reaches_in_time_has_probability_and_cost_nothing() -> None:
+    model = model_of(
+        {
+            "x": {"a": [(0.5, "g", 1.0), (0.5, "y", 1.0)]},
+            "y": {"b": [(1.0, "x", 1.0)]},
+            "far": {"c": [(0.9, "pit", 1.0), (0.1, "g", 1.0)]},
+            "pit": {},
+        },
+        labels={"hole": ["pit"]},
+    )
+    late = {"y": {"b": 3.0}}
+    nothing = {
+        "pit": end_probability("pit"),
+        "hole": end_probability("hole"),
+        "far": visits("far"),
+        "there": secondary_cost({"far": {"c": 3.0}}),
+        "late": secondary_cost(late),
+    }
+    limits = {name: quantity <= 0.0 for name, quantity in nothing.items()}
+    solution = solve(MCMP(model, "x", failure_budget=0.6, horizon=1, constraints=limits))
+    assert certify(solution).accepted
+    assert evaluate(solution.policy, solution.problem).secondary_costs == dict.fromkeys(limits, 0.0)
+    for quantity in nothing.values():
+        assert solve(LeastQuantity(model, "x", quantity, horizon=1)).objective == 0.0
+    assert solve(LeastQuantity(model, "x", nothing["late"], horizon=3)).objective == 1.5
+    for one in ("pit", "hole"):
+        with pytest.raises(InfeasibleError):
+            solve(MaxProb(model, "x", horizon=2, constraints={"e": end_probability(one) >= 0.1}))
+    with pytest.raises(ModelError, match="has no action 'zz'; it has 'c'"):
+        LeastQuantity(model, "x", secondary_cost({"far": {"zz": 1.0}}), horizon=1)
+    with pytest.raises(ModelError, match="'nowhere' is no way to end"):
+        LeastQuantity(model, "x", end_probability("nowhere"), horizon=1)
 
 
 def test_copies_and_what_cannot_be() -> None:

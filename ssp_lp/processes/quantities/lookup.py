@@ -158,7 +158,7 @@ def _looked_up_ends(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolAr
                 f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
                 f"{did_you_mean(way, chain(named, model.states))}"
             ) from error
-        if (marks[states] < 0).all():
+        if states.size and (marks[states] < 0).all():  # a horizon may leave none
             raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")
         mask[states[marks[states] >= 0]] = True
     return mask

@@ -98,7 +98,10 @@ def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
         if not isinstance(actions, Mapping):
             raise ModelError(f"limit {name!r}, state {state!r}: not {{action: cost}}: {actions!r}")
         acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
-        for place in acting or places[:1].tolist():
+        if not acting and isinstance(model, ProductSSP) and model.find(state) is None:
+            _listed_costs(model.original, name, {state: actions})  # nobody acts there: a check only
+            continue
+        for place in acting or places.tolist():
             _list_pair_costs(model, name, place, actions, result)
     return result
 
@@ -130,6 +133,8 @@ def _cost_array(name: str, cost: npt.ArrayLike) -> FloatArray:
 
 def _spread_costs(model: SSP, name: str, given: FloatArray) -> FloatArray:
     """Costs from an array of pairs or of outcomes, also of a product's original, [outcomes]."""
+    if isinstance(model, ProductSSP) and model.is_hidden:
+        return np.asarray(_spread_costs(model.original, name, given)[model.original_outcome])
     own, theirs = _costs_by_outcome(model, given), None
     if isinstance(model, ProductSSP):
         theirs = _costs_by_outcome(model.original, given)
