@@ -17,11 +17,20 @@ from ssp_lp.model.chunks import chunks
 from ssp_lp.processes.expectations import uniform_cost
 
 _MOST_LAYERS_PER_STEP = 1_000_000
+_SHORT = 9  # digits of a decimal that a person would write down
+_MEANT = 1e-12  # relative distance at which a cost is such a decimal
 
 
 def exact_cost(cost: float | Fraction) -> Fraction:
-    """The number that a cost on a lattice stands for: a float means its shortest decimal."""
-    return Fraction(cost) if isinstance(cost, Rational) else Fraction(repr(float(cost)))
+    """The number that a cost on a lattice stands for: a float means its shortest decimal.
+
+    Sums of decimals that were rounded on the way are what they were meant to be: 0.1 * 3 is 0.3.
+    """
+    if isinstance(cost, Rational):
+        return Fraction(cost)
+    short = f"{cost:.{_SHORT}g}"
+    is_short = abs(float(short) - cost) <= _MEANT * abs(cost)
+    return Fraction(short if is_short else repr(float(cost)))
 
 
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
@@ -50,7 +59,7 @@ def totals_of(layers: IntArray, unit: Fraction) -> FloatArray:
 def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     """The unit of a lattice: the greatest number of which every cost is a whole multiple.
 
-    A float means its shortest decimal (0.1 is 1/10) unless ``exact`` says which fraction it is.
+    A float means a decimal (``exact_cost``) unless ``exact`` says which fraction it is.
 
     Args:
         costs: non-negative; zeros do not matter.
@@ -59,7 +68,7 @@ def common_unit(costs: FloatArray, exact: Mapping[float, Fraction]) -> Fraction:
     Returns:
         The unit; 1 where every cost is zero.
     """
-    fractions = [exact.get(c, Fraction(repr(c))) for c in np.unique(costs).tolist() if c > 0]
+    fractions = [exact.get(c, exact_cost(c)) for c in np.unique(costs).tolist() if c > 0]
     if not fractions:
         return Fraction(1)
     denominator = lcm(*(f.denominator for f in fractions))
@@ -73,9 +82,7 @@ def layers_of(costs: FloatArray, unit: Fraction, exact: Mapping[float, Fraction]
         ModelError: a single step passes too many layers for a table over accumulated cost.
     """
     distinct, back = np.unique(costs, return_inverse=True)
-    counts = [
-        int(exact.get(c, Fraction(repr(c))) / unit) if c > 0 else 0 for c in distinct.tolist()
-    ]
+    counts = [int(exact.get(c, exact_cost(c)) / unit) if c > 0 else 0 for c in distinct.tolist()]
     if max(counts, default=0) > _MOST_LAYERS_PER_STEP:
         raise ModelError(
             f"the costs have the common unit {float(unit):g}, so the step of cost "

@@ -19,6 +19,8 @@ MOST_SUMS = 20_000
 
 _PRODUCTS = 50  # sums that are formed at once, times those that may be kept
 _MOST_PLACES = 300_000  # states times sums that are followed through a model
+_MOST_MARKS = 30_000_000  # states times sums, whether they are met or not
+_UNKNOWN, _BEYOND = -2, -1  # in place of the number of a total
 _MOST_ROUNDS = 1_000
 _SAME = 1e-11
 """Totals this near to each other, relative to the cap, are one summed in two ways; yet never so far
@@ -112,40 +114,59 @@ def sums_in(model: SSP, cap: float, most: int) -> FloatArray | None:
 
 
 def _walked_sums(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatArray | None:
-    """The sums that walks from any state make, by breadth."""
-    n, room = model.n_states, room_of(steps, cap)
-    if not cap / room * n < 2.0**62:
-        return None
-    offsets, target, paid = _steps_to_sum(model)
-    state, total = np.arange(n), np.zeros(n)
-    known, sums = np.arange(n), np.zeros(1)  # places: number of the total, then the state
+    """The sums that walks from any state make, by breadth.
+
+    Totals are numbered as they are found: which one a total and a kind of step lead to is worked
+    out once for all states.
+    """
+    n, kinds, room = model.n_states, len(steps), room_of(steps, cap)
+    offsets, target, kind = _steps_to_sum(model, steps)
+    state, number = np.arange(n), np.zeros(n, dtype=np.int64)
+    sums, seen = np.zeros(1), np.ones(n, dtype=np.bool_)  # of totals by number, then the state
+    leads = np.full(kinds, _UNKNOWN)  # number that a total and a kind of step lead to
     for _ in range(_MOST_ROUNDS):
         count = offsets[state + 1] - offsets[state]
         edge = concatenated_ranges(offsets[state], count)
-        reached = np.repeat(total, count) + paid[edge]
-        inside = reached < cap - room
-        place = np.rint(reached[inside] / room).astype(np.int64) * n + target[edge[inside]]
-        place, first = np.unique(place, return_index=True)
-        fresh = ~np.isin(place, known, assume_unique=True)
-        if not fresh.any():
-            every = np.unique(sums)
-            every = every[np.diff(every, prepend=-np.inf) > room]
-            return every if every.size <= most else None
-        known = np.concatenate([known, place[fresh]])
-        sums = np.unique(np.append(sums, reached[inside][first[fresh]]))
-        if known.size > _MOST_PLACES:
+        taken = np.repeat(number, count) * kinds + kind[edge]
+        is_taken = np.zeros(len(leads), dtype=np.bool_)
+        is_taken[taken] = True
+        new = np.flatnonzero(is_taken & (leads == _UNKNOWN))
+        reached = sums[new // kinds] + steps[new % kinds]
+        leads[new] = _BEYOND
+        new, reached = new[reached < cap - room], reached[reached < cap - room]
+        every = np.concatenate([sums, reached])
+        order = np.argsort(every, kind="stable")
+        group = np.cumsum(np.diff(every[order], prepend=-np.inf) > room)
+        name = np.empty(len(every), dtype=np.int64)
+        name[order] = group - 1
+        first = np.full(group[-1], len(every))
+        np.minimum.at(first, name, np.arange(len(every)))
+        fresh = np.sort(first[first >= len(sums)])
+        first[name[fresh]] = np.arange(len(sums), len(sums) + len(fresh))
+        leads[new] = first[name[len(sums) :]]
+        sums = np.append(sums, every[fresh])
+        if len(sums) > most or len(sums) * n > _MOST_MARKS:
             return None
-        state, total = place[fresh] % n, reached[inside][first[fresh]]
+        leads = np.append(leads, np.full(len(fresh) * kinds, _UNKNOWN))
+        known = np.append(seen, np.zeros(len(fresh) * n, dtype=np.bool_))
+        seen, inside = known.copy(), leads[taken] != _BEYOND
+        seen[leads[taken[inside]] * n + target[edge[inside]]] = True
+        number, state = np.divmod(np.flatnonzero(seen & ~known), n)
+        if not state.size:
+            return np.sort(sums)
+        if np.count_nonzero(seen) > _MOST_PLACES:
+            return None
     return None
 
 
-def _steps_to_sum(model: SSP) -> tuple[IntArray, IntArray, FloatArray]:
-    """The distinct (successor, cost) of each state's steps that go on: offsets, both."""
+def _steps_to_sum(model: SSP, steps: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+    """The distinct (successor, kind of step) of each state's steps that go on: offsets, both."""
     pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
     ended = dead_ends(model) | model.goal_mask
     moving = (model.probabilities > 0.0) & ~ended[model.successors] & ~ended[model.pair_state[pair]]
-    source = model.pair_state[pair[moving]].astype(np.float64)
-    every = np.stack([source, model.successors[moving], model.costs[moving]], axis=1)
-    every = np.unique(every, axis=0)
-    begin = np.searchsorted(every[:, 0], np.arange(model.n_states + 1))
-    return begin, every[:, 1].astype(np.int64), every[:, 2]
+    place = model.pair_state[pair[moving]].astype(np.int64) * model.n_states
+    place = place + model.successors[moving]
+    every = np.unique(place * len(steps) + np.searchsorted(steps, model.costs[moving]))
+    place, kind = np.divmod(every, len(steps))
+    source, target = np.divmod(place, model.n_states)
+    return np.searchsorted(source, np.arange(model.n_states + 1)), target, kind

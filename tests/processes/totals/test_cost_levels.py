@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -27,7 +28,8 @@ from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.step_sums import sums_of
+from ssp_lp.processes.totals.lattice import common_unit, exact_cost, layers_of
+from ssp_lp.processes.totals.step_sums import _walked_sums, sums_of
 
 COSTS = (0.37, 1.01, 0.5, 2.03, 1.73, 0.11)
 
@@ -166,6 +168,57 @@ def test_sums_and_where_steps_lead() -> None:
     assert below.tolist() == [[0, 1, 1], [1, 2, 2], [2, 3, 3], [3, 3, 3]]
     assert share[:, 2] == pytest.approx([ROOT - 1.0, ROOT - 1.0, 0.0, 0.0])
     assert not share[:, :2].any()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_sums_that_walks_make(seed: int) -> None:
+    """All sums of steps are too many here; those of walks from any state are told by following."""
+    rng, n, cap = np.random.default_rng(seed), 7, 9.0
+    prices = np.array([0.0, 0.5, 1.01, ROOT, 1.73])
+    named = [f"s{i}" for i in range(n)]
+    choices: dict[str, dict[str, list[tuple[float, str, float]]]] = {"home": {}}
+    steps: list[tuple[int, int, float]] = []
+    for i in range(n):
+        to, price = rng.integers(0, n, 2), rng.choice(prices, 2)
+        choices[named[i]] = {"home": [(1.0, "home", 1.0)]} | {
+            f"a{k}": [(1.0, named[to[k]], float(price[k]))] for k in range(2)
+        }
+        steps += [(i, int(to[k]), float(price[k])) for k in range(2)]
+    met = fresh = {(i, 0.0) for i in range(n)}
+    while fresh:
+        reached = {
+            (b, round(total + c, 9)) for (at, total) in fresh for (a, b, c) in steps if a == at
+        }
+        fresh = {(b, total) for (b, total) in reached if total < cap} - met
+        met = met | fresh
+    model = model_of(choices, "home")
+    kinds = np.unique([c for _, _, c in steps] + [0.0])
+    expected = sorted({total for _, total in met})
+    assert _walked_sums(model, kinds, cap, len(expected)) == pytest.approx(expected)
+    assert _walked_sums(model, kinds, cap, len(expected) - 1) is None
+
+
+def test_a_sum_of_decimals_is_the_decimal_that_was_meant() -> None:
+    assert exact_cost(0.1 * 3) == Fraction(3, 10)
+    assert exact_cost(sum([0.1] * 8)) == Fraction(8, 10)
+    assert exact_cost(ROOT) == Fraction(repr(ROOT))
+    assert exact_cost(0.30000001) == Fraction(30000001, 10**8)
+    assert exact_cost(0.3 * (1.0 + 1e-11)) != Fraction(3, 10)
+    costs = np.array([0.1 * 3, 0.1, 0.7 + 0.1])
+    assert common_unit(costs, {}) == Fraction(1, 10)
+    assert layers_of(costs, Fraction(1, 10), {}).tolist() == [3, 1, 8]
+
+    def field(dear: float) -> SSP:
+        slow, fast = [(0.9, "b", dear), (0.1, "a", 0.1)], [(0.6, "b", 0.1), (0.4, "wall", 0.1)]
+        on = {"go": [(0.8, "home", dear), (0.2, "a", 0.1)]}
+        return model_of(
+            {"a": {"slow": slow, "fast": fast}, "b": on, "home": {}, "wall": {}}, "home"
+        )
+
+    meant, summed = (solve(S3P(field(dear), "a", 0.2)) for dear in (0.3, 0.1 * 3))
+    assert summed.objective == pytest.approx(meant.objective, rel=1e-12)
+    assert summed.run.reason == meant.run.reason
+    assert repr(summed.policy) == repr(meant.policy)
 
 
 def test_no_sum_of_many_steps_is_lost() -> None:
