@@ -190,8 +190,8 @@ def bicgstab(
 
 
 @njit(cache=True)
-def widest_level(indptr: Array, indices: Array, most: int) -> int:
-    """Before sweeping: most states at one distance from the first one, or more than ``most``."""
+def widest_level(indptr: Array, indices: Array) -> int:
+    """Before sweeping: most states at one distance from the first one."""
     n = indptr.size - 1
     seen, queue = np.zeros(n, dtype=np.bool_), np.empty(n, dtype=np.uint32)
     seen[0], queue[0] = True, 0
@@ -206,6 +206,4 @@ def widest_level(indptr: Array, indices: Array, most: int) -> int:
                     queue[filled] = indices[k]
                     filled += 1
         widest, begin = max(widest, filled - end), end
-        if widest > most:
-            return widest
     return widest

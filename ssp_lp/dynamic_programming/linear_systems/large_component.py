@@ -1,9 +1,7 @@
-"""One large strong component of a chain: by sweeps, as a band, by a Krylov method, or by factors.
+"""One large strong component of a chain: iterated, reduced as a band, or by sparse factors.
 
-Which of them is seen from how sweeps converge: where the component is left soon they are best.
-Where they are slow, a component that is narrow in some order is reduced state by state without
-subtractions; others take BiCGStab with a sweep as its preconditioner, and, where that fails, sparse
-factors.
+What iterates is tried first (see ``iteration``). A component that is narrow in some order is
+reduced state by state without subtractions; others take sparse factors.
 """
 
 from __future__ import annotations
@@ -12,34 +10,20 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph, linalg
+from scipy.sparse import csgraph
 
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import check_time, pieces
+from ssp_lp.compiled.deadline import pieces
 from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
     Solver,
     band_solver,
     factor_solver,
 )
-from ssp_lp.errors import SolverError
-
-_TRIAL = 6  # sweeps over which the contraction is judged
-_CONTRACTION = 0.7  # per sweep; slower components are left to other methods
-_SWEEPS = 300
-
-_KRYLOV_STEPS = 400
-_AT_ONCE = 10_000_000  # entries of steps between two looks at the time
-_RESTARTS = 8
-_SWEEPS_BETWEEN = 20  # where a Krylov run broke down
-_LEAST_RESIDUAL = 1e-12
-"""Relative residual of a Krylov method that is let pass: what is missed is corrected later."""
+from ssp_lp.dynamic_programming.linear_systems.iteration import Iteration
 
 _BAND_WORK = 6e8
 """States times the square of the bandwidth: about a second of compiled reduction."""
-
-_QUICKLY_FACTORED = 2_500
-"""States up to which sparse factors cost less than a Krylov method."""
 
 
 class LargeComponent:
@@ -57,16 +41,33 @@ class LargeComponent:
         self._is_compiled = accelerated(matrix.nnz)
         self._place = np.full(matrix.shape[0], -1, dtype=np.int32)
         self._place[states] = np.arange(len(states), dtype=np.int32)
-        self.own, self._departs, self._leaving = self._gathered(exits)
+        self._own, self._departs, self._leaving = self._gathered(exits)
         self._direct: Solver | None = None
-        self._products = 0
+        self._iteration = Iteration(
+            self._own, lambda: self.direct_work, is_compiled=self._is_compiled
+        )
 
-    def take_products(self) -> int:
-        """Passes over the matrix since this was last asked."""
-        taken, self._products = self._products, 0
-        return taken
+    @cached_property
+    def direct_work(self) -> float:
+        """About the multiplications of a direct solution: states times the square of the width."""
+        size = len(self._states)
+        if not self._is_compiled:
+            return float(size) * self._band[1] ** 2
+        from ssp_lp.compiled.sweeps import widest_level
 
-    def solve(self, rewards: FloatArray, x: FloatArray, accuracy: float) -> None:
+        own = self._own
+        return float(size) * widest_level(unsigned(own.indptr), unsigned(own.indices)) ** 2
+
+    @cached_property
+    def _band(self) -> tuple[IntArray, int]:
+        """An order in which the component is narrow, and how far moves lead in it at most."""
+        order = csgraph.reverse_cuthill_mckee(self._own, symmetric_mode=False)
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        entry = self._own.tocoo()
+        return order, int(np.abs(place[entry.row] - place[entry.col]).max(initial=0))
+
+    def solve(self, rewards: FloatArray, x: FloatArray, accuracy: float) -> int:
         """Solve for the members in place, given the totals of all that they lead to.
 
         Args:
@@ -74,33 +75,17 @@ class LargeComponent:
             x: of the whole chain, [states, rewards]; members hold a guess.
             accuracy: relative residual.
 
+        Returns:
+            Passes over the component's matrix.
+
         Raises:
             SolverError: no method gets anywhere.
         """
-        right = self._right(rewards, x)
-        if self._direct is None:
-            y = x[self._states]
-            if self._iterated(right, y, accuracy):
-                x[self._states] = y
-                return
-            self._direct = factor_solver(self.own, self._leaving / self._departs)
-        x[self._states] = self._direct(right)
-        self._products += 1
-
-    def _iterated(self, right: FloatArray, y: FloatArray, accuracy: float) -> bool:
-        """Solve in place by what converges; false where factors are called for."""
-        if self._swept(right, y, accuracy):
-            return True
-        poor = np.abs(right + self.own @ y - y).max(axis=0) > np.abs(right).max(axis=0)
-        if poor.any():  # the guess misses by more than 0 does
-            y[:, poor] = 0.0
-            if self._swept(right, y, accuracy):
-                return True
-        self._direct = self._narrow()
-        if self._direct is not None:
-            y[:] = self._direct(right)
-            return True
-        return len(right) > _QUICKLY_FACTORED and self._by_krylov(right, y, accuracy)
+        right, y, before = self._right(rewards, x), x[self._states], self._iteration.products
+        if self._direct is None and not self._iteration.solve(right, y, accuracy):
+            self._direct = self._direct_solver()
+        x[self._states] = y if self._direct is None else self._direct(right)
+        return max(self._iteration.products - before, 1)
 
     def _gathered(self, exits: FloatArray) -> tuple[sp.csr_array, FloatArray, FloatArray]:
         """Moves among members divided by the probability of departing, that, and what leaves."""
@@ -135,11 +120,6 @@ class LargeComponent:
         """The chain's arrays, as compiled sweeps of a large component read them."""
         return unsigned(self._chain.indptr), unsigned(self._chain.indices), self._chain.data
 
-    @cached_property
-    def _own_arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
-        """The arrays of moves among members of the large component."""
-        return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
-
     def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
         """Rewards of the members and what lies beyond, on departing, [members, rewards]."""
         if not self._is_compiled:
@@ -153,112 +133,13 @@ class LargeComponent:
         from_beyond(*self._arrays, states, self._place, self._departs, rewards, x, right)
         return right
 
-    def _sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
-        """One sweep in place: the greatest change and the greatest size."""
-        check_time()
-        self._products += 1
-        if self._is_compiled:
-            from ssp_lp.compiled.sweeps import sweep
-
-            return sweep(*self._own_arrays, right, y)
-        ahead = right + self.own @ y
-        change = float(np.abs(ahead - y).max())
-        y[:] = ahead
-        return change, float(np.abs(ahead).max())
-
-    def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """Sweep while it contracts well; whether that reached the target."""
-        changes: list[float] = []
-        most = float(np.abs(right).max())
-        while len(changes) <= _SWEEPS:
-            change, size = self._sweep(right, y)
-            relative = change / (size + most) if size + most > 0 else 0.0
-            if relative <= target:
-                return True
-            if not np.isfinite(relative):
-                raise SolverError("a policy's totals overflow")
-            judged = len(changes) >= _TRIAL
-            if judged and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]:
-                return False
-            changes.append(relative)
-        return False
-
-    def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
-        """BiCGStab on each reward; whether all reached the target, or what must do."""
-        for j in range(right.shape[1]):
-            column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(right[:, j])
-            reached = self._krylov(wanted, column, target)
-            if not reached <= max(target, _LEAST_RESIDUAL):
-                return False
-            y[:, j] = column
-        return True
-
-    def _krylov(self, right: FloatArray, y: FloatArray, target: float) -> float:
-        """The same for one reward, in place; the relative change of one more sweep."""
-        kept, before = y.copy(), np.inf
-        for attempt in range(_RESTARTS + 1):
-            swept = y.copy()
-            self._sweep(right[:, None], swept[:, None])
-            residual = swept - y
-            change = float(np.abs(residual).max())
-            scale = float(np.abs(y).max()) + float(np.abs(right).max())
-            relative = change / scale if scale > 0.0 else 0.0
-            if not relative < before:  # it broke down: go on from before by sweeps
-                y[:] = kept
-                for _ in range(_SWEEPS_BETWEEN):
-                    self._sweep(right[:, None], y[:, None])
-                before = np.inf
-                continue
-            if relative <= target or attempt == _RESTARTS:
-                return relative
-            kept, before = y.copy(), relative
-            y += change * self._step(residual / change, 0.3 * target * scale / change)
-        return np.inf
-
-    def _step(self, residual: FloatArray, target: float) -> FloatArray:
-        """What BiCGStab adds until the residual is at most the target, [members]."""
-        if self._is_compiled:
-            from ssp_lp.compiled.sweeps import bicgstab, start_bicgstab
-
-            step, state, most = np.zeros_like(residual), start_bicgstab(residual), _KRYLOV_STEPS
-            at_once = max(_AT_ONCE // max(self.own.nnz, 1), 1)
-            for begin in range(0, most, at_once):
-                check_time()
-                steps = min(at_once, most - begin)
-                taken, ended = bicgstab(*self._own_arrays, residual, target, steps, step, *state)
-                self._products += taken
-                if ended:
-                    break
-            return step
-
-        def missed(y: FloatArray) -> FloatArray:
-            """By how much y exceeds what the component's own steps make of it."""
-            self._products += 1
-            return np.asarray(y - self.own @ y)
-
-        system = linalg.LinearOperator(self.own.shape, matvec=missed, dtype=np.float64)
-        with np.errstate(all="ignore"):  # a breakdown shows in the residual
-            return np.asarray(
-                linalg.bicgstab(system, residual, rtol=0.0, atol=target, maxiter=_KRYLOV_STEPS)[0]
-            )
-
-    def _narrow(self) -> Solver | None:
-        """The component in an order in which it is narrow, if there is one."""
-        size = len(self._states)
-        widest = int((_BAND_WORK / size) ** 0.5)
-        if self._is_compiled:
-            from ssp_lp.compiled.sweeps import widest_level
-
-            if widest_level(*self._own_arrays[:2], widest) > widest:
-                return None
-        order = csgraph.reverse_cuthill_mckee(self.own, symmetric_mode=False)
-        place = np.empty(size, dtype=np.int64)
-        place[order] = np.arange(size)
-        entry = self.own.tocoo()
-        width = int(np.abs(place[entry.row] - place[entry.col]).max(initial=0))
-        if width > widest:
-            return None
+    def _direct_solver(self) -> Solver:
+        """The component reduced as a band where it is narrow, else its sparse factors."""
         exits = self._leaving / self._departs
-        if self._is_compiled:
-            return band_solver(self.own, exits, order, width)
-        return factor_solver(self.own, exits, order)
+        if self.direct_work <= _BAND_WORK:
+            order, width = self._band
+            if len(order) * width**2 <= _BAND_WORK:
+                if self._is_compiled:
+                    return band_solver(self._own, exits, order, width)
+                return factor_solver(self._own, exits, order)
+        return factor_solver(self._own, exits)

@@ -28,6 +28,7 @@ from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
     reduce_states,
     transposed_solve,
 )
+from ssp_lp.dynamic_programming.linear_systems.iteration import Iteration
 from ssp_lp.dynamic_programming.linear_systems.large_component import LargeComponent
 from ssp_lp.dynamic_programming.linear_systems.strong_components import (
     StrongComponents,
@@ -43,12 +44,6 @@ DIRECT_STATES = 1_000
 
 _SMALL = 256
 """States of a component up to which a compiled dense reduction costs no more than other ways."""
-
-_FACTORABLE = 20_000
-"""States of a component up to which visits are had from sparse factors."""
-
-_STEPS = 2_000  # of BiCGStab
-_LEAST_RESIDUAL = 1e-11  # relative; worse ones are refused
 
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
 
@@ -69,7 +64,6 @@ class System:
         self.products = 0  # passes over the matrix
         self.kept_runs: FloatArray | None = None  # checked run lengths, see ``evaluate_chain``
         self._large: dict[int, LargeComponent] = {}
-        self._transposed: tuple[IntArray, linalg.SuperLU] | None = None
 
     def __reduce__(self) -> tuple[type[System], tuple[sp.csr_array, FloatArray]]:
         """Copies and pickles carry the equations alone: factors cannot be, and are found again."""
@@ -183,33 +177,49 @@ class System:
         """
         if self.size == 0:
             return inflow.copy()
-        if self.components.largest > _FACTORABLE:
-            return self._transposed_by_krylov(inflow)
-        if self._transposed is None:
-            order = self.components.order if self.components.largest <= _SMALL else None
-            factors = factorised(
-                equations(self.matrix, self.exits, order), in_order=order is not None
-            )
-            self._transposed = np.arange(self.size) if order is None else order, factors
-        order, factors = self._transposed
         visits = np.empty_like(inflow)
+        if self.components.largest > _SMALL:
+            departs, order, iteration = self._transposed_iteration
+            found = np.zeros((self.size, 1))
+            if iteration.solve(inflow[order, None], found, EXACT):
+                visits[order] = found[:, 0] / departs[order]
+                return visits
+        order, factors = self._transposed_factors
         visits[order] = transposed_solve(factors, inflow[order])
         return visits
 
-    def _transposed_by_krylov(self, inflow: FloatArray) -> FloatArray:
-        """The same by BiCGStab, for components whose factors would fill in."""
-        system = equations(self.matrix, self.exits)
-        departs = system.diagonal()
-        onward = linalg.LinearOperator(
-            system.shape, matvec=lambda y: (system.T @ y) / departs, dtype=np.float64
-        )
-        target = EXACT * float(np.abs(inflow).max(initial=0.0))
-        right = inflow / departs
-        visits, state = linalg.bicgstab(onward, right, rtol=0.0, atol=target, maxiter=_STEPS)
-        missed = float(np.abs(inflow - system.T @ visits).max())
-        if state == 0 or missed <= _LEAST_RESIDUAL * float(np.abs(visits).max()):
-            return np.asarray(visits)
-        return transposed_solve(factorised(system), inflow)
+    @cached_property
+    def _transposed_factors(self) -> tuple[IntArray, linalg.SuperLU]:
+        """Sparse factors of all equations, for visits, and the order of the states in them."""
+        if self.components.largest > _SMALL:
+            return self.home, factorised(equations(self.matrix, self.exits))
+        order = self.components.order
+        return order, factorised(equations(self.matrix, self.exits, order), in_order=True)
+
+    @cached_property
+    def _transposed_iteration(self) -> tuple[FloatArray, IntArray, Iteration]:
+        """Probabilities of departing, [states], the states, first ones first, and the iteration.
+
+        It is of how often each state is departed from, in that order.
+        """
+        found, entry = self.components, self.matrix.tocoo()
+        away = (entry.row != entry.col) & (entry.data > 0.0)
+        row, column, data = entry.row[away], entry.col[away], entry.data[away]
+        departs = self.exits + np.bincount(row, weights=data, minlength=self.size)
+        if (departs <= 0.0).any():
+            raise SolverError(HOLDS_MASS)
+        order, place = found.order[::-1], np.empty(self.size, dtype=np.int32)
+        place[order] = np.arange(self.size)
+        to_from = place[column], place[row]
+        own = sp.csr_array((data / departs[row], to_from), shape=self.matrix.shape)
+        large = np.flatnonzero(found.sizes > _SMALL).tolist()
+
+        def direct_work() -> float:
+            """That of all large components."""
+            return sum(self._block(c).direct_work for c in large)
+
+        iteration = Iteration(own, direct_work, is_compiled=accelerated(own.nnz))
+        return departs, order, iteration
 
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
@@ -272,8 +282,10 @@ class System:
 
     def _solve_large(self, c: int, rewards: FloatArray, x: FloatArray, accuracy: float) -> None:
         """Solve one large component, in place, given all that it leads to."""
+        self.products += self._block(c).solve(rewards, x, accuracy)
+
+    def _block(self, c: int) -> LargeComponent:
+        """One large component."""
         if c not in self._large:
             self._large[c] = LargeComponent(self.matrix, self.exits, self.components.members(c))
-        block = self._large[c]
-        block.solve(rewards, x, accuracy)
-        self.products += block.take_products()
+        return self._large[c]

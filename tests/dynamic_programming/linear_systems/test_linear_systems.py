@@ -7,15 +7,19 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.sparse import linalg
 
 from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.howard_rounds import improve_along_chain
+from ssp_lp.dynamic_programming.linear_systems import direct_solvers, large_component
+from ssp_lp.dynamic_programming.linear_systems import system as system_module
 from ssp_lp.dynamic_programming.linear_systems.advantages import advantage_bounds
+from ssp_lp.dynamic_programming.linear_systems.direct_solvers import factorised
 from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_components
-from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES, System
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
@@ -193,3 +197,51 @@ def test_bounds_of_advantages_hold_in_fractions(compiled: bool, seed: int) -> No
     ]
     assert all(low <= middle <= high for low, middle, high in zip(lower, exact, upper, strict=True))
     assert (upper - lower).max() <= 1e-13 * np.abs([*cost, *values]).max()
+
+
+def scattered_chain(n: int, *, leak: float = 0.01) -> System:
+    """A chain of 4 moves to anywhere from each state: its factors fill in, iterations converge."""
+    rng = np.random.default_rng(n)
+    rows, columns = np.repeat(np.arange(n), 4), rng.integers(0, n, 4 * n)
+    steps = sp.csr_array((rng.random(4 * n) + 0.1, (rows, columns)), shape=(n, n))
+    steps.setdiag(0.0)
+    steps = sp.csr_array(steps.multiply(((1.0 - leak) / steps.sum(axis=1))[:, None]))
+    return System(steps, np.full(n, leak))
+
+
+@pytest.mark.parametrize("n", [300, 1_100, 2_400, 2_600])
+def test_no_factors_are_made_where_they_fill_in(
+    compiled: bool, n: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Totals and visits of scattered chains of any size are iterated, and agree with dense LU."""
+    if n <= DIRECT_STATES and not compiled:
+        pytest.skip("sparse factors of few states take less than a look at the structure")
+
+    def small(equations: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
+        """Factors of states that do not hang together with all the others."""
+        assert equations.shape[0] < n // 2
+        return factorised(equations, in_order=in_order)
+
+    monkeypatch.setattr(direct_solvers, "factorised", small)
+    monkeypatch.setattr(system_module, "factorised", small)
+    monkeypatch.delattr(large_component, "band_solver")
+    system, inflow = scattered_chain(n), np.eye(1, n)[0]
+    dense = np.eye(n) - system.matrix.toarray()
+    totals = system.solve(np.ones((n, 1)))[:, 0]
+    assert np.allclose(totals, 100.0, rtol=1e-12)  # left with probability 1/100 a step
+    assert np.abs(dense @ totals - 1.0).max() <= 1e-12 * 100.0
+    visits = system.solve_transposed(inflow)
+    assert np.abs(visits @ dense - inflow).max() <= 1e-13
+    assert visits.sum() == pytest.approx(100.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("leak", [1e-2, 1e-6, 1e-9])
+def test_totals_are_had_however_seldom_a_chain_is_left(compiled: bool, leak: float) -> None:
+    """Narrow or scattered: run lengths are 1 / leak, whether iterations get there or not."""
+    n = 1_200
+    here = np.arange(n)
+    on = sp.csr_array((np.full(n, 0.5 * (1.0 - leak)), (here, (here + 1) % n)), shape=(n, n))
+    ring = System(sp.csr_array(on + on.T), np.full(n, leak))
+    for system in (ring, scattered_chain(n, leak=leak)):
+        totals = evaluate_chain(system, np.ones((n, 1))).values
+        assert np.allclose(totals * leak, 1.0, rtol=1e-15 / leak)
