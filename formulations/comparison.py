@@ -177,7 +177,7 @@ def compare_criteria(
         problem = ConstrainedCost(model, start, limits or {}, failure_budget=budget)
         asked.append((f"ConstrainedCost, {words}", problem))
     for factor, bonus in exponential_utilities:
-        name = f"EGUBS, risk factor {factor:g}, goal bonus {bonus:g}"
+        name = f"EGUBS, risk factor {float(factor):g}, goal bonus {float(bonus):g}"
         asked.append((name, EGUBS(model, start, factor, bonus)))
     rows = []
     with progress_shown(verbose):
@@ -202,12 +202,12 @@ def _compared_problems(
     yield "S3P, least failure", S3P(model, start)
     yield "ISSPUDE", ISSPUDE(model, start)
     for budget in budgets:
-        yield f"MCMP, failure budget {budget:g}", MCMP(model, start, failure_budget=budget)
-        yield f"S3P, failure budget {budget:g}", S3P(model, start, failure_budget=budget)
+        yield f"MCMP, failure budget {float(budget):g}", MCMP(model, start, failure_budget=budget)
+        yield f"S3P, failure budget {float(budget):g}", S3P(model, start, failure_budget=budget)
     for fraction in fractions:
-        yield f"AlphaMCMP, reach fraction {fraction:g}", AlphaMCMP(model, start, fraction)
+        yield f"AlphaMCMP, reach fraction {float(fraction):g}", AlphaMCMP(model, start, fraction)
     for penalty in penalties:
-        yield f"FinitePenalty, penalty {penalty:g}", FinitePenalty(model, start, penalty)
+        yield f"FinitePenalty, penalty {float(penalty):g}", FinitePenalty(model, start, penalty)
 
 
 def _compared_risks(
@@ -226,13 +226,14 @@ def _compared_risks(
             yield f"{name}, {words}", CostBoundedReach(model, start, bound, failure_budget=budget)
     for level in levels:
         for budget, words in within:
-            yield f"CostQuantile {level:g}, {words}", CostQuantile(model, start, level, budget)
-            yield f"CVaR {level:g}, {words}", CVaR(model, start, level, budget)
+            at = f"{float(level):g}, {words}"
+            yield f"CostQuantile {at}", CostQuantile(model, start, level, budget)
+            yield f"CVaR {at}", CVaR(model, start, level, budget)
 
 
 def _compared_budgets(budgets: Sequence[float]) -> list[tuple[float | None, str]]:
     """Least failure and each budget that is compared, with their names."""
-    return [(None, "least failure"), *((b, f"failure budget {b:g}") for b in budgets)]
+    return [(None, "least failure"), *((b, f"failure budget {float(b):g}") for b in budgets)]
 
 
 def _criterion_row(name: str, problem: Any, horizon: int | None) -> CriterionRow:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import math
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sized
 from difflib import get_close_matches
 from fractions import Fraction
@@ -10,12 +11,14 @@ from importlib import import_module
 from itertools import islice
 from numbers import Integral, Real
 from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeGuard, cast
 
 import numpy as np
 
 _LONGEST = 60  # characters of a value in an error
 _LISTED = 4  # entries of a table there
+_DIGITS = 1_024 // 3  # of a number in an error: of the greatest float, some more
+_MOST_COUNTED = 2**63 - 1
 _LOOKED_AT = 20_000  # names that are compared: more would take longer than a hint is worth
 
 
@@ -122,15 +125,24 @@ def wrong_argument(name: str, wanted: str, given: object, hint: str = "") -> Mod
     return ModelError(Argument(name), f" must {wanted}, not {in_short(given)}{hint}")
 
 
+def is_number(value: object) -> TypeGuard[float]:
+    """Whether a value is a number that a float can stand for: Python's, numpy's or a fraction."""
+    try:
+        return isinstance(value, Real) and float(value) is not None
+    except OverflowError:
+        return False
+
+
 def check_between_0_and_1(name: str, value: object, hint: str = "") -> None:
     """Raise :class:`ModelError`, naming the argument, unless it lies strictly between 0 and 1."""
-    if not (isinstance(value, Real) and 0.0 < float(value) < 1.0):
+    if not (is_number(value) and 0.0 < float(value) < 1.0):
         raise wrong_argument(name, "lie strictly between 0 and 1", value, hint)
 
 
 def check_whole(name: str, value: object, least: int = 1) -> None:
     """Raise :class:`ModelError`, naming the argument, unless it is a whole number >= ``least``."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+    counts = isinstance(value, Integral) and not isinstance(value, bool)
+    if not (counts and least <= int(cast("int", value)) <= _MOST_COUNTED):
         raise wrong_argument(name, f"be a whole number >= {least}", value)
 
 
@@ -144,8 +156,10 @@ def in_short(value: Any) -> str:
     """For an error: the value's repr where it is short; else what it is and how large."""
     if isinstance(value, enum.Enum):
         return repr(str(value.value))
-    if isinstance(value, Fraction):
-        return str(value)
+    if isinstance(value, (int, Fraction)) and not isinstance(value, bool):
+        bits = max(value.numerator.bit_length(), value.denominator.bit_length())
+        digits = int(bits * math.log10(2.0))
+        return str(value) if digits <= _DIGITS else f"<{type(value).__name__} of {digits:,} digits>"
     if isinstance(value, np.ndarray):
         return f"<array of shape {value.shape}>"
     if isinstance(value, np.generic):
@@ -157,6 +171,9 @@ def in_short(value: Any) -> str:
         return f"<{value.__name__}>".replace("<<lambda>>", "<lambda>")
     if isinstance(value, Sized) and not isinstance(value, str) and len(value) > _LISTED:
         return f"<{type(value).__name__} of {len(value):,}>"
+    if type(value) in (list, tuple):
+        told = ", ".join(map(in_short, value))
+        return f"[{told}]" if isinstance(value, list) else f"({told}{',' * (len(value) == 1)})"
     told = repr(value)
     return told if len(told) <= _LONGEST or value is None else f"{told[: _LONGEST - 3]}..."
 

@@ -23,7 +23,14 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.errors import InfeasibleError, ModelError, check_whole, in_short, wrong_argument
+from ssp_lp.errors import (
+    InfeasibleError,
+    ModelError,
+    check_whole,
+    in_short,
+    is_number,
+    wrong_argument,
+)
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_labels, dead_end_labels
 from ssp_lp.model.within_steps import unroll_steps
@@ -31,6 +38,7 @@ from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
     Problem,
+    as_float,
     as_stated,
     by_sums,
     check_numbers,
@@ -116,6 +124,10 @@ _COMPILING = logging.getLogger("ssp_lp.compiling")
 _PAPER = {"give_up": GiveUp.ATTENTION, "charge_failing_step": True}
 """What None stands for where a criterion asks for neither: the paper's section 2.4."""
 
+_NUMBER = ("float", float)
+_NUMBER_OR_NONE = ("float | None", float | None)
+"""Annotations of fields that hold numbers, which are floats once a problem is stated."""
+
 
 class _Inherited(ReadOnlyCopies):
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
@@ -192,6 +204,11 @@ class Formulation(_Inherited):
                 constraint that is stated wrongly.
         """
         given = vars(self)
+        for part in fields(self):
+            if part.type in _NUMBER and not is_number(given[part.name]):
+                raise wrong_argument(part.name, "be a number", given[part.name])
+            if part.type in _NUMBER + _NUMBER_OR_NONE and part.name in given:
+                object.__setattr__(self, part.name, as_float(given[part.name]))
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
         budget = given.get("_stated_budget", budget)

@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from numbers import Real
 from typing import ClassVar, TextIO
 
 from ssp_lp.arrays import RELATIVE_GAP
-from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, wrong_argument
+from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, is_number, wrong_argument
 
 BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
 """Solvers of linear programs."""
@@ -174,7 +173,7 @@ def options_of(
     deadline = deadline_of(time_limit, began)
     asked = method.relaxation if isinstance(method, DeterministicPolicies) else method
     program = asked if isinstance(asked, LinearProgramming) else None
-    return SolveOptions(tolerance, deadline, _logged_progress(progress), program)
+    return SolveOptions(float(tolerance), deadline, _logged_progress(progress), program)
 
 
 def deadline_of(time_limit: float | None, began: float) -> float:
@@ -183,7 +182,7 @@ def deadline_of(time_limit: float | None, began: float) -> float:
     Raises:
         ModelError: a limit that is no number of seconds.
     """
-    if time_limit is not None and not (isinstance(time_limit, Real) and time_limit >= 0.0):
+    if time_limit is not None and not (is_number(time_limit) and time_limit >= 0.0):
         raise wrong_argument("time_limit", "be a number of seconds", time_limit)
     return float("inf") if time_limit is None else began + float(time_limit)
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Mapping
-from numbers import Real
 from typing import Any, Protocol, cast, overload
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.errors import ModelError, in_short, wrong_argument
+from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import check_product
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
@@ -171,7 +170,8 @@ class FailureBudget:
 
     def __set__(self, problem: _WithReachFraction, value: float | None) -> None:
         """Keep what was stated."""
-        vars(problem)["_stated_budget"] = None if isinstance(value, _Shared) else value
+        stated = None if isinstance(value, _Shared) else as_float(value)
+        vars(problem)["_stated_budget"] = stated
 
     @overload
     def __get__(self, problem: None, owner: type[object]) -> None: ...
@@ -184,8 +184,10 @@ class FailureBudget:
         share, known = problem.reach_fraction, vars(problem)
         if share is None:
             return stated_budget(problem)
+        stated = cast("Problem", problem)
+        if (asked := unrolled(stated)) is not stated:
+            return asked.failure_budget  # kept in one place, whoever asks
         if "_budget" not in known:
-            asked = unrolled(cast("Problem", problem))
             known["_budget"] = _Shared(budget_of_share(asked.model, asked.start, share))
         found: float = known["_budget"]
         return found
@@ -270,6 +272,12 @@ def pulled_back(policy: MixedPolicy, problem: Problem) -> MixedPolicy:
     return policy if policy.model is problem.model else on_original(policy)
 
 
+def as_float(value: Any) -> Any:
+    """A fraction, or a number of numpy's, as a float; anything else as it is."""
+    plain = isinstance(value, (int, float)) or not is_number(value)
+    return value if plain else float(value)
+
+
 def check_numbers(**named: object) -> None:
     """Check that a problem's arguments are numbers: Python's, numpy's or fractions.
 
@@ -277,5 +285,5 @@ def check_numbers(**named: object) -> None:
         ModelError: one is not; it is named.
     """
     for name, value in named.items():
-        if not isinstance(value, Real):
+        if not is_number(value):
             raise wrong_argument(name, "be a number", value)

@@ -95,8 +95,8 @@ def solve(
     with progress_shown(verbose):
         solution, status = _solved_with_proof(problem, chosen, options)
     note, reason = solution.note, solution.run.reason
-    if not note and solution.gap > tolerance:
-        note = f"the gap of {solution.gap:.1e} misses the tolerance of {tolerance:g}"
+    if not note and solution.gap > options.tolerance:
+        note = f"the gap of {solution.gap:.1e} misses the tolerance of {options.tolerance:g}"
     if method is None:
         reason = reason.replace("as asked", "which scales best for one failure row")
     return replace(

@@ -35,9 +35,13 @@ class Parameter(NamedTuple):
 def _number_argument(text: str) -> Fraction:
     """An argument's number as it is written: 0.1 is a tenth."""
     try:
-        return Fraction(text)
-    except (ValueError, ZeroDivisionError):
-        raise ArgumentTypeError(f"{text!r} is no number") from None
+        if "/" not in text and not 0.0 < abs(float(text)) < float("inf"):
+            return Fraction(float(text))  # written out, 1e-9999999 would fill the memory
+        number = Fraction(text)
+        float(number)
+    except (ValueError, ZeroDivisionError, OverflowError):
+        raise ArgumentTypeError(f"{text!r} is no number that a float can stand for") from None
+    return number
 
 
 def _number_or_none(text: str) -> float | None:

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from heapq import heappop, heappush
-from numbers import Real
 
 import numpy as np
 
@@ -23,7 +22,14 @@ from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProb
 from ssp_lp.column_generation.secant import Secant
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, until
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError, OutOfTimeError, check_between_0_and_1, check_whole
+from ssp_lp.errors import (
+    ModelError,
+    OutOfTimeError,
+    check_between_0_and_1,
+    check_whole,
+    is_number,
+    wrong_argument,
+)
 from ssp_lp.options import SolveOptions, deadline_of, progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem, has_rows, unrolled
 from ssp_lp.processes.failure_semantics import Aim
@@ -152,8 +158,8 @@ class _Limits:
         most, steepest = self.point_limit, self.steepest_price
         if most is not None:
             check_whole("point_limit", most, 2)
-        if steepest is not None and not (isinstance(steepest, Real) and 0.0 < steepest < np.inf):
-            raise ModelError(f"steepest_price must be a positive number, not {steepest!r}")
+        if steepest is not None and not (is_number(steepest) and 0.0 < steepest < np.inf):
+            raise wrong_argument("steepest_price", "be a positive number", steepest)
 
     @property
     def may_stop(self) -> bool:

@@ -186,7 +186,7 @@ def simulate(
     source, limits = generator_of(rng), (max_steps, record)
     with progress_shown(verbose):
         played = _simulate_episodes(played_by, asked, simulator, episodes, source, *limits)
-        report = _simulation_report(asked, played, confidence)
+        report = _simulation_report(asked, played, float(confidence))
         _LOG.info("%r", report)
     return report
 

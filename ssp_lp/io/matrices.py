@@ -81,7 +81,7 @@ def _matrix(matrix: Any) -> Any:
     """One matrix, sparse, without entries that are 0."""
     try:
         found = sp.csr_array(matrix, dtype=np.float64)
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, OverflowError) as error:
         raise ModelError(f"a matrix of transitions is none: {error}") from error
     found.sum_duplicates()
     found.eliminate_zeros()
@@ -114,7 +114,7 @@ def _paid_by_matrix(
         raise ModelError("sparse costs or rewards must be one matrix for each action")
     try:
         table = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"costs or rewards are no numbers: {in_short(given)}") from error
     if table.shape == (n_states,):
         return np.asarray(table[state])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from fractions import Fraction
 from functools import wraps
 from inspect import signature
 from itertools import islice
-from numbers import Integral, Real
+from numbers import Integral
 from os import PathLike
 from types import NoneType, SimpleNamespace, UnionType
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -15,7 +16,7 @@ from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError, SSPError, check_flag, in_short
+from ssp_lp.errors import ModelError, SSPError, check_flag, in_short, is_number
 
 _Given = ParamSpec("_Given")
 _Answer = TypeVar("_Answer")
@@ -68,7 +69,7 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
             return public(*given, **named)
         except SSPError:
             raise
-        except (TypeError, AttributeError, LookupError, ValueError) as error:
+        except (TypeError, AttributeError, LookupError, ValueError, OverflowError) as error:
             told = _wrong_argument(public, given, named)
             if told is None:
                 raise
@@ -169,7 +170,8 @@ def _is_argument_of(value: Any, kind: type) -> bool:
     if kind is bool:
         return isinstance(value, (bool, np.bool_))
     if kind in (int, float):
-        return isinstance(value, Integral if kind is int else Real) and value is not True
+        fits = is_number(value) if kind is float else isinstance(value, Integral)
+        return fits and value is not True
     if kind is Hashable:
         try:
             return hash(value) is not None
@@ -188,14 +190,14 @@ def _is_argument_of(value: Any, kind: type) -> bool:
     if getattr(kind, "_is_protocol", False):
         names = (name for name in vars(kind) if not name.startswith("_"))
         return all(hasattr(value, name) for name in names)
-    return isinstance(value, kind)
+    return isinstance(value, kind) and (kind is not Fraction or is_number(value))
 
 
 def _are_number_arguments(value: Any) -> bool:
     """Whether an argument is made of numbers."""
     try:
         return value is not None and np.asarray(value, dtype=np.float64) is not None
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return False
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Hashable, Iterable, Mapping
 from fractions import Fraction
 from typing import Any, cast
 
-from ssp_lp.errors import ModelError, did_you_mean, in_short
+from ssp_lp.errors import ModelError, check_whole, did_you_mean, in_short
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 
@@ -54,6 +54,7 @@ def flatten_successors(
     Raises:
         ModelError: more than ``state_limit`` states, or an outcome that is no triple.
     """
+    check_whole("state_limit", state_limit)
     is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
     several = isinstance(start, (list, set, frozenset))
     starts: list[Any] = list(cast(Iterable[Any], start)) if several else [start]
@@ -195,7 +196,8 @@ def _built_number(value: Any, what: str, state: Hashable, action: Hashable) -> f
     """A number of an outcome from which a model is built."""
     try:
         return float(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
+        given = in_short(value)
         raise ModelError(
-            f"action {action!r} of state {state!r} has a {what} that is no number: {value!r}"
+            f"action {action!r} of state {state!r} has a {what} that is no number: {given}"
         ) from error

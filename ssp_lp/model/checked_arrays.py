@@ -111,11 +111,11 @@ def unit_sums(
     return shared
 
 
-def successor_array(successors: npt.ArrayLike) -> IntArray:
-    """Successors as integers, [outcomes]; raises :class:`ModelError` if they are none."""
-    array = np.asarray(successors)
+def index_array(name: str, indices: npt.ArrayLike) -> IntArray:
+    """Indices as integers, of the width they have; raises :class:`ModelError` if they are none."""
+    array = np.asarray(indices)
     if array.size and not np.issubdtype(array.dtype, np.integer):
-        raise ModelError("successors must be integers (indices of states)")
+        raise ModelError(f"{name} must be integers (indices)")
     return read_only(array, np.int64 if array.dtype.itemsize > 4 else np.int32)
 
 

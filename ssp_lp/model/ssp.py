@@ -26,8 +26,8 @@ from ssp_lp.model.checked_arrays import (
     check_outcomes,
     cost_array,
     goal_mask_of,
+    index_array,
     indexed_labels,
-    successor_array,
     unit_sums,
 )
 from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
@@ -181,7 +181,7 @@ class SSP(Naming):
         """
         draft = cls._draft(pair_offsets, outcome_offsets, goal_states, states, actions)
         n_outcomes = int(draft.outcome_offsets[-1])
-        target = successor_array(successors)
+        target = index_array("successors", successors)
         chance = read_only(probabilities, np.float64)
         if target.shape != (n_outcomes,) or chance.shape != (n_outcomes,):
             raise ModelError(f"successors and probabilities must have length {n_outcomes}")
@@ -210,7 +210,8 @@ class SSP(Naming):
         actions: Sequence[Hashable] | None,
     ) -> SSP:
         """A model without outcomes: enough to name states and actions while checking the rest."""
-        pairs, outcomes = read_only(pair_offsets, np.int64), read_only(outcome_offsets, np.int64)
+        pairs = read_only(index_array("pair_offsets", pair_offsets), np.int64)
+        outcomes = read_only(index_array("outcome_offsets", outcome_offsets), np.int64)
         n_states, n_pairs = pairs.size - 1, outcomes.size - 1
         check_offsets("pair_offsets", pairs, n_pairs)
         check_offsets("outcome_offsets", outcomes, int(outcomes[-1]) if outcomes.size else 0)

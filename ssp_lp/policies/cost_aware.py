@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.errors import ModelError, check_flag
+from ssp_lp.errors import ModelError, check_flag, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
 from ssp_lp.model.chunks import chunks
@@ -56,14 +56,16 @@ class CostAwarePolicy(Policy):
     def __post_init__(self) -> None:
         check_flag("rounds_up", self.rounds_up)
         if self.levels is not None:
-            object.__setattr__(self, "levels", read_only(self.levels))
+            object.__setattr__(self, "levels", read_only(self.levels, np.float64))
             rising = len(self.levels) > 1 and bool((np.diff(self.levels) > 0.0).all())
             if not (rising and self.levels[0] == 0.0 and np.isfinite(self.levels[-1])):
                 raise ModelError("levels of accumulated cost must rise from 0 and be finite")
             if len(self.levels) != len(self.decision) + 1:
                 raise ModelError("a policy needs a decision for each level below the last")
-        elif not (np.isfinite(self.unit) and self.unit > 0.0):
-            raise ModelError(f"the unit of accumulated cost must be > 0 and finite: {self.unit!r}")
+        elif not (is_number(self.unit) and 0.0 < self.unit < np.inf):
+            raise wrong_argument("the unit of accumulated cost", "be > 0 and finite", self.unit)
+        else:
+            object.__setattr__(self, "unit", float(self.unit))
         for name in ("decision", "tails", "tail_threshold"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
         if self.tail_table is not None:

@@ -18,6 +18,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.errors import ModelError, wrong_argument
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import attention_pairs, attention_states, dead_ends
 from ssp_lp.policies.policy import (
     GIVE_UP,
@@ -96,6 +97,7 @@ class EpisodeBatch:
         shown = np.where(self.over & (self._pairs >= 0), UNDECIDED, self._pairs)
         return [told[k] if k in told else self.model.action_of(k) for k in shown.tolist()]
 
+    @explained
     def observe(self, successors: Sequence[Hashable], costs: Sequence[float] | FloatArray) -> None:
         """Tell where the step of each episode led and what it cost; this moves the memories.
 
@@ -211,6 +213,7 @@ class Episode:
             raise ModelError(f"no action of state {state!r} surely avoids the goal")
         return model.action_of(pair)
 
+    @explained
     def observe(self, successor: Hashable, cost: float) -> None:
         """Tell where the step led and what it cost; this moves the memory.
 

@@ -10,7 +10,15 @@ from numbers import Real
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, segment_minima
-from ssp_lp.errors import Argument, ModelError, check_between_0_and_1, check_flag, wrong_argument
+from ssp_lp.errors import (
+    Argument,
+    ModelError,
+    check_between_0_and_1,
+    check_flag,
+    in_short,
+    is_number,
+    wrong_argument,
+)
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_pairs
 from ssp_lp.processes.expectations import cost_means
@@ -171,8 +179,9 @@ def start_distribution(model: SSP, start: Hashable | Mapping[Hashable, float]) -
     weights = start if isinstance(start, Mapping) else {start: 1.0}
     distribution = np.zeros(model.n_states)
     for state, probability in weights.items():
-        if not isinstance(probability, Real):
-            raise ModelError(f"start probability of state {state!r} is no number: {probability!r}")
+        if not is_number(probability):
+            given = in_short(probability)
+            raise ModelError(f"start probability of state {state!r} is no number: {given}")
         if not 0.0 <= float(probability) <= 1.0 + 1e-12:
             raise ModelError(f"start probability of state {state!r} is {probability!r}")
         distribution[model.index_of(state)] += float(probability)
@@ -188,7 +197,7 @@ def check_penalty(penalty: float) -> None:
     Raises:
         ModelError: it is not a positive number, or is infinite.
     """
-    if not isinstance(penalty, Real) or not 0.0 < penalty < float("inf"):
+    if not is_number(penalty) or not 0.0 < penalty < float("inf"):
         hint = "; MinCost forbids failing"
         raise wrong_argument("penalty", "be a positive number", penalty, hint)
 

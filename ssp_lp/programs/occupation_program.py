@@ -132,6 +132,7 @@ class OccupationProgram:
         known = ", ".join(repr(row.name) for row in self.rows) or "none"
         raise ModelError(f"no row is named {name!r}; there are {known}")
 
+    @explained
     def solve(self, backend: str | None = None, *, time_limit: float = np.inf) -> OccupationMeasure:
         """Solve the program and recompute what the solver says.
 
@@ -180,6 +181,7 @@ class OccupationProgram:
             least_failure=float("nan"),
         )
 
+    @explained
     def measure(self, answer: LPAnswer) -> OccupationMeasure:
         """A solver's answer to ``linear`` as a measure."""
         program, dual = self.linear, answer.dual

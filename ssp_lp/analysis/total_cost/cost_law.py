@@ -16,7 +16,7 @@ from ssp_lp.analysis.layers.chain_of_law import chain_of_law
 from ssp_lp.analysis.total_cost.followed_sums import Followed, Sweep, cost_of
 from ssp_lp.analysis.total_cost.live_chain import ChainProspect, LiveChain
 from ssp_lp.arrays import QUANTILE, FloatArray
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short, wrong_argument
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
@@ -108,6 +108,7 @@ class CostLaw:
         """E[C | goal]; nan where the goal is never reached."""
         return self.cost / self.goal if self.goal > 0.0 else nan
 
+    @explained
     def within(self, bound: float | Fraction) -> float:
         """Pr(goal, C <= bound).
 
@@ -129,6 +130,7 @@ class CostLaw:
 
         return min(self._followed.asked(arrived), self.goal)
 
+    @explained
     def excess(self, threshold: float) -> float:
         """E[(C - threshold)^+; goal]; what lies far out is not lost to cancellation."""
         _check_cost_number(threshold, "threshold")
@@ -194,6 +196,7 @@ class CostLaw:
         _check_law_level(level)
         return TailMeanOf(level).of(self)
 
+    @explained
     def exponential(self, rate: float) -> float:
         """E[exp(rate * C); goal], rate <= 0, by a linear solve; no lattice is needed.
 
@@ -201,9 +204,10 @@ class CostLaw:
             ModelError: a rate above 0, for which the expectation need not be finite.
         """
         if not -inf < rate <= 0.0:
-            raise ModelError(f"rate must be a number of at most 0, not {rate!r}")
+            raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
         return self._mean(lambda p: p.exponential(rate))
 
+    @explained
     def expectation(self, utility: Utility, at_infinity: float) -> float:
         """E[utility(C); goal], followed until the rest cannot matter.
 
@@ -216,7 +220,7 @@ class CostLaw:
                 slowly, of a policy that takes so long, that the table becomes too large.
         """
         if not isfinite(at_infinity):
-            raise ModelError(f"at_infinity must be a finite number, not {at_infinity!r}")
+            raise ModelError(f"at_infinity must be a finite number, not {in_short(at_infinity)}")
         if self.goal == 0.0:
             return 0.0
 
@@ -234,6 +238,7 @@ class CostLaw:
 
         return at_infinity * self.goal + self._followed.asked(gained)
 
+    @explained
     def upto(self, bound: float | Fraction) -> Atoms:
         """All atoms of a total cost of at most ``bound``, as :meth:`within` compares."""
         if bound == inf:
@@ -258,8 +263,8 @@ class CostLaw:
         Raises:
             ModelError: the mass is not above 0.
         """
-        if not mass > 0.0:
-            raise ModelError(f"mass must be above 0, not {mass!r}: the support may be infinite")
+        if not float(mass) > 0.0:
+            raise wrong_argument("mass", "be above 0", mass, ": the support may be infinite")
 
         def atoms(arrivals: Sweep) -> Atoms:
             for _ in arrivals.followed():
@@ -294,4 +299,4 @@ def _check_cost_number(value: float | Fraction, name: str) -> None:
 
 def _check_law_level(level: float) -> None:
     if not 0.0 <= level < 1.0:
-        raise ModelError(f"level must lie in [0, 1), not {level!r}{as_percentage(level)}")
+        raise wrong_argument("level", "lie in [0, 1)", level, as_percentage(level))

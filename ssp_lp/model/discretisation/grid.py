@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import check_fields, explained
 
 ON_EDGE: Final = 1e-9
@@ -47,8 +47,9 @@ class Axis:
 
     def __post_init__(self) -> None:
         """Raise :class:`ModelError` for an empty or infinite interval, or without cells."""
-        if not isinstance(self.cells, (int, np.integer)) or self.cells < 1:
-            raise ModelError(f"an axis needs a whole number of cells >= 1: {self!r}")
+        if not isinstance(self.cells, (int, np.integer)) or not 1 <= self.cells < 2**31:
+            told = in_short(self.cells)
+            raise ModelError(f"an axis needs a whole number of cells >= 1, not {told}")
         check_fields(self)
         if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
             raise ModelError(f"an axis must run from low to a greater high: {self!r}")

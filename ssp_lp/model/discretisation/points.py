@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.errors import ModelError, check_whole
+from ssp_lp.errors import ModelError, check_whole, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.discretisation.continuous_model import ContinuousModel
 from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.discretisation.grid import Coordinates
+
+_MOST_POINTS = 1_000_000  # along one axis
 
 
 class Trials(NamedTuple):
@@ -72,12 +74,12 @@ class Quadrature:
         """Points and weights of each axis, in widths of a cell, and of each random number."""
         n_axes, n_noise = len(model.grid.axes), len(model.noise)
         given = self.points
-        counts = list(given) if isinstance(given, Iterable) else [given] * (n_axes + n_noise)
-        whole = all(isinstance(n, (int, np.integer)) and n >= 1 for n in counts)
+        counts: list[Any] = np.ravel(given).tolist() * (1 if np.ndim(given) else n_axes + n_noise)
+        whole = all(isinstance(n, (int, np.integer)) and 1 <= n <= _MOST_POINTS for n in counts)
         if len(counts) != n_axes + n_noise or not whole:
             raise ModelError(
-                f"points must be a number >= 1, or {n_axes} of them for the axes and {n_noise} for "
-                f"the noise, not {given!r}"
+                f"points must be a number >= 1 (<= {_MOST_POINTS:,}), or {n_axes} of them for the "
+                f"axes and {n_noise} for the noise, not {in_short(given)}"
             )
         within = [self._levels(int(n)) for n in counts]
         noise = zip(model.noise, within[n_axes:], strict=True)

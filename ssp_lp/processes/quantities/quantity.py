@@ -12,11 +12,11 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from numbers import Real
+from math import isfinite
 
 import numpy.typing as npt
 
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short, is_number
 
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
@@ -87,7 +87,7 @@ class Quantity:
 
     def __sub__(self, other: Quantity | float) -> Quantity:
         """The difference."""
-        return self + (-other)
+        return self + -1.0 * (other if isinstance(other, Quantity) else _quantity_number(other))
 
     def __rsub__(self, other: float) -> Quantity:
         """The difference."""
@@ -195,11 +195,6 @@ def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:
 
 def _quantity_number(value: object) -> float:
     """A finite number that a quantity goes with."""
-    if isinstance(value, Real):
-        try:
-            number = float(value)
-        except OverflowError:
-            number = float("inf")
-        if float("-inf") < number < float("inf"):
-            return number
-    raise ModelError(f"a quantity goes with finite numbers, not with {value!r}")
+    if is_number(value) and isfinite(number := float(value)):
+        return number
+    raise ModelError(f"a quantity goes with finite numbers, not with {in_short(value)}")

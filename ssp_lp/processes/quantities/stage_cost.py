@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import FloatArray, read_only
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.processes.quantities.quantity import Constraint, NestedCosts, secondary_cost
@@ -43,7 +42,7 @@ def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
             raise ModelError(f"limit {name!r} must be CostLimit(cost, bound), not {limit!r}")
         if not is_amount(limit.bound):
             raise ModelError(
-                f"the bound of limit {name!r} must be finite and >= 0: {limit.bound!r}"
+                f"the bound of limit {name!r} must be finite and >= 0: {in_short(limit.bound)}"
             )
     return {name: secondary_cost(limit.cost) <= limit.bound for name, limit in limits.items()}
 
@@ -78,13 +77,7 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> F
 
 def is_amount(value: object) -> bool:
     """Whether a value is a finite number >= 0, and no integer beyond all floats."""
-    if not isinstance(value, Real):
-        return False
-    try:
-        amount = float(value)
-    except OverflowError:
-        return False
-    return 0.0 <= amount < float("inf")
+    return is_number(value) and 0.0 <= float(value) < float("inf")
 
 
 def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
@@ -118,7 +111,7 @@ def _list_pair_costs(
         if not is_amount(value):
             raise ModelError(
                 f"limit {name!r}, action {action!r} of state {model.states[state]!r}: the cost "
-                f"must be finite and >= 0, not {value!r}"
+                f"must be finite and >= 0, not {in_short(value)}"
             )
         result[pair_of[action]] = float(value)
 
