@@ -26,6 +26,14 @@ Linear solves leave 1e-15 to 1e-14; 1e-16 drops true maximisers on the paper's r
 the least-failure cost by 4e-4.
 """
 
+FAILURE_FLOOR: Final = 1e-15
+"""Share of a state's greatest goal probability below which two failure probabilities are alike.
+
+Far from any hazard least failures are 1e-100 or 1e-233: whoever chases gains relative to these does
+not end, and no episode would ever show the difference. Rare goals keep their digits, as it is a
+share of them, and so do probabilities in components that are solved without subtractions.
+"""
+
 LEAST_BUDGET: Final = 1e-10
 """A budget this close below the least failure counts as equal to it (rounding of sums)."""
 

@@ -219,7 +219,8 @@ def budget_of_share(
         start: a state, or ``{state: probability}``.
         reach_fraction: the share, in [0, 1].
     """
-    greatest = float(start_distribution(model, start) @ greatest_goal_reach(model).goal)
+    begun = start_distribution(model, start)
+    greatest = float(begun @ greatest_goal_reach(model, start=begun).goal)
     return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
 
 

@@ -54,7 +54,7 @@ def improve_components(
         if end - begin > 1:
             _, leaves = improve_component(
                 offsets, indptr, indices, data, exits, order[begin:end], place, cost, noise,
-                _MOST_ROUNDS, choice, values, inner, low, leaving, right,
+                0.0, _MOST_ROUNDS, choice, values, inner, low, leaving, right,
             )  # fmt: skip
             if not leaves:
                 return c
@@ -74,7 +74,7 @@ def improve_components(
 @njit(cache=True)
 def improve_component(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    states: Array, place: Array, cost: Array, noise: float, rounds: int,
+    states: Array, place: Array, cost: Array, noise: float, floor: float, rounds: int,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
 ) -> tuple[int, bool]:  # fmt: skip
     """Howard's rounds within one component, in place; a policy that does not leave is taken back.
@@ -107,7 +107,7 @@ def improve_component(
             pick, least, kept, terms = best_pair(
                 offsets, indptr, indices, data, exits, cost, values, s, choice[s]
             )
-            if least < kept - noise * terms:
+            if least < kept - noise * terms - floor:
                 choice[s] = pick
                 now += 1
         changed += now
@@ -144,7 +144,8 @@ def best_pair(
 @njit(cache=True)
 def improve_blocks(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    order: Array, blocks: Array, is_forward: bool, most: int, cost: Array, noise: float,
+    order: Array, blocks: Array, is_forward: bool, most: int,
+    cost: Array, noise: float, floor: float,
     entering: Array, entering_offsets: Array, owner: Array,
     choice: Array, values: Array, stale: Array,
 ) -> int:  # fmt: skip
@@ -166,6 +167,7 @@ def improve_blocks(
         most: states of the largest block.
         cost: [pairs].
         noise: relative gain up to which a pair is kept.
+        floor: absolute gain up to which a pair is kept.
         entering: the pairs that lead to each state, [entries].
         entering_offsets: [states + 1].
         owner: the state of each pair, [pairs].
@@ -188,8 +190,8 @@ def improve_blocks(
             if _any_stale(stale, states):
                 before[: states.size] = values[states]
                 moved, _ = improve_component(
-                    offsets, indptr, indices, data, exits, states, place, cost, noise, _ROUNDS,
-                    choice, values, inner, low, leaving, right,
+                    offsets, indptr, indices, data, exits, states, place, cost, noise, floor,
+                    _ROUNDS, choice, values, inner, low, leaving, right,
                 )  # fmt: skip
                 changed += moved
                 _mark_to_improve(entering, entering_offsets, owner, states, before, values, stale)
@@ -201,7 +203,7 @@ def improve_blocks(
             offsets, indptr, indices, data, exits, cost, values, s, choice[s]
         )
         old = values[s]
-        if least < kept - noise * terms:
+        if least < kept - noise * terms - floor:
             choice[s], values[s] = pick, least
             changed += 1
         elif kept < np.inf:
@@ -247,7 +249,7 @@ def _mark_entering(
 @njit(cache=True)
 def improve_states(
     offsets: Array, indptr: Array, indices: Array, data: Array, order: Array,
-    cost: Array, noise: float, choice: Array, values: Array,
+    cost: Array, noise: float, floor: float, choice: Array, values: Array,
 ) -> tuple[int, float]:  # fmt: skip
     """Back up each state in turn, in place; it changes its pair only for a gain above the noise.
 
@@ -259,6 +261,7 @@ def improve_states(
         order: the states to visit.
         cost: [pairs].
         noise: relative to the values compared.
+        floor: absolute gain that is none.
         choice: pair of each state, [states].
         values: [states].
 
@@ -277,7 +280,7 @@ def improve_states(
                 kept = total
             if total < least:
                 least, pick = total, pair
-        if least < kept - noise * abs(kept):
+        if least < kept - noise * abs(kept) - floor:
             most = max(most, kept - least)
             changed += 1
             choice[s], values[s] = pick, least

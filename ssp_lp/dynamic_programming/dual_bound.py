@@ -17,9 +17,11 @@ from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.advantages import exact_sum, precise_advantages
+from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
 from ssp_lp.dynamic_programming.lowering import (
     lowered_at_once,
     lowered_until_nothing_lacks,
+    raised,
     shortfall,
 )
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
@@ -29,6 +31,8 @@ _ROUNDS = 12
 _SPARE = 16.0  # lacks within which a pair is taken to be as good as the best
 _LOST = 1e-11
 """Share of the values that lowering them may cost before they are worked out more precisely."""
+
+_MORE_LOST = 50.0  # times that where there are many states, and each evaluation takes its time
 
 _NEARLY = 1e-9
 """Lack, relative to the values, up to which they are thought to be optimal but for rounding."""
@@ -73,6 +77,8 @@ def dual_bound(
     values: FloatArray,
     floor: float = 0.0,
     choice: IntArray | None = None,
+    start: FloatArray | None = None,
+    least_loss: float | None = None,
 ) -> DualBound:
     """Lower the given values, as little as is needed, to ones that pass the check.
 
@@ -85,6 +91,8 @@ def dual_bound(
         values: near-optimal values, or any others (the bound is then worse), [states].
         floor: a constant that is known to be a sub-solution: 0 where no pair cost is negative.
         choice: a policy of about these values, which leaves, [states].
+        start: where the bound is to be near the values, positive there, [states]; None: everywhere.
+        least_loss: how far below the values it may be; None: a share of their size.
 
     Returns:
         Values that are checked lower bounds of the optimum.
@@ -94,13 +102,20 @@ def dual_bound(
         lowered = lowered_at_once(dynamics, pair_cost, values, floor, choice)
         if lowered is not None:
             return DualBound(lowered, np.zeros_like(lowered))
-    lack = shortfall(dynamics, pair_cost, values)
-    lowered = lowered_until_nothing_lacks(dynamics, pair_cost, values, lack, floor)
-    bound = DualBound(lowered, np.zeros_like(lowered))
+    asked = np.flatnonzero(np.ones_like(values) if start is None else start)
     scale = float(np.abs(values).max(initial=0.0))
-    if float((values - lowered).max(initial=0.0)) <= _LOST * scale:
-        return bound
-    if float(lack.max(initial=0.0)) > _NEARLY * scale:
+    enough = _LOST * scale if least_loss is None else least_loss
+    lack, worst = shortfall(dynamics, pair_cost, values), np.inf
+    lowered = np.full_like(values, floor)
+    if lack.any() and least_loss is not None:  # of probabilities, which sweeps often settle
+        lowered, worst = raised(dynamics, pair_cost, lowered, values, asked, enough)
+    if worst > enough:
+        found = lowered_until_nothing_lacks(dynamics, pair_cost, values, lack, floor)
+        lowered = np.maximum(lowered, found)  # of two sub-solutions the greater is one
+        lowered, worst = raised(dynamics, pair_cost, lowered, values, asked, enough)
+    bound = DualBound(lowered, np.zeros_like(lowered))
+    enough *= 1.0 if dynamics.n_states <= DIRECT_STATES else _MORE_LOST
+    if worst <= enough or float(lack.max(initial=0.0)) > _NEARLY * scale:
         return bound
     precise = _precise_bound(dynamics, pair_cost, values)
     return bound if precise is None else precise

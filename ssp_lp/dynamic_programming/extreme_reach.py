@@ -1,31 +1,69 @@
 """Extreme probabilities of leaving a process by one of two ways, and the pairs that attain them.
 
 Hitting and missing are each summed from their own exits, so that both keep their relative accuracy
-where they are small. A pair is as good as the best where taking it, as often as it comes round,
-loses no more than rounding: one that loses little at a time, in a loop that is hardly ever left,
-may lose everything.
+where they are small; where a component is too large to be solved state by state they are told apart
+down to ``FAILURE_FLOOR``. A pair is as good as the best where taking it, as often as it comes
+round, loses no more than that or rounding: one that loses little at a time, in a loop that is
+hardly ever left, may lose everything.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
+
 import numpy as np
 
-from ssp_lp.arrays import MAXIMISER, BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import (
+    FAILURE_FLOOR,
+    IMPROVEMENT,
+    MAXIMISER,
+    BoolArray,
+    FloatArray,
+    IntArray,
+)
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import pieces
+from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
+from ssp_lp.dynamic_programming.bellman import unsigned_parts
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach_leaving
+from ssp_lp.dynamic_programming.leaving import approach_leaving, leaving_chain
 from ssp_lp.dynamic_programming.linear_systems.advantages import precise_advantages
-from ssp_lp.dynamic_programming.policy_iteration import Settled, evaluate_policy, iterate_policy
+from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES, EXACTLY_SOLVED
+from ssp_lp.dynamic_programming.linear_systems.totals import Totals
+from ssp_lp.dynamic_programming.policy_iteration import evaluate_policy, iterate_policy
+from ssp_lp.model.graph.reachability import nearer_pairs
 
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2
+_SWEEPS = 40  # before the first evaluation: more than most distances take to spread both ways
 _PROVED = 1e-11  # gap of a probability that rounding may leave
+_PROVED_OF_MANY = 5e-10  # the same where there are many states, and each evaluation takes its time
 _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
 
 
+@dataclass(frozen=True, eq=False)
+class ExtremeReach:
+    """The greatest or the least probability of hitting, from every state, and who attains it."""
+
+    dynamics: Dynamics
+    both: FloatArray  # [pairs, 2] probability of leaving as is wanted, and otherwise
+    choice: IntArray  # [states] a policy that attains it
+    totals: Totals  # of both under it
+    reach: FloatArray  # [states]
+    bound: FloatArray  # [states] checked: no policy hits more often (greatest), or less often
+    floor: float  # share of what is wanted below which probabilities are alike
+
+
 def extreme_reach(
-    dynamics: Dynamics, hit: FloatArray, miss: FloatArray, *, greatest: bool
-) -> tuple[FloatArray, FloatArray, IntArray, BoolArray]:
+    dynamics: Dynamics,
+    hit: FloatArray,
+    miss: FloatArray,
+    *,
+    greatest: bool,
+    start: FloatArray | None = None,
+) -> ExtremeReach:
     """The greatest or the least probability of hitting, from every state.
 
     No policy may be able to stay for ever (end components are contracted, or there are none).
@@ -35,83 +73,109 @@ def extreme_reach(
         hit: probability of leaving it by hitting, [pairs].
         miss: probability of leaving it otherwise, [pairs].
         greatest: or least.
-
-    Returns:
-        The probability, [states], a checked bound of it: no policy hits more often (greatest), or
-        less often (least), who attains it, [states], and the pairs that do, [pairs].
+        start: where the bound is to be tight, positive there, [states]; None: everywhere.
     """
-    wanted, other = hit, miss
-    if dynamics.n_states == 0:
-        return hit[:0], hit[:0], np.zeros(0, dtype=np.int32), wanted > 0.0
-    if not greatest:
-        wanted, other = other, wanted
     # what is wanted is maximised, which is to minimise the other: each is exact where it is small
-    choice = approach_leaving(dynamics, wanted > 0.0)
+    both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
+    wanted, other = (np.ascontiguousarray(column) for column in both.T)
+    floor = 0.0 if dynamics.components.largest <= EXACTLY_SOLVED else FAILURE_FLOOR
+    run = partial(iterate_policy, dynamics, both, _OTHER, floor=floor)
+    few = dynamics.n_states <= DIRECT_STATES
+    enough = None if few else False  # where there are many the bound tells whether it is precise
+    settled = run(_swept_towards(dynamics, wanted), precise=enough)
+    if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # so small that the other cannot tell
+        choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
+        settled = run(choice, precise=enough)
+    asked = np.flatnonzero(np.ones(dynamics.n_states) if start is None else start)
+    missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
+    bounded = partial(dual_bound, dynamics, other, start=start, least_loss=_PROVED)
+    least = bounded(missed, choice=settled.choice).values
+    if float((missed - least)[asked].max(initial=0.0)) > (_PROVED if few else _PROVED_OF_MANY):
+        settled = run(settled.choice, precise=True)  # a policy of longer runs may be better
+        missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
+        least = bounded(missed, choice=settled.choice).values
+    totals = evaluate_policy(dynamics, settled.choice, both, _PRECISE)
+    reach, missed = np.clip(totals.values, 0.0, 1.0).T
+    least = np.minimum(least, missed)
+    most = 1.0 - least
+    if reach[asked].min(initial=1.0) < _SMALL:  # so small that 1 - least loses digits of it
+        tight = partial(dual_bound, choice=settled.choice, start=start)
+        most = np.minimum(most, -tight(dynamics, -wanted, -reach, floor=-1.0).values)
+    highest = np.clip(most, reach, 1.0)
+    reach = np.where(missed < reach, 1.0 - missed, reach)
+    bound = np.maximum(highest, reach)
+    if not greatest:
+        reach = np.where(reach > missed, missed, 1.0 - reach)
+        bound = np.clip(least, 0.0, reach)
+    return ExtremeReach(dynamics, both, settled.choice, totals, reach, bound, floor)
+
+
+def _swept_towards(dynamics: Dynamics, wanted: FloatArray) -> IntArray:
+    """A policy that leaves, towards what is wanted, improved by sweeps in the order of distance.
+
+    Args:
+        dynamics: the process.
+        wanted: probability of leaving as is wanted, [pairs].
+    """
+    distance = np.zeros(dynamics.n_states, dtype=np.int32)
+    arguments = dynamics.predecessors, dynamics.pair_offsets, dynamics.pair_state, wanted > 0.0
+    choice = nearer_pairs(*arguments, distance=distance)
     stuck = choice < 0
     if stuck.any():
         choice = np.where(stuck, approach_leaving(dynamics, dynamics.exits > 0.0), choice)
-    both = np.stack([wanted, other], axis=1)
-    settled = iterate_policy(dynamics, both, _OTHER, choice.astype(np.int32))
-    if settled.totals[:, 0].min() < _SMALL:  # so small that the other cannot tell
-        choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
-        settled = iterate_policy(dynamics, both, _OTHER, choice)
-    missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
-    least = dual_bound(dynamics, other, missed, choice=settled.choice).values
-    if float((missed - least).max()) > _PROVED:  # a policy of longer runs may be better
-        settled = iterate_policy(dynamics, both, _OTHER, settled.choice, precise=True)
-        missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
-        least = dual_bound(dynamics, other, missed, choice=settled.choice).values
-    totals = evaluate_policy(dynamics, settled.choice, both, _PRECISE)
-    won, lost = totals.values.T
-    tied = _tied_in_reach(dynamics, settled, wanted, other, (won, totals.low[:, 0]), lost)
-    reach, missed = np.clip(won, 0.0, 1.0), np.clip(lost, 0.0, 1.0)
-    least = np.minimum(least, missed)
-    most = 1.0 - least
-    if reach.min() < _SMALL:  # so small that 1 - least loses digits of it
-        above = -dual_bound(dynamics, -wanted, -reach, floor=-1.0, choice=settled.choice).values
-        most = np.minimum(most, above)
-    highest = np.clip(most, reach, 1.0)
-    reach = np.where(missed < reach, 1.0 - missed, reach)
-    if greatest:
-        return reach, np.maximum(highest, reach), settled.choice, tied
-    hit = np.where(reach > missed, missed, 1.0 - reach)
-    return hit, np.clip(least, 0.0, hit), settled.choice, tied
+    choice = choice.astype(np.int32)
+    if not accelerated(_SWEEPS * dynamics.transitions.nnz) or is_solved_backwards(dynamics):
+        return choice
+    from ssp_lp.compiled.improvement import improve_states
+
+    parts, values = (
+        unsigned_parts(dynamics.pair_offsets, dynamics.transitions),
+        np.zeros(len(choice)),
+    )
+    order = np.argsort(distance, kind="stable").astype(np.uint32)
+    order, best = order[~stuck[order]], choice.copy()
+    for sweep in range(_SWEEPS):
+        changed, direction = 0, order if sweep % 2 == 0 else np.ascontiguousarray(order[::-1])
+        for some in pieces(order.size, dynamics.transitions.nnz):
+            changed += improve_states(
+                *parts, direction[some], -wanted, IMPROVEMENT, FAILURE_FLOOR, best.view(np.uint32),
+                values,
+            )[0]  # fmt: skip
+        if not changed and sweep > 1:
+            break
+    return leaving_chain(dynamics, best, choice)[1]
 
 
-def _tied_in_reach(
-    dynamics: Dynamics,
-    settled: Settled,
-    wanted: FloatArray,
-    other: FloatArray,
-    won: tuple[FloatArray, FloatArray],
-    lost: FloatArray,
-) -> BoolArray:
+def attaining_pairs(found: ExtremeReach) -> BoolArray:
     """Pairs by which nothing is lost, however often they come round, [pairs]."""
-    home, (high, low) = dynamics.pair_state, won
-    ahead, _ = precise_advantages(home, dynamics.transitions, dynamics.exits, wanted, high, low)
+    dynamics, choice, both = found.dynamics, found.choice, found.both
+    (high, lost), low = found.totals.values.T, found.totals.low[:, 0]
+    arrays = dynamics.transitions, dynamics.exits, np.ascontiguousarray(both[:, 0])
+    home = dynamics.pair_state
+    ahead, _ = precise_advantages(home, *arrays, np.ascontiguousarray(high), low)
     size = np.minimum(high, lost)[home]  # the smaller of both is known to that relative accuracy
-    size = np.where(size > 0.0, size, np.maximum(high, lost)[home])
-    tied = ahead >= -MAXIMISER * size
-    tied[settled.choice] = True
+    slack = np.maximum(MAXIMISER * size, found.floor * high[home])
+    slack = np.where(slack > 0.0, slack, MAXIMISER * lost[home])
+    tied: BoolArray = np.asarray(ahead >= -slack)
+    tied[choice] = True
     chosen = np.zeros_like(tied)
-    chosen[settled.choice] = True
+    chosen[choice] = True
     while (tied & ~chosen & (ahead < 0.0)).any():
         kept = np.flatnonzero(tied)
         place = np.full(len(tied), -1, dtype=np.int32)
         place[kept] = np.arange(kept.size)
         among = dynamics.restricted(kept)
-        both = np.stack([wanted[kept], other[kept]], axis=1)
-        worst = iterate_policy(among, both, -_OTHER, place[settled.choice])
+        worst = iterate_policy(among, both[kept], -_OTHER, place[choice])
         if high.min() < _SMALL:
-            worst = iterate_policy(among, both, _WANTED, worst.choice)
+            worst = iterate_policy(among, both[kept], _WANTED, worst.choice)
         taken = kept[worst.choice]
         less, more = worst.totals.T
         loss = np.where(high < lost, high - less, more - lost)  # each is exact where it is small
-        if (loss <= 10.0 * MAXIMISER * size[taken]).all():
+        if (loss <= 10.0 * slack[taken]).all():
             break
         share = np.maximum(-ahead[taken], 0.0) * 2.0 * worst.runs
-        share = np.where(chosen[taken], 0.0, share / size[taken])
+        share = np.where(chosen[taken], 0.0, share / slack[taken])
         if not share.any():
             break
-        tied[taken[share > min(MAXIMISER, float(share.max()) * 0.5)]] = False
+        tied[taken[share > min(1.0, float(share.max()) * 0.5)]] = False
     return tied

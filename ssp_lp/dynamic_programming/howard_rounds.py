@@ -59,11 +59,12 @@ def howard_rounds(
     weights: FloatArray,
     choice: IntArray,
     totals: FloatArray | None,
+    floor: float = 0.0,
 ) -> _Found:
     """The same as ``_howard_rounds``; a stop carries the policy that the rounds had come to."""
     latest = [choice]
     try:
-        return _howard_rounds(dynamics, rewards, weights, latest, totals)
+        return _howard_rounds(dynamics, rewards, weights, latest, totals, floor)
     except STOPS as stop:
         heed(stop)
         raise Stop(latest[0]) from stop
@@ -75,6 +76,7 @@ def _howard_rounds(
     weights: FloatArray,
     latest: list[IntArray],
     totals: FloatArray | None,
+    floor: float,
 ) -> _Found:
     """Policy iteration whose evaluations become exact as the gains shrink.
 
@@ -84,6 +86,7 @@ def _howard_rounds(
         weights: [rewards].
         latest: the policy to begin with; the last one that was evaluated takes its place.
         totals: about those of the first policy, [states, rewards].
+        floor: gain of a step that is none, in units of the values.
 
     Returns:
         The policy, its equations and totals, the greatest gain that was left to be rounding, and
@@ -105,12 +108,14 @@ def _howard_rounds(
         if accuracy <= _FINE and above is not None and _rises_in_round(values, above):
             raise SolverError("a policy that was to improve the last one is worse")
         backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
-        better, gain, scale = _gains_of_round(backup, values, accuracy)
+        exact = system.is_solved_exactly
+        missed = 0.0 if exact and accuracy <= _FINE else accuracy
+        better, gain, scale = _gains_of_round(backup, values, missed, floor)
         if not better.any() and accuracy > _FINE:
             accuracy = _FINE  # only noise was thought greater
-            if not system.is_solved_exactly:
+            if not exact:
                 continue
-            better, gain, scale = _gains_of_round(backup, values, accuracy)
+            better, gain, scale = _gains_of_round(backup, values, 0.0, floor)
         above = values if accuracy <= _FINE else None
         if not better.any():
             return choice, system, totals, gain, work
@@ -119,7 +124,7 @@ def _howard_rounds(
         before, changed = choice, int(np.count_nonzero(better))
         choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
         if changed > _STEADY * changed_before and accelerated(transitions.nnz):
-            work = work + _swept_in_round(dynamics, pair_cost, choice, values, system, spent)
+            work = work + _swept_in_round(dynamics, pair_cost, choice, values, floor, system, spent)
         changed_before, wanted = changed, _FORCING * gain / scale
         accuracy = min(wanted if gain > _LAST_GAINS * scale else _FINE, accuracy)
 
@@ -138,6 +143,7 @@ def _swept_in_round(
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
+    floor: float,
     system: System,
     spent: int,
 ) -> Work:
@@ -149,21 +155,20 @@ def _swept_in_round(
     """
     swept = None
     if system.is_solved_exactly:  # where components were large they hardly become small
-        swept = improve_along_chain(dynamics, pair_cost, choice, values)
+        swept = improve_along_chain(dynamics, pair_cost, choice, values, floor)
     if swept is None:
         most = _most_sweeps(dynamics, system, spent)
-        swept = _sweep_in_round(dynamics, pair_cost, choice, values, most)
+        swept = _sweep_in_round(dynamics, pair_cost, choice, values, floor, most)
     return Work(swept, 0)
 
 
 def _gains_of_round(
-    backup: Backup, values: FloatArray, accuracy: float
+    backup: Backup, values: FloatArray, missed: float, floor: float
 ) -> tuple[BoolArray, float, float]:
     """Which states gain more than noise, the greatest gain, and the size of the values."""
     scale = max(float(np.abs(values).max(initial=0.0)), 1e-300)
-    noise = IMPROVEMENT * np.abs(backup.here)
-    if accuracy > _FINE:
-        noise = noise + _NOISE * accuracy * scale
+    noise = IMPROVEMENT * np.abs(backup.here) + floor
+    noise = noise + (_NOISE * missed if missed > _FINE else missed) * scale
     better = np.asarray(backup.minima < backup.here - noise)
     return better, greatest_gain(backup), scale
 
@@ -179,6 +184,7 @@ def _sweep_in_round(
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
+    floor: float,
     most_sweeps: int,
 ) -> int:
     """In one of Howard's rounds improve by sweeps, in place, while many states change.
@@ -195,8 +201,9 @@ def _sweep_in_round(
         direction, changed = order if sweep % 2 else backward, 0
         for some in pieces(order.size, dynamics.transitions.nnz):
             changed += improve_states(
-                *parts, direction[some], pair_cost, IMPROVEMENT, choice.view(np.uint32), values
-            )[0]
+                *parts, direction[some], pair_cost, IMPROVEMENT, floor, choice.view(np.uint32),
+                values,
+            )[0]  # fmt: skip
         most = max(most, changed)
         if changed <= _SETTLED * most and sweep > 1:  # where one way changed nothing, the other may
             return sweep
@@ -216,6 +223,7 @@ def improve_along_chain(
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
+    floor: float = 0.0,
 ) -> int | None:
     """In Howard's rounds improve a policy, in place, until a pass there and back changes nothing.
 
@@ -226,6 +234,7 @@ def improve_along_chain(
         pair_cost: [pairs].
         choice: pair of each state of a policy that leaves, [states].
         values: of no better policy, [states].
+        floor: gain of a step that is none.
 
     Returns:
         The number of backups of all states; None where the components are too large.
@@ -237,7 +246,9 @@ def improve_along_chain(
     for _ in range(_PASSES):
         changed = 0
         for is_forward in (True, False):
-            changed += _pass_of_round(dynamics, found, pair_cost, choice, values, stale, is_forward)
+            changed += _pass_of_round(
+                dynamics, found, pair_cost, choice, values, floor, stale, is_forward
+            )
         run += 2
         if not changed:
             break
@@ -253,6 +264,7 @@ def _pass_of_round(
     pair_cost: FloatArray,
     choice: IntArray,
     values: FloatArray,
+    floor: float,
     stale: BoolArray,
     is_forward: bool,
 ) -> int:
@@ -267,7 +279,7 @@ def _pass_of_round(
         changed += improve_blocks(
             *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
             unsigned(found.order), found.offsets[begin : end + 1], is_forward, found.largest,
-            pair_cost, IMPROVEMENT, unsigned(before.pairs), before.offsets,
+            pair_cost, IMPROVEMENT, floor, unsigned(before.pairs), before.offsets,
             unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
         )  # fmt: skip
     return changed

@@ -13,7 +13,7 @@ from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, segment_minima
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards, least_backwards
-from ssp_lp.dynamic_programming.bellman import best_pairs, unsigned_parts
+from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, safe_minima, unsigned_parts
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.advantages import safe_advantages
 from ssp_lp.errors import SolverError
@@ -33,6 +33,8 @@ _HOPELESS = 1e-3
 
 _LONGEST = 1e9  # steps, beyond which shrinking by the lack's share cannot help
 _LEAST_SCALE = 1e-300
+_RAISING, _MOST_RAISING = 20, 5_000  # sweeps between two looks at what is lost still, and of all
+_RAISED = 0.9  # share of the loss from which sweeps are too slow
 
 
 def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
@@ -122,6 +124,45 @@ def lowered_until_nothing_lacks(
         if smaller > share / _LONGEST and passes(lowered := shrunk(smaller)):
             return lowered
     return np.full_like(values, floor)
+
+
+def raised(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    lowered: FloatArray,
+    values: FloatArray,
+    asked: IntArray,
+    enough: float,
+) -> tuple[FloatArray, float]:
+    """Lowered values raised again by backups rounded down, which keeps them a sub-solution.
+
+    Sweeps end where no value that counts has lost more than enough, or where they are slow.
+
+    Args:
+        dynamics: the process.
+        pair_cost: [pairs].
+        lowered: a checked sub-solution, [states].
+        values: what it was lowered from, [states].
+        asked: the states that count.
+        enough: what may be lost there.
+
+    Returns:
+        The sub-solution, and the most that is lost where it counts.
+    """
+    lost, size = values - lowered, np.abs(pair_cost)
+    offsets, rows, cost = dynamics.pair_offsets, dynamics.transitions, PairCost(pair_cost)
+    never, sweeps = np.full(len(size), -1.0), 0
+    while lost[asked].max(initial=0.0) > enough and sweeps < _MOST_RAISING:
+        for _ in range(_RAISING):
+            lowered = np.maximum(lowered, safe_minima(offsets, rows, cost, size, never, lowered))
+        before, lost = lost, values - lowered
+        sweeps += _RAISING
+        if (
+            lost.max() > _RAISED * before.max()
+            and lost[asked].max() > _RAISED * before[asked].max()
+        ):
+            break
+    return lowered, float(lost[asked].max(initial=0.0))
 
 
 def _longest_run(

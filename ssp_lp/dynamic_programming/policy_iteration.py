@@ -73,7 +73,8 @@ def iterate_policy(
     choice: IntArray,
     guess: FloatArray | None = None,
     *,
-    precise: bool = False,
+    precise: bool | None = None,
+    floor: float = 0.0,
 ) -> Settled:
     """Policy iteration: minimise the expected total of ``rewards @ weights`` from every state.
 
@@ -88,7 +89,9 @@ def iterate_policy(
         weights: [rewards].
         choice: pair of the first policy in each state, [states].
         guess: totals to start the first evaluation from, [states, rewards].
-        precise: compare pairs in twice the working precision in any case.
+        precise: compare pairs in twice the working precision, in the end; None: where rounding may
+            hide gains.
+        floor: gain that is none, in units of the totals.
 
     Raises:
         Stop: the time ended, with the policy so far.
@@ -108,15 +111,17 @@ def iterate_policy(
             left = greatest_gain(best_pairs(offsets, transitions, pair_cost, values, choice))
             totals = evaluate_policy(dynamics, choice, rewards)
         else:
-            found = howard_rounds(dynamics, rewards, weights, choice, guess)
+            found = howard_rounds(dynamics, rewards, weights, choice, guess, floor)
             choice, system, solved, left, work = found
             totals = evaluate_chain(system, rewards[choice], solved)
             work = work + Work(0, system.products)
     except SolverError:
-        return improve_precisely(dynamics, rewards, weights, choice, work)
+        return improve_precisely(dynamics, rewards, weights, choice, work, floor)
     values = weighted(totals.values, weights)
-    if precise or _may_hide_more(values, totals.runs, left):
-        return improve_precisely(dynamics, rewards, weights, choice, work)
+    if precise is None:
+        precise = _may_hide_more(values, totals.runs, left)
+    if precise:
+        return improve_precisely(dynamics, rewards, weights, choice, work, floor)
     return Settled(choice, totals.values, values, np.zeros_like(values), totals.runs, work)
 
 
@@ -140,6 +145,7 @@ def improve_precisely(
     weights: FloatArray,
     choice: IntArray,
     work: Work,
+    floor: float = 0.0,
 ) -> Settled:
     """Policy iteration in twice the working precision.
 
@@ -149,6 +155,7 @@ def improve_precisely(
         weights: [rewards].
         choice: a policy that leaves, [states].
         work: done before.
+        floor: worth of all gains that is none, in units of the values.
 
     Raises:
         Stop: the time ended.
@@ -170,15 +177,16 @@ def improve_precisely(
         work = work + Work(1, system.products)
         most = float(gain.max(initial=0.0))
         worth = 2.0 * float(priced.runs.max(initial=0.0)) * most
-        ended = worth <= _WORTHLESS * float(np.abs(values).max(initial=0.0)) and most > 0.5 * last
+        least = _WORTHLESS * float(np.abs(values).max(initial=0.0))
+        ended = worth <= floor or (worth <= least and most > 0.5 * last)
         last = most
         if ended or not better.size:
             totals = evaluate_chain(system, rewards[choice])
             return Settled(choice, totals.values, values, low, totals.runs, work)
         before, choice = choice, choice.copy()
-        least = segment_minima(ahead, offsets)
+        minima = segment_minima(ahead, offsets)
         picks = np.array(offsets[:-1], dtype=np.int32)
-        picks[np.diff(offsets) > 0] = first_minimisers(ahead, least, offsets)
+        picks[np.diff(offsets) > 0] = first_minimisers(ahead, minima, offsets)
         choice[better] = picks[better]
     raise SolverError("policy iteration goes round in circles")
 

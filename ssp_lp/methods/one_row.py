@@ -35,7 +35,7 @@ _REASONS = {
 def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     """The greatest or the least goal probability; the full program, where asked for, agrees."""
     compiled, aim = problem.compile(), problem.semantics.aim
-    reach = extreme_goal_reach(problem.model, aim)
+    reach = extreme_goal_reach(problem.model, aim, compiled.start)
     objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:

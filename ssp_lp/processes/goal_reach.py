@@ -7,12 +7,13 @@ second stage that minimises a cost over the policies that attain the first (math
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
-from ssp_lp.dynamic_programming.extreme_reach import extreme_reach
+from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
@@ -38,8 +39,19 @@ class GoalReach:
 
     goal: FloatArray  # [states] E[gamma^T; goal]; 1 at goals, 0 at dead-ends
     bound: FloatArray  # [states] checked: an upper bound of the greatest, a lower of the least
-    usable: BoolArray  # [model pairs] pairs that attain the extreme
     decision: IntArray  # [states] one policy that attains it
+    surely: BoolArray  # [model pairs] pairs that attain the extreme as the graph says
+    solved: tuple[Quotient, ExtremeReach] | None = None  # where the graph does not decide
+
+    @cached_property
+    def usable(self) -> BoolArray:
+        """Pairs that attain the extreme, [model pairs]."""
+        if self.solved is None:
+            return self.surely
+        quotient, found = self.solved
+        usable, pairs = self.surely | quotient.inside, quotient.pair_at[attaining_pairs(found)]
+        usable[pairs[pairs >= 0]] = True
+        return usable
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,42 +72,50 @@ class ReachPolicy:
         return TailValues(self.goal, self.failure, self.early, self.cost, nothing)
 
 
-def greatest_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
+def greatest_goal_reach(
+    model: SSP, survival: float = 1.0, start: FloatArray | None = None
+) -> GoalReach:
     """MAXPROB: the greatest E[survival^T; goal] from every state.
 
-    Where the goal is reached for sure, and where it never is, is decided on the graph.
+    Where the goal is reached for sure, and where it never is, is decided on the graph. Where that
+    says that it is reached for sure from the start, nothing else is worked out: states from which
+    it is not count as if it was not reached from there.
 
     Args:
         model: the model.
         survival: the discount; 1 for probabilities.
+        start: where it is asked for, positive there, [states]; None: in every state.
     """
     exact = survival == 1.0
-    if exact:
-        sure, keeping, nearer = surely_reaching(model)
-    else:
-        sure, keeping = model.goal_mask, np.zeros(model.n_pairs, dtype=np.bool_)
-    if exact and not (~sure & ~dead_ends(model)).any():  # the graph decides it all
-        reached = sure.astype(np.float64)
-        usable = keeping & (sure & ~model.goal_mask)[model.pair_state]
-        return GoalReach(reached, reached, usable, np.where(nearer < 0, UNDECIDED, nearer))
-    everything = np.ones(model.n_pairs, dtype=np.bool_) if exact else None
+    if not exact:
+        quotient = build_quotient(model, ended=model.goal_mask)
+        inside = np.zeros(model.n_pairs, dtype=np.bool_)
+        return _extreme_reach(quotient, model.goal_mask, inside, survival, start, greatest=True)
+    sure, keeping, nearer = surely_reaching(model)
+    inside = sure & ~model.goal_mask
+    surely, asked = keeping & inside[model.pair_state], ~dead_ends(model)
+    if start is not None:
+        asked &= start > 0.0
+    if not (asked & ~sure).any():  # the graph decides it all
+        reached, bound = sure.astype(np.float64), (~dead_ends(model)).astype(np.float64)
+        return GoalReach(reached, bound, np.where(nearer < 0, UNDECIDED, nearer), surely)
+    everything = np.ones(model.n_pairs, dtype=np.bool_)
     # moving about in a component risks nothing
     quotient = build_quotient(model, free=everything, ended=sure)
-    found = _extreme_reach(quotient, sure, survival, greatest=True)
-    inside = sure & ~model.goal_mask
-    return replace(
-        found,
-        usable=np.where(inside[model.pair_state], keeping, found.usable),
-        decision=np.where(inside, nearer, found.decision) if exact else found.decision,
-    )
+    found = _extreme_reach(quotient, sure, surely, survival, start, greatest=True)
+    return replace(found, decision=np.where(inside, nearer, found.decision))
 
 
-def extreme_goal_reach(model: SSP, aim: Aim) -> GoalReach:
-    """MAXPROB or MINPROB, exact, as the aim says."""
-    return greatest_goal_reach(model) if aim is Aim.GREATEST_GOAL else least_goal_reach(model)
+def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:
+    """MAXPROB or MINPROB, exact, as the aim says, for a start, [states]."""
+    if aim is Aim.GREATEST_GOAL:
+        return greatest_goal_reach(model, start=start)
+    return least_goal_reach(model, start=start)
 
 
-def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
+def least_goal_reach(
+    model: SSP, survival: float = 1.0, start: FloatArray | None = None
+) -> GoalReach:
     """MINPROB: the least E[survival^T; goal] from every state; 0 at attention states.
 
     Only states that cannot avoid the goal for sure need to be solved for, and of those only the
@@ -106,25 +126,30 @@ def least_goal_reach(model: SSP, survival: float = 1.0) -> GoalReach:
     if survival == 1.0:
         bound_to = ~reaching_states(model, attention)
     quotient = build_quotient(model, ended=attention | bound_to)
-    found = _extreme_reach(quotient, bound_to, survival, greatest=False)
     inside = bound_to & ~model.goal_mask
+    surely = inside[model.pair_state]
+    found = _extreme_reach(quotient, bound_to, surely, survival, start, greatest=False)
     decision = np.where(attention & ~quotient.dead, GIVE_UP_CODE, found.decision)
-    return replace(
-        found,
-        usable=found.usable | inside[model.pair_state],
-        decision=np.where(inside, model.pair_offsets[:-1], decision),
-    )
+    return replace(found, decision=np.where(inside, model.pair_offsets[:-1], decision))
 
 
 def _extreme_reach(
-    quotient: Quotient, hit_states: BoolArray, survival: float, *, greatest: bool
+    quotient: Quotient,
+    hit_states: BoolArray,
+    surely: BoolArray,
+    survival: float,
+    start: FloatArray | None,
+    *,
+    greatest: bool,
 ) -> GoalReach:
     """The greatest or the least E[survival^T; hit] over the live states.
 
     Args:
         quotient: the live states.
         hit_states: where episodes that count end, [states]; all others that end do not count.
+        surely: pairs that attain the extreme as the graph says, [model pairs].
         survival: the discount.
+        start: where it is asked for, [states]; None: everywhere.
         greatest: or least.
     """
     model = quotient.model
@@ -134,14 +159,14 @@ def _extreme_reach(
     miss = survival * quotient.at_pairs(successor_means(model, missing)) / departs
     if survival < 1.0:
         miss = miss + (1.0 - survival)
-    reach, bound, choice, tied = extreme_reach(dynamics, hit, miss, greatest=greatest)
-    usable = quotient.inside.copy()
-    usable[quotient.pair_at[tied & (quotient.pair_at >= 0)]] = True
+    begun = None if start is None else quotient.gather(start)
+    found = extreme_reach(dynamics, hit, miss, greatest=greatest, start=begun)
     return GoalReach(
-        goal=np.where(hit_states, 1.0, quotient.lift(reach)),
-        bound=np.where(hit_states, 1.0, quotient.lift(bound)),
-        usable=usable,
-        decision=quotient.pull_back(choice),
+        goal=np.where(hit_states, 1.0, quotient.lift(found.reach)),
+        bound=np.where(hit_states, 1.0, quotient.lift(found.bound)),
+        decision=quotient.pull_back(found.choice),
+        surely=surely,
+        solved=(quotient, found),
     )
 
 

@@ -235,6 +235,9 @@ def build_quotient(
     dead = dead_ends(model)
     live = ~dead & ~model.goal_mask
     live = live if ended is None else live & ~ended
+    if usable is not None:  # where nothing may be done an episode is over
+        acting = np.bincount(model.pair_state[usable], minlength=model.n_states) > 0
+        live &= acting if exits is None else acting | exits
     usable = live[model.pair_state] if usable is None else usable & live[model.pair_state]
     component = np.full(model.n_states, -1)
     inside = np.zeros(model.n_pairs, dtype=np.bool_)

@@ -233,7 +233,7 @@ def _goal_certificate(problem: Problem, found: Evaluation) -> Certificate:
     """The probability attained, and a checked bound of what can be, above or below it."""
     aim = problem.semantics.aim
     start = start_distribution(problem.model, problem.start)
-    bound = float(start @ extreme_goal_reach(problem.model, aim).bound)
+    bound = float(start @ extreme_goal_reach(problem.model, aim, start).bound)
     return certificate_of(found, bound, 1.0, above=aim is not Aim.LEAST_GOAL)
 
 

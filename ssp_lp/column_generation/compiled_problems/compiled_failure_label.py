@@ -45,7 +45,9 @@ class CompiledFailureLabel:
     @property
     def second_stage(self) -> FailureLabelled:
         """The process over the pairs that attain the greatest goal probability."""
-        return self._labelled(greatest_goal_reach(self.model, survival_of(self.discount)).usable)
+        return self._labelled(
+            greatest_goal_reach(self.model, survival_of(self.discount), self.start).usable
+        )
 
     def _labelled(self, usable: BoolArray | None) -> FailureLabelled:
         """The process of all pairs (None) or, without giving up, of some, [model pairs]."""
@@ -68,7 +70,7 @@ class CompiledFailureLabel:
         unsure = np.flatnonzero(~sure & (self.start > 0.0))
         if not unsure.size:
             return
-        greatest = greatest_goal_reach(self.model).goal
+        greatest = greatest_goal_reach(self.model, start=self.start).goal
         state = int(unsure[np.argmin(greatest[unsure])])
         least = max(1.0 - float(self.start @ greatest), 0.0)
         raise InfeasibleError(

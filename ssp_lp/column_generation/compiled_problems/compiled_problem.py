@@ -155,7 +155,9 @@ def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> Le
             least_failure=failure,
             conflicting_rows=("failure",),
         )
-    greatest = float(compiled.start @ greatest_goal_reach(compiled.model).goal)
+    greatest = float(
+        compiled.start @ greatest_goal_reach(compiled.model, start=compiled.start).goal
+    )
     real = max(1.0 - greatest, 0.0)
     nearer = ("; ", Argument("discount", None), " or a discount nearer to 1 is feasible")
     raise InfeasibleError(

@@ -24,7 +24,12 @@ from ssp_lp.processes.failure_semantics import (
     ObjectiveSense,
     survival_of,
 )
-from ssp_lp.processes.goal_reach import cheapest_reach, greatest_goal_reach, least_goal_reach
+from ssp_lp.processes.goal_reach import (
+    GoalReach,
+    cheapest_reach,
+    greatest_goal_reach,
+    least_goal_reach,
+)
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
 from ssp_lp.processes.layered.charges import Charge
 from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, first_total, truncates
@@ -131,8 +136,13 @@ class CompiledConstrained:
     @cached_property
     def greatest_goal(self) -> float:
         """The greatest goal probability, discounted where the problem is, bounded from above."""
-        reach = greatest_goal_reach(self.model, survival_of(self.discount))
+        reach = self._greatest
         return float(self.start @ np.maximum(reach.goal, reach.bound))
+
+    @cached_property
+    def _greatest(self) -> GoalReach:
+        """The greatest goal probability from the start, and the pairs that attain it."""
+        return greatest_goal_reach(self.model, survival_of(self.discount), self.start)
 
     @cached_property
     def least_goal(self) -> float:
@@ -143,17 +153,14 @@ class CompiledConstrained:
     @cached_property
     def _least_goals(self) -> FloatArray:
         """A goal probability that every policy that counts attains, [states]."""
-        survival = survival_of(self.discount)
         if self.budget is None:
-            return greatest_goal_reach(self.model, survival).goal * (1.0 - ATTAINABLE)
-        return least_goal_reach(self.model, survival).bound
+            return self._greatest.goal * (1.0 - ATTAINABLE)
+        return least_goal_reach(self.model, survival_of(self.discount)).bound
 
     @cached_property
     def _usable(self) -> BoolArray | None:
         """Pairs that attain the least failure, where only they may be used, [model pairs]."""
-        if self.budget is not None:
-            return None
-        return greatest_goal_reach(self.model, survival_of(self.discount)).usable
+        return None if self.budget is not None else self._greatest.usable
 
     @cached_property
     def augmented(self) -> FailureLabelled | OpenEnded:
@@ -225,7 +232,7 @@ class CompiledConstrained:
     def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
         survival = survival_of(self.discount)
-        safest = cheapest_reach(self.model, greatest_goal_reach(self.model, survival), survival)
+        safest = cheapest_reach(self.model, self._greatest, survival)
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property

@@ -106,7 +106,7 @@ class ExplicitPricing:
         weights = _pricing_weights(price)
         choice, guess = self._begun(weights, warm)
         smaller, at = self._contracted(weights), None if isinstance(price, np.ndarray) else price
-        run = partial(iterate_policy, precise=self.precise)
+        run = partial(iterate_policy, precise=self.precise or None)
         if smaller is None:
             settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
             return self._column(settled.choice, settled.totals, settled.work, at)

@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
-from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.accelerator import accelerated, has_accelerator
 from ssp_lp.compiled.deadline import pieces
 from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
     Solver,
@@ -21,9 +21,12 @@ from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
     factor_solver,
 )
 from ssp_lp.dynamic_programming.linear_systems.iteration import Iteration
+from ssp_lp.errors import SolverError
 
 _BAND_WORK = 6e8
 """States times the square of the bandwidth: about a second of compiled reduction."""
+
+_MOST_BAND_WORK = 1e10  # the same where nothing else is precise enough
 
 
 class LargeComponent:
@@ -86,6 +89,21 @@ class LargeComponent:
             self._direct = self._direct_solver()
         x[self._states] = y if self._direct is None else self._direct(right)
         return max(self._iteration.products - before, 1)
+
+    def reduce(self, rewards: FloatArray, x: FloatArray) -> None:
+        """The same as ``solve`` without any subtraction: for chains that are hardly left.
+
+        Raises:
+            SolverError: the component is not narrow enough, or numba is missing.
+        """
+        self._is_compiled, (order, width) = has_accelerator(), self._band
+        if not self._is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
+            raise SolverError(
+                "a policy's totals could not be verified: its chain is left too seldom for double "
+                "precision"
+            )
+        exits, right = self._leaving / self._departs, self._right(rewards, x)
+        x[self._states] = band_solver(self._own, exits, order, width)(right)
 
     def _gathered(self, exits: FloatArray) -> tuple[sp.csr_array, FloatArray, FloatArray]:
         """Moves among members divided by the probability of departing, that, and what leaves."""

@@ -42,7 +42,7 @@ _DENSE_STATES = 40
 DIRECT_STATES = 1_000
 """Up to here one sparse factorisation costs less than looking at the structure."""
 
-_SMALL = 256
+EXACTLY_SOLVED = 256
 """States of a component up to which a compiled dense reduction costs no more than other ways."""
 
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
@@ -83,7 +83,7 @@ class System:
     @property
     def is_solved_exactly(self) -> bool:
         """Whether totals are exact whatever accuracy is asked for: no component is large."""
-        return self.components.largest <= _SMALL
+        return self.components.largest <= EXACTLY_SOLVED
 
     @cached_property
     def home(self) -> IntArray:
@@ -134,7 +134,7 @@ class System:
         x = np.zeros(columns.shape) if guess is None else guess.reshape(columns.shape).copy()
         for first, last in self._runs:
             check_time()
-            if last - first == 1 and self.components.sizes[first] > _SMALL:
+            if last - first == 1 and self.components.sizes[first] > EXACTLY_SOLVED:
                 self._solve_large(first, columns, x, accuracy)
             else:
                 self._solve_small(first, last, columns, x)
@@ -144,21 +144,21 @@ class System:
         """The same without any subtraction, at any price: for chains that are hardly left.
 
         Raises:
-            SolverError: the chain holds mass for ever.
+            SolverError: the chain holds mass for ever, or a component is too large for that.
         """
         columns = rewards.reshape(self.size, -1)
         x, found = np.zeros(columns.shape), self.components
         if accelerated(self.matrix.nnz):
             for first, last in self._runs:
                 if last - first == 1 and found.sizes[first] > DIRECT_STATES:
-                    self._solve_large(first, columns, x, EXACT)
+                    LargeComponent(self.matrix, self.exits, found.members(first)).reduce(columns, x)
                 else:
                     self._solve_compiled(first, last, columns, x)
             return x.reshape(rewards.shape)
         for c in range(found.n_components):
             states = found.members(c)
             if states.size > DIRECT_STATES:
-                self._solve_large(c, columns, x, EXACT)
+                LargeComponent(self.matrix, self.exits, states).reduce(columns, x)
                 continue
             rows = self.matrix[states]
             inner = rows[:, states].toarray()
@@ -178,7 +178,7 @@ class System:
         if self.size == 0:
             return inflow.copy()
         visits = np.empty_like(inflow)
-        if self.components.largest > _SMALL:
+        if self.components.largest > EXACTLY_SOLVED:
             departs, order, iteration = self._transposed_iteration
             found = np.zeros((self.size, 1))
             if iteration.solve(inflow[order, None], found, EXACT):
@@ -191,7 +191,7 @@ class System:
     @cached_property
     def _transposed_factors(self) -> tuple[IntArray, linalg.SuperLU]:
         """Sparse factors of all equations, for visits, and the order of the states in them."""
-        if self.components.largest > _SMALL:
+        if self.components.largest > EXACTLY_SOLVED:
             return self.home, factorised(equations(self.matrix, self.exits))
         order = self.components.order
         return order, factorised(equations(self.matrix, self.exits, order), in_order=True)
@@ -212,7 +212,7 @@ class System:
         place[order] = np.arange(self.size)
         to_from = place[column], place[row]
         own = sp.csr_array((data / departs[row], to_from), shape=self.matrix.shape)
-        large = np.flatnonzero(found.sizes > _SMALL).tolist()
+        large = np.flatnonzero(found.sizes > EXACTLY_SOLVED).tolist()
 
         def direct_work() -> float:
             """That of all large components."""
@@ -225,7 +225,7 @@ class System:
     def _runs(self) -> list[tuple[int, int]]:
         """Ranges of components to be solved at once: small ones together, large ones alone."""
         sizes = self.components.sizes
-        large = np.flatnonzero(sizes > _SMALL).tolist()
+        large = np.flatnonzero(sizes > EXACTLY_SOLVED).tolist()
         runs, begin = [], 0
         for c in large:
             if c > begin:

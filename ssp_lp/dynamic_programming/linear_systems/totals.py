@@ -102,11 +102,6 @@ def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
     Raises:
         SolverError: a component is too large for state reduction.
     """
-    if system.components.largest > DIRECT_STATES:
-        raise SolverError(
-            "a policy's totals could not be verified: its chain is left too seldom for double "
-            "precision"
-        )
     k, gains, losses = rewards.shape[1], np.maximum(rewards, 0.0), np.maximum(-rewards, 0.0)
     found = system.solve_by_reduction(np.column_stack([gains, losses, np.ones(system.size)]))
     gained, lost = found[:, :k], found[:, k:-1]

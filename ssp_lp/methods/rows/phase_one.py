@@ -129,7 +129,7 @@ def _refusal_in_phase_one(
 
 def _least_failure_in_phase_one(compiled: CompiledConstrained, discount: float | None) -> float:
     """The least failure of all policies, for phase 1."""
-    reach = greatest_goal_reach(compiled.model, survival_of(discount)).goal
+    reach = greatest_goal_reach(compiled.model, survival_of(discount), compiled.start).goal
     return max(1.0 - float(compiled.start @ reach), 0.0)
 
 
