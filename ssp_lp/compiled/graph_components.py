@@ -17,7 +17,7 @@ _TURNS = 100_000  # of a search between two looks at the time
 
 
 def order_components(
-    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray
+    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> tuple[IntArray, IntArray, int]:
     """Number the components so that each comes after all that it leads to.
 
@@ -29,6 +29,8 @@ def order_components(
         end: past its last one, [states].
         indices: [entries].
         data: entries of 0 are no edges, [entries].
+        by_height: components that are as far from the ends stand in the order of their states, so
+            that passes along the order, where there are many, read rows that lie side by side.
 
     Returns:
         The component of each state, [states]; the states, one component after the other, [states];
@@ -38,6 +40,8 @@ def order_components(
     label, order = np.empty(n, dtype=np.int32), np.empty(n, dtype=np.uint32)
     roots = np.arange(n, dtype=np.uint32)
     finished, found = _found_components(begin, end, unsigned(indices), data, roots, label)
+    if by_height:
+        _number_by_height(begin, end, unsigned(indices), data, finished, found, label)
     _sort_by_component(label, finished, found, order)
     return label, order.view(np.int32), found
 
@@ -196,6 +200,32 @@ def mark_left(
             if data[k] > 0.0 and label[indices[k]] != label[s]:
                 left[label[s]] = True
                 break
+
+
+@njit(cache=True)
+def _number_by_height(
+    begin: Array, end: Array, indices: Array, data: Array, finished: Array, found: int, label: Array
+) -> None:
+    """Renumber components, in place, by the most steps to an end, then by their first states."""
+    height, number = np.zeros(found, dtype=np.int64), np.full(found, -1, dtype=np.int64)
+    for s in finished:
+        own = label[s]
+        for k in range(begin[s], end[s]):
+            to = label[indices[k]]
+            if to != own and data[k] > 0.0:
+                height[own] = max(height[own], height[to] + 1)
+    place = np.zeros(found + 1, dtype=np.int64)
+    for c in range(found):
+        place[height[c] + 1] += 1
+    for c in range(found):
+        place[c + 1] += place[c]
+    for s in range(label.size):
+        own = label[s]
+        if number[own] < 0:
+            number[own] = place[height[own]]
+            place[height[own]] += 1
+    for s in range(label.size):
+        label[s] = number[label[s]]
 
 
 @njit(cache=True)

@@ -6,6 +6,7 @@ import numpy as np
 
 from ssp_lp.arrays import (
     IMPROVEMENT,
+    MACHINE_EPSILON,
     FloatArray,
     IntArray,
     first_minimisers,
@@ -17,6 +18,7 @@ from ssp_lp.dynamic_programming.bellman import unsigned_parts
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.direct_solvers import HOLDS_MASS
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
+from ssp_lp.dynamic_programming.linear_systems.totals import EVALUATED, Totals
 from ssp_lp.errors import SolverError
 
 _LAYERS = 500  # passes that a process is good for where it is one layer of many
@@ -75,3 +77,39 @@ def least_backwards(
         values[states] = segment_minima(ahead, offsets)
         choice[states] = pairs[first_minimisers(ahead, values[states], offsets)]
     return choice, values
+
+
+def acyclic_totals(
+    dynamics: Dynamics, choice: IntArray, rewards: FloatArray, weights: FloatArray | None = None
+) -> tuple[IntArray, Totals] | None:
+    """The best pairs of a large process without cycles, and their verified totals, in one pass.
+
+    Args:
+        dynamics: the process.
+        choice: pairs, which stay among equals, [states].
+        rewards: [pairs, rewards].
+        weights: of the rewards, whose sum is minimised, [rewards]; None: the pairs stay.
+
+    Returns:
+        None where the process is of another kind, or where rounding may exceed ``EVALUATED``.
+
+    Raises:
+        SolverError: some state is never left.
+    """
+    shape = dynamics.n_states, rewards.shape[1]
+    if shape[0] <= DIRECT_STATES or not is_compiled_backwards(dynamics):
+        return None
+    if dynamics.components.largest > 1:
+        return None
+    from ssp_lp.compiled.improvement import improve_acyclic
+
+    choice, runs, missed, x = choice.copy(), np.empty(shape[0]), np.empty(shape[1]), np.empty(shape)
+    if not improve_acyclic(
+        *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
+        unsigned(dynamics.components.order),
+        rewards, np.zeros(shape[1]) if weights is None else weights, weights is None,
+        MACHINE_EPSILON, choice.view(np.uint32), x, runs, missed,
+    ):  # fmt: skip
+        raise SolverError(HOLDS_MASS)
+    totals = Totals(x, np.zeros_like(x), runs, missed)
+    return (choice, totals) if totals.are_within(EVALUATED) else None

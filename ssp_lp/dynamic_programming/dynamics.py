@@ -64,7 +64,8 @@ class Dynamics:
     def components(self) -> StrongComponents:
         """Strong components of the graph of all pairs, ends first; found once for all criteria."""
         rows = self.transitions
-        return strong_components(rows.indptr[self.pair_offsets], rows.indices, rows.data)
+        entries = rows.indptr[self.pair_offsets], rows.indices, rows.data
+        return strong_components(*entries, by_height=True)
 
     @cached_property
     def predecessors(self) -> Predecessors:

@@ -24,6 +24,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.backward_induction import (
+    acyclic_totals,
     is_compiled_backwards,
     is_solved_backwards,
     least_backwards,
@@ -99,10 +100,15 @@ def iterate_policy(
     """
     check_time()
     choice = np.array(choice, dtype=np.int32)
-    pair_cost = weighted(rewards, weights)
     work, left = Work(1, 0), 0.0
     try:
-        if is_solved_backwards(dynamics):
+        one_pass = (
+            None if dynamics.is_reused else acyclic_totals(dynamics, choice, rewards, weights)
+        )
+        if one_pass is not None:
+            choice, totals = one_pass
+        elif is_solved_backwards(dynamics):
+            pair_cost = weighted(rewards, weights)
             choice, values = least_backwards(dynamics, pair_cost, choice)
             if dynamics.is_reused and not precise:  # what is made of all layers is checked
                 nothing = np.zeros_like(values)
@@ -205,6 +211,8 @@ def evaluate_policy(
     Raises:
         SolverError: as ``evaluate_chain``.
     """
+    if accuracy is None and (one_pass := acyclic_totals(dynamics, choice, rewards)) is not None:
+        return one_pass[1]
     if is_solved_backwards(dynamics) and is_compiled_backwards(dynamics):
         totals = _evaluated_policy(dynamics, choice, rewards, accuracy)
         if totals is not None:

@@ -26,6 +26,7 @@ import numpy as np
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.deadline import Stop, is_limited
+from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.leaving import leaving_choice
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
@@ -129,12 +130,14 @@ class ExplicitPricing:
         known = [c for c in warm if c is not None and c.choice is not None]
         if not known:
             return self._leaving, None
-        if self.process.n_states <= DIRECT_STATES or any(c.totals is None for c in known):
+        dynamics = self.process.dynamics
+        is_quick = dynamics.n_states <= DIRECT_STATES or is_solved_backwards(dynamics)
+        if is_quick or any(c.totals is None for c in known):
             return required(known[0].choice), known[0].totals
         known.append(self._first)
         totals = [required(column.totals) for column in known]
         choice, follows = switched(
-            self.process.dynamics,
+            dynamics,
             [required(column.choice) for column in known],
             [weighted(total, weights) for total in totals],
         )

@@ -41,17 +41,20 @@ class StrongComponents:
         return self.order[self.offsets[component] : self.offsets[component + 1]]
 
 
-def strong_components(indptr: IntArray, indices: IntArray, data: FloatArray) -> StrongComponents:
+def strong_components(
+    indptr: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
+) -> StrongComponents:
     """Find the components and sort them topologically (Tarjan 1972).
 
     Args:
         indptr: offsets of each state's entries, [states + 1].
         indices: successors, [entries].
         data: probabilities; entries of 0 are no edges, [entries].
+        by_height: sorted, where compiled, by the most steps to an end: for passes along the order.
     """
     n = len(indptr) - 1
     if accelerated(len(indices)):
-        return _compiled_components(indptr[:-1], indptr[1:], indices, data)
+        return _compiled_components(indptr[:-1], indptr[1:], indices, data, by_height=by_height)
     graph = sp.csr_array((data, indices, indptr), shape=(n, n))
     found = csgraph.connected_components(_possible_edges(graph), connection="strong")[1]
     label = _topological_components(graph, found)
@@ -71,12 +74,12 @@ def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
 
 
 def _compiled_components(
-    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray
+    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
 ) -> StrongComponents:
     """The strong components by a compiled search."""
     from ssp_lp.compiled.graph_components import order_components
 
-    label, order, count = order_components(begin, end, indices, data)
+    label, order, count = order_components(begin, end, indices, data, by_height=by_height)
     sizes = np.bincount(label, minlength=count)
     return StrongComponents(label, order, np.append(0, np.cumsum(sizes)))
 

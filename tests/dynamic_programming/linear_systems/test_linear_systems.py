@@ -12,6 +12,7 @@ from scipy.sparse import linalg
 from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
+from ssp_lp.dynamic_programming.backward_induction import acyclic_totals, least_backwards
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.howard_rounds import improve_along_chain
 from ssp_lp.dynamic_programming.linear_systems import direct_solvers, large_component
@@ -245,3 +246,41 @@ def test_totals_are_had_however_seldom_a_chain_is_left(compiled: bool, leak: flo
     for system in (ring, scattered_chain(n, leak=leak)):
         totals = evaluate_chain(system, np.ones((n, 1))).values
         assert np.allclose(totals * leak, 1.0, rtol=1e-15 / leak)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_one_pass_without_cycles_chooses_and_knows_its_errors(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Layers with self-loops: the values of numpy, and totals as wrong as they say, at most."""
+    pytest.importorskip("numba")
+    rng, depth, width, outcomes = np.random.default_rng(seed), 150, 8, 3
+    n = depth * width
+    home = np.repeat(np.arange(n), 2)
+    to = (home // width + 1)[:, None] * width + rng.integers(0, width, (2 * n, outcomes))
+    weights = rng.random((2 * n, outcomes + 1)) + 0.01
+    weights /= weights.sum(axis=1)[:, None] * np.where(rng.random(2 * n) < 0.5, 1.0, 1.001)[:, None]
+    rows, columns = np.repeat(np.arange(2 * n), outcomes + 1), np.column_stack([to, home]).ravel()
+    inside = columns < n
+    steps = (weights.ravel()[inside], (rows[inside], columns[inside]))
+    transitions = sp.csr_array(steps, shape=(2 * n, n))
+    exits = np.bincount(rows[~inside], weights.ravel()[~inside], minlength=2 * n)
+    exits += np.maximum(1.0 - weights.sum(axis=1), 0.0)
+    dynamics = Dynamics(np.arange(0, 2 * n + 1, 2), transitions, exits)
+    rewards, priced = rng.random((2 * n, 2)), np.array([1.0, 0.5])
+    held = np.arange(0, 2 * n, 2, dtype=np.int32)
+    monkeypatch.setattr(accelerator, "least_entries", lambda: 0)
+    settled = acyclic_totals(dynamics, held, rewards, priced)
+    kept = acyclic_totals(dynamics, held, rewards)
+    assert settled is not None
+    assert kept is not None
+    assert np.array_equal(kept[0], held)
+    for choice, totals in (settled, kept):
+        exact = evaluate_chain(dynamics.chain(choice), rewards[choice], accuracy=1e-24)
+        wrong = np.abs(totals.values - exact.values - exact.low)
+        assert (wrong <= totals.error).all()
+        assert totals.are_within(1e-12)
+        assert (2.0 * totals.runs >= exact.runs).all()
+    monkeypatch.setattr(accelerator, "least_entries", lambda: 1 << 62)
+    _, least = least_backwards(dynamics, rewards @ priced, held)
+    assert np.allclose(settled[1].values @ priced, least, rtol=1e-14)
