@@ -29,7 +29,8 @@ class CostQuantile(Formulation):
         for a bound B, minimise <late, x> / <goal, x> subject to flow balance, <failure, x> <=
         failure_budget, x >= 0 over states x accumulated cost (paper, section 3.1.1), where late
         counts the arrivals beyond B: the program of ``S3P`` with another charge. Its optimum falls
-        as B grows, and B is found by bisection over the totals that can occur.
+        as B grows, and B is found by Newton's method: at given prices one sweep refutes every
+        bound that they can.
 
     Guarantee:
         a lottery over at most two deterministic policies of (state, accumulated cost) attains the

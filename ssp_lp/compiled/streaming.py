@@ -38,6 +38,48 @@ def stream_mass(
 
 
 @njit(cache=True)
+def stream_layers(
+    waiting: Array, heads: Array, links: Array,
+    indptr: Array, indices: Array, data: Array, first: int, arrived: Array,
+) -> int:  # fmt: skip
+    """Settle layers of a ring one after the other: send their mass on, and say what arrives.
+
+    Only where mass waits is looked at: lists say so, of each layer of the ring.
+
+    Args:
+        waiting: mass, whose last node is the goal, [layers of the ring * nodes]; written.
+        heads: a place of each layer where mass waits, -1: none; written.
+        links: another place of the same layer, -1: none, like ``waiting``; written.
+        indptr: moves of each node but the goal, [nodes].
+        indices: to where they lead, counted from the node's own layer, [moves].
+        data: [moves].
+        first: the first layer.
+        arrived: written, [layers to settle].
+
+    Returns:
+        Moves followed.
+    """
+    size, followed = indptr.size, 0
+    for ahead in range(arrived.size):
+        row = (first + ahead) % heads.size
+        while heads[row] >= 0:
+            here = heads[row]
+            heads[row], mass, node = links[here], waiting[here], here - row * size
+            waiting[here] = 0.0
+            if node == size - 1:
+                arrived[ahead] += mass
+                continue
+            followed += indptr[node + 1] - indptr[node]
+            for k in range(indptr[node], indptr[node + 1]):
+                to = row * size + indices[k]
+                to = to if to < waiting.size else to - waiting.size
+                if waiting[to] == 0.0:
+                    links[to], heads[to // size] = heads[to // size], to
+                waiting[to] += data[k] * mass
+    return followed
+
+
+@njit(cache=True)
 def follow_layer(
     mass: Array, position: Array,
     offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,

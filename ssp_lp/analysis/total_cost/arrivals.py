@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from fractions import Fraction
 from functools import cached_property
 from numbers import Rational
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,6 +14,7 @@ import scipy.sparse as sp
 from ssp_lp.analysis.total_cost.layer_powers import LayerPlaces, LayerPowers
 from ssp_lp.analysis.total_cost.live_chain import FreeChainMoves, LiveChain
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, concatenated_ranges
+from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import ModelError
 from ssp_lp.processes.totals.lattice import common_unit, last_layer, layers_of, totals_of
@@ -22,6 +24,7 @@ _LAST_LAYER = 2**62  # as good as infinitely many
 _MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
 _MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
 _WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
+_TOGETHER = 64  # layers settled between two looks at the time
 _MOSTLY = 0.5  # share of a chain's nodes from which all of its moves are followed
 _TINY = 5e-324  # the least mass there is
 _MOST_PLACES = 800  # of a dense matrix of one layer, of which some sixty powers are kept, 300 MB
@@ -77,6 +80,7 @@ class Arrivals:
         self._waiting = np.zeros(shape[1])
         self._waiting[: self._size] = live.start
         self._occupied = np.arange(self._width) == 0
+        self._lists: tuple[Any, ...] = ()  # of what waits, and of moves, once loops are compiled
         self._layers: list[int] = []
         self._masses: list[float] = []
 
@@ -109,6 +113,9 @@ class Arrivals:
         """
         while self.settled < layers:
             check_time()
+            if self._lists or (self._free is None and accelerated(self._onward.nnz * _TOGETHER)):
+                self._settle_together(min(layers - self.settled, _TOGETHER))
+                continue
             ahead = self._to_next()
             if ahead is None or self.settled + ahead >= layers:
                 self.settled = layers
@@ -234,6 +241,35 @@ class Arrivals:
             here[-1] = 0.0
         self.settled += 1
 
+    def _settle_together(self, layers: int) -> None:
+        """Settle several layers, none of which has moves that cost nothing, in compiled loops."""
+        from ssp_lp.compiled.streaming import stream_layers
+
+        if not self._lists:  # where mass waits, layer by layer of the ring
+            places = np.flatnonzero(self._waiting)
+            heads, links = np.full(self._width, -1), np.full(self._waiting.size, -1, dtype=np.int32)
+            row = places // self._size
+            links[places[1:]] = np.where(row[1:] == row[:-1], places[:-1], -1)
+            heads[row] = places
+            moves = self._onward
+            rows = moves.indptr.astype(np.int64), moves.indices.astype(np.int64), moves.data
+            self._lists = heads, links, *rows
+        run: Callable[..., int] = stream_layers
+        arrived = np.zeros(layers)
+        followed = run(self._waiting, *self._lists, self.settled % self._width, arrived)
+        self._occupied = self._lists[0] >= 0
+        reached = np.flatnonzero(arrived)
+        self._layers += (self.settled + reached).tolist()
+        self._masses += arrived[reached].tolist()
+        self.settled += layers
+        self._count(int(followed) + layers * _WORK_OF_A_LAYER)
+
+    def _count(self, work: int) -> None:
+        """Count what has been followed; ModelError where it is too much."""
+        self._work += work
+        if self._work > _MOST_WORK:
+            raise ModelError(self._too_large("the answer lies too far out"))
+
     def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
         """Send visits on along the moves that pay or arrive, into the ring that begins here."""
         moves, waiting = self._onward, self._waiting
@@ -241,9 +277,7 @@ class Arrivals:
             active = np.arange(visits.size)
         first = moves.indptr[active].astype(np.int64)
         counts = moves.indptr[active + 1] - first
-        self._work += int(counts.sum()) + _WORK_OF_A_LAYER
-        if self._work > _MOST_WORK:
-            raise ModelError(self._too_large("the answer lies too far out"))
+        self._count(int(counts.sum()) + _WORK_OF_A_LAYER)
         if counts.sum() < waiting.size:
             taken = concatenated_ranges(first, counts)
             share = moves.data[taken] * np.repeat(visits[active], counts)

@@ -74,14 +74,16 @@ def bound_layers(
     base, success = process.base, price - failing
     owed, saved = failing * base.failure, success * base.survival * base.gain
     floor = -(success - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
-    if whole is not None:
-        given = np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
-        checked = whole.lowest(owed, saved, given, beyond)
-        return _proof_of_layers(process, price, failing, checked[0], checked)
-    summed, window, inner = summed_layers(process, owed, saved), process.window(beyond), first
     is_kept = values.size <= _KEPT_VALUES
     kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
-    lowest = np.zeros(base.n_nodes)
+    begun, sizes = np.zeros(process.cap), np.zeros(process.cap)  # of the start, by layer
+    if whole is not None:
+        for some, bounds in whole.lowest(owed, saved, values, floor, beyond):
+            begun[some], sizes[some] = bounds @ base.start, np.abs(bounds) @ base.start
+            if is_kept:
+                kept[some] = bounds
+        return _proof_of_layers(process, price, failing, begun, sizes, kept)
+    summed, window, inner = summed_layers(process, owed, saved), process.window(beyond), first
     for layer in reversed(range(process.cap)):
         check_time()
         given, asked = values[layer], bool(np.isposinf(values[layer]).all())
@@ -94,24 +96,39 @@ def bound_layers(
             lowest = lowest if asked else np.minimum(lowest, given)
         else:
             lowest, inner = bound_free_steps(base, summed(layer), window.flat, given, inner, floor)
+        begun[layer], sizes[layer] = lowest @ base.start, np.abs(lowest) @ base.start
         if is_kept:
             kept[layer] = lowest
         window.push(lowest)
-    return _proof_of_layers(process, price, failing, lowest, kept)
+    return _proof_of_layers(process, price, failing, begun, sizes, kept)
 
 
 def _proof_of_layers(
-    process: LayeredProcess, price: float, failing: float, lowest: FloatArray, checked: FloatArray
+    process: LayeredProcess,
+    price: float,
+    failing: float,
+    begun: FloatArray,
+    sizes: FloatArray,
+    kept: FloatArray,
 ) -> Proof:
-    """The bound that values of the first layer give, [nodes]; all of them are kept."""
+    """The bounds that values give at the start, whatever the layer in which it lies.
+
+    Args:
+        process: the process.
+        price: of failure.
+        failing: what failing counts.
+        begun: values at the start, [layers].
+        sizes: sums of their parts' magnitudes, [layers].
+        kept: the values, [layers, nodes], or infinite.
+    """
     base = process.base
-    ended = failing * base.start_failure, -(price - failing) * base.start_goal
-    parts = np.append(base.start * lowest, (*ended, process.start_charge))
-    loss = (np.count_nonzero(parts) - 1.0) * MACHINE_EPSILON * float(np.abs(parts).sum())
-    bound = float(parts.sum()) - max(float(loss), 0.0)
-    is_kept = checked.size <= _KEPT_VALUES
-    kept = checked if is_kept else np.broadcast_to(np.inf, checked.shape)
-    return Proof(price, failing, bound, kept, Work(process.cap, 0))
+    ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
+    ended.append(process.start_charge)
+    terms = max(int(np.count_nonzero(base.start)) + int(np.count_nonzero(ended)) - 1, 0)
+    loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
+    bounds = begun + sum(ended) - loss
+    bound = float(bounds[0]) if len(bounds) else sum(ended)
+    return Proof(price, failing, bound, kept, Work(process.cap, 0), by_layer=bounds)
 
 
 def bound_free_steps(

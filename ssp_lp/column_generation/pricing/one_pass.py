@@ -19,7 +19,7 @@ from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 
 _MOST_CELLS = 8_000_000
-"""Nodes times layers held at once, with four numbers each; larger layers are swept one by one."""
+"""Nodes times layers that steps lead to, four numbers each; more of them are swept one by one."""
 
 _MOST_ENTRIES = 30_000
 """Entries of a layer beyond which calling a loop for each is nothing beside what it does."""
@@ -56,10 +56,10 @@ class OnePass:
         from ssp_lp.compiled.backups import back_up_layers
 
         run: Callable[..., None] = back_up_layers
-        base, measured = self.process.base, self._with_room(measures)
-        known = self._with_room(values).ravel(), measured.reshape(-1, 3)
-        for part in self._pieces():
-            run(*self._parts, *part, owed, base.gain, base.failure, base.survival, *known, choice)
+        base = self.process.base
+        own = owed, base.gain, base.failure, base.survival
+        for some, parts, (known, measured) in self._blocks(values, measures):
+            run(*parts, *own, known.ravel(), measured.reshape(-1, 3), choice[some])
         return np.asarray(measured[0])
 
     def measure(self, measures: FloatArray, choice: IntArray) -> FloatArray:
@@ -72,58 +72,71 @@ class OnePass:
         from ssp_lp.compiled.backups import measure_layers
 
         run: Callable[..., None] = measure_layers
-        base, measured = self.process.base, self._with_room(measures)
+        base = self.process.base
         ends = base.gain, base.failure, base.survival
-        for part in self._pieces():
-            run(*self._parts, *part, *ends, measured.reshape(-1, 3), choice)
+        for some, parts, (measured,) in self._blocks(measures):
+            run(*parts, *ends, measured.reshape(-1, 3), choice[some])
         return np.asarray(measured[0])
 
     def lowest(
-        self, owed: FloatArray, saved: FloatArray, given: FloatArray, beyond: FloatArray
-    ) -> FloatArray:
-        """Checked lower bounds, rounding counted, [cap, nodes].
+        self,
+        owed: FloatArray,
+        saved: FloatArray,
+        given: FloatArray,
+        floor: float,
+        beyond: FloatArray,
+    ) -> Iterator[tuple[slice, FloatArray]]:
+        """Checked lower bounds, rounding counted, block after block from the last layers on.
 
         Args:
             owed: non-negative, [pairs].
             saved: non-negative, [pairs].
             given: values that are not to be exceeded, [cap, nodes].
+            floor: no value is less.
             beyond: lower bounds beyond the cap, [layers beyond, nodes].
+
+        Yields:
+            Layers, and the bounds there, [layers of the block, nodes].
         """
         from ssp_lp.compiled.backups import back_up_layers_safely
 
         run: Callable[..., None] = back_up_layers_safely
-        values = self._with_room(beyond)
-        for part in self._pieces():
-            run(*self._parts, *part, owed, saved, MACHINE_EPSILON, given, values.ravel())
-        return np.asarray(values[: self.process.cap])
+        for some, parts, (values,) in self._blocks(beyond):
+            most = np.maximum(np.nan_to_num(given[some], nan=floor, posinf=np.inf), floor)
+            run(*parts, owed, saved, MACHINE_EPSILON, most, values.ravel())
+            yield some, values[: some.stop - some.start]
 
-    def _pieces(self) -> Iterator[tuple[int, int]]:
-        """First layer and end of each part of a sweep, the last part first."""
-        cap = self.process.cap
-        for some in pieces(cap, cap * len(self.kinds)):
-            yield cap - some.stop, cap - some.start
+    def _blocks(
+        self, *beyond: FloatArray
+    ) -> Iterator[tuple[slice, tuple[Any, ...], list[FloatArray]]]:
+        """Blocks of layers, the last ones first.
 
-    def _with_room(self, beyond: FloatArray) -> FloatArray:
-        """An array for all layers that ends with those beyond the cap."""
-        cap = self.process.cap
-        whole = np.empty((cap + len(beyond), *beyond.shape[1:]))
-        whole[cap:] = beyond
-        return whole
+        Args:
+            beyond: numbers that are known beyond the cap, [layers beyond, nodes, ...] each.
 
-    @property
-    def _parts(self) -> tuple[Any, ...]:
-        """What the compiled pass reads of the process."""
-        base, levels = self.process.base, self.process.levels
+        Yields:
+            The layers, what the compiled pass reads of them, and arrays with room for their numbers
+            in front of those of the layers that they lead to.
+        """
+        process, ahead = self.process, list(beyond)
+        base, cap, levels = process.base, process.cap, process.levels
         indptr, _, nodes, data = base.steps_by_kind
-        steps = unsigned(base.pair_offsets), indptr, self.kinds, nodes, data, self.leads
-        paid = levels.totals[: self.process.cap]
-        return self.order, *steps, paid, self.charge, self.slot, self.growth
+        steps = unsigned(base.pair_offsets), indptr, self.kinds, nodes, data
+        for turn in pieces(cap, cap * len(self.kinds)):
+            some = slice(cap - turn.stop, cap - turn.start)
+            many = some.stop - some.start
+            leads = self.leads if len(self.leads) == 1 else self.leads[some] - some.start
+            charge = self.charge if len(self.charge) == 1 else self.charge[some]
+            paid = levels.totals[some], charge, self.slot, self.growth, 0, many
+            rooms = [np.concatenate([np.empty((many, *a.shape[1:])), a]) for a in ahead]
+            yield some, (self.order, *steps, leads, *paid), rooms
+            ahead = [room[: levels.span] for room in rooms]
 
 
 def one_pass(process: LayeredProcess) -> OnePass | None:
     """The pass over a process; None where it is too large for one, or its free steps go round."""
     base, cap = process.base, process.cap
-    cells = base.n_nodes * len(process.levels.totals)
+    cells = base.n_nodes * process.levels.span
     if cells > _MOST_CELLS or base.later.nnz > _MOST_ENTRIES:
         return None
     if not accelerated(base.later.nnz * cap):

@@ -63,6 +63,7 @@ class Proof:
     values: FloatArray  # the checked sub-solution behind it, in the pricing problem's own shape
     work: Work = field(default_factory=Work)
     choice: IntArray | None = None  # case S, where values were checked: whose they are
+    by_layer: FloatArray | None = None  # [layers] the bound if an episode began in each
 
 
 def required(part: _Array | None) -> _Array:

@@ -1,11 +1,17 @@
-"""The least quantile of the total cost given success, by bisection.
+"""The least quantile of the total cost given success, by Newton's method on its bound.
 
 With a charge of 1 for every arrival beyond B the least E[charge | goal] is the least Pr(C > B |
 goal), which falls as B grows. The least B at which it keeps to 1 - level is the answer; its policy
-is the one that keeps to B most often.
+is the one that keeps to B most often. At given prices of failure and of the other rows a lower
+bound of that share is known for every B, where failure alone is limited by one sweep; so the
+greatest B that is refuted at those prices is, and at the best prices it is the answer's neighbour.
+The search alternates: the best prices at a B, and the first B that they do not refute.
 """
 
 from __future__ import annotations
+
+from bisect import bisect_left
+from dataclasses import replace
 
 from ssp_lp.analysis.total_cost.cost_law import success_costs
 from ssp_lp.arrays import QUANTILE
@@ -17,6 +23,10 @@ from ssp_lp.problem import Problem
 from ssp_lp.processes.layered.charges import LateCharge
 from ssp_lp.solution import Run, Solution
 
+_ROUGH = 1e-2  # how exactly a share is worked out that need only lie on one side of another
+_NEWTON = 6  # steps, after which the bounds in question are halved besides
+_ABOVE = 1e-9  # relative: by which a price of failure lies above a share, where both are equal
+
 
 def least_quantile(
     problem: Problem,
@@ -25,10 +35,7 @@ def least_quantile(
     options: SolveOptions,
     near: Near | None = None,
 ) -> Solution:
-    """Gallop up to a bound that some policy keeps, then bisect.
-
-    Where totals are rounded a trial may neither keep to its bound nor refute it; then the greatest
-    bound that is refuted is sought as well.
+    """Search for the least bound that some policy keeps to.
 
     Args:
         problem: the problem.
@@ -39,85 +46,55 @@ def least_quantile(
 
     Raises:
         ModelError: the quantile lies beyond the largest table of costs.
+        Stop: the time ended before some policy kept to a bound.
     """
-    kept, (low, refuted, high), calls = _searched_quantile(question, level, options, near)
-    if not question.thresholds.sharp:
-        refuted, more = _greatest_refuted_quantile(question, level, options, refuted, low)
-        calls += more
+    places, kept, calls, kappa = question.thresholds, None, 0, 0.0 if near is None else near.kappa
+    low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
+    number = places.number(question.typical if near is None else near.total)
+    rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
+    try:
+        while kept is None or (high - low > 1 and not is_late()):
+            trial = question.attempt(LateCharge(places.total(number)), rough, kappa)
+            calls, kappa, tried = calls + trial.calls, trial.kappa, tried + 1
+            if trial.lower_bound <= _late_share(level) < trial.value and not is_late():
+                trial = question.attempt(LateCharge(places.total(number)), options, kappa)
+                calls, kappa = calls + trial.calls, trial.kappa
+            if trial.value <= _late_share(level):
+                kept, high = trial, number
+            else:
+                low = number
+            if kept is None and is_late():
+                break
+            last = high if kept else 2 * number + 1
+            refuted = max(refuted, _last_refuted(question, trial, level, refuted, last))
+            low, number = max(low, refuted), max(low, refuted) + 1
+            if kept is not None and tried > _NEWTON:
+                number = (low + high) // 2
+        if kept is not None and not is_late():  # of all that keep to the bound: most often
+            best = question.attempt(LateCharge(places.total(high)), options, kappa)
+            calls, kept = calls + best.calls, min(kept, best, key=lambda trial: trial.value)
+    except STOPS as stop:
+        heed(stop)
+    if kept is None:
+        below = _beyond_refuted(question, refuted)
+        raise Stop(told=f"no policy's quantile lies below {below:g}")
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
     found = Found(
         policy=kept.policy,
         value=objective,
-        bound=min(_beyond_quantile(question, refuted), objective),
+        bound=min(_beyond_refuted(question, refuted), objective),
         failure=1.0 - law.goal,
         note=question_remarks(question, in_time=high - low <= 1),
     )
-    reason = f"bisection over cost bounds, {calls} pricing calls"
+    reason = f"{tried} cost bounds, {calls} pricing calls"
     return assembled(problem, found, Run(options.method, reason, calls, 0.0))
-
-
-def _searched_quantile(
-    question: Question, level: float, options: SolveOptions, near: Near | None
-) -> tuple[Trial, tuple[int, int, int], int]:
-    """A quantile's trial that keeps to its bound, and the calls that it took.
-
-    With it the numbers of bounds: the greatest that is too low, that is proved so, and the kept.
-    """
-    places = question.thresholds
-    low, refuted, high, calls, late = -1, -1, 0, 0, False
-    kept: Trial | None = None
-    kappa, step = (0.0, 0) if near is None else (near.kappa, 1)
-    high = 0 if near is None else places.number(near.total)
-    while kept is None or (high - low > 1 and not late):
-        middle = high if kept is None else (low + high) // 2
-        if kept is not None and low < 0 < step:  # from what is near, in longer steps
-            middle, step = max(middle, high - step), 2 * step
-        try:
-            trial = question.attempt(LateCharge(places.total(middle)), options, kappa)
-        except STOPS as stop:
-            heed(stop)
-            if kept is None:
-                raise Stop(told=_known_of_quantile(question, refuted)) from stop
-            break
-        calls, kappa = calls + trial.calls, trial.kappa if near is not None else 0.0
-        if trial.value <= _allowed_beyond_quantile(level):
-            kept, high = trial, middle
-        else:
-            low, refuted = middle, middle if _is_refuted_quantile(trial, level) else refuted
-            high = 2 * middle + 1 if kept is None else high
-        late = is_late()
-        if late and kept is None:
-            raise Stop(told=_known_of_quantile(question, refuted))
-    return kept, (low, refuted, high), calls
-
-
-def _greatest_refuted_quantile(
-    question: Question, level: float, options: SolveOptions, refuted: int, low: int
-) -> tuple[int, int]:
-    """The greatest number up to ``low`` that a proof refutes, as far as time allows; the calls."""
-    calls = 0
-    while low - refuted > 1 and not is_late():
-        middle = (low + refuted) // 2
-        try:
-            trial = question.attempt(LateCharge(question.thresholds.total(middle)), options)
-        except STOPS as stop:
-            heed(stop)
-            break
-        calls, is_low = calls + trial.calls, _is_refuted_quantile(trial, level)
-        low, refuted = (low, middle) if is_low else (middle, refuted)
-    return refuted, calls
-
-
-def _known_of_quantile(question: Question, refuted: int) -> str:
-    """What is known while no bound was found that some policy keeps to."""
-    return f"no policy's quantile lies below {_beyond_quantile(question, refuted):g}"
 
 
 def quantile_bound(
     question: Question, level: float, quantile: float, options: SolveOptions
 ) -> float:
-    """Prove afresh that no policy has a lower quantile than this one; 0 if that fails.
+    """Prove afresh that no policy has a lower quantile than this one, or than one below it.
 
     Args:
         question: the policies that count.
@@ -125,15 +102,32 @@ def quantile_bound(
         quantile: what no policy undercuts.
         options: tolerance and limits.
     """
-    below = question.thresholds.number(quantile) - 1
-    if below < 0 or not _is_refuted_quantile(
-        question.attempt(LateCharge(question.thresholds.total(below)), options), level
-    ):
+    number = question.thresholds.number(quantile)
+    if number == 0:
         return 0.0
-    return _beyond_quantile(question, below)
+    trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), options)
+    return _beyond_refuted(question, _last_refuted(question, trial, level, -1, number))
 
 
-def _beyond_quantile(question: Question, refuted: int) -> float:
+def _last_refuted(question: Question, trial: Trial, level: float, first: int, last: int) -> int:
+    """The greatest number of a bound that no policy keeps to, as is proved at a trial's prices.
+
+    Args:
+        question: the policies that count.
+        trial: of some bound.
+        level: in (0, 1).
+        first: a number that is too low.
+        last: a number that is looked for below.
+    """
+    share = _late_share(level)
+    slack = trial.kappa <= trial.value * (1.0 + _ABOVE)  # of the budget
+    kappa = share * (1.0 + _ABOVE) if slack else max(trial.kappa, share)
+    shares = question.late_shares(last, kappa, trial.prices, slack=slack)
+    numbers = range(first + 1, last)
+    return first + bisect_left(numbers, True, key=lambda number: shares(number) <= share)
+
+
+def _beyond_refuted(question: Question, refuted: int) -> float:
     """The least total that can occur beyond one that is refuted; -1: none is."""
     places = question.thresholds
     if places.sharp:
@@ -141,14 +135,9 @@ def _beyond_quantile(question: Question, refuted: int) -> float:
     return places.total(refuted) if refuted >= 0 else 0.0
 
 
-def _allowed_beyond_quantile(level: float) -> float:
+def _late_share(level: float) -> float:
     """The share of the successes that may lie beyond the quantile, with the slack of its law.
 
     Below 1, however low the level: some success must be in time, beyond what may be rounding.
     """
     return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
-
-
-def _is_refuted_quantile(trial: Trial, level: float) -> bool:
-    """Whether a proof says that no policy has its quantile at the trial's bound."""
-    return trial.lower_bound > _allowed_beyond_quantile(level)

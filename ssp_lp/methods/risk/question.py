@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import cached_property
 from typing import NamedTuple
@@ -18,6 +18,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.column_generation.initial_columns import DualGuess
+from ssp_lp.column_generation.pricing.pricing_problem import Proof, required
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.refinement import refined_optimum
 from ssp_lp.methods.risk.thresholds import ThresholdMultiples, Thresholds, ThresholdSums
@@ -65,6 +66,7 @@ class _QuestionWithinBudget:
     compiled: CompiledArrivalCost  # of the total cost
     budget: float | None  # of failure; None: only policies of least failure
     least: float  # the least failure
+    typical: float  # a cost given success: of the policy that fails least
     note: str = ""
 
     @cached_property
@@ -117,6 +119,33 @@ class _QuestionWithinBudget:
         """
         return self._bound(self._charging(charge, kappa), kappa, slack=slack)
 
+    def late_shares(
+        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> Callable[[int], float]:
+        """Lower bounds of Pr(C > B | goal) for the bounds B up to one, by their numbers.
+
+        What is best depends on what is left of the bound alone. So where layers are multiples of a
+        unit one sweep for the greatest bound answers all: whoever begins with as much paid as parts
+        two bounds has the lesser one left.
+
+        Args:
+            number: of the greatest bound.
+            kappa: what failing is thought to be worth.
+            prices: of further rows, by name; there are none.
+            slack: as of :meth:`refuted_below`.
+        """
+        charge = LateCharge(self.thresholds.total(number))
+        if self.compiled.by_sums:
+            return lambda k: self.refuted_below(
+                LateCharge(self.thresholds.total(k)), kappa, prices, slack=slack
+            )
+        compiled = self.compiled.charging(charge)
+        price = 0.0 if self.budget is None else kappa
+        proof = compiled.pricing().prove(price, slack=slack and self.budget is not None)
+        by_layer = required(proof.by_layer)
+        last = len(by_layer) - 1
+        return lambda k: self._share(replace(proof, bound=by_layer[min(number - k, last)]))
+
     def _charging(self, charge: Charge, kappa: float) -> CompiledArrivalCost:
         """The process with a charge, as large as a price of failure asks for."""
         compiled = self.compiled.charging(charge)
@@ -126,12 +155,15 @@ class _QuestionWithinBudget:
 
     def _bound(self, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False) -> float:
         """One sweep's bound at a price of failure."""
-        if self.budget is None:
-            proof = compiled.pricing().prove(0.0)
-            return max(proof.bound, 0.0) / min(float(compiled.start @ compiled.greatest.bound), 1.0)
-        return FailureRow(self.budget, ratio=True).lower_bound(
-            compiled.pricing().prove(kappa, slack=slack)
-        )
+        kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
+        return self._share(compiled.pricing().prove(kappa, slack=slack))
+
+    def _share(self, proof: Proof) -> float:
+        """A bound given success, from one of every policy's value."""
+        if self.budget is not None:
+            return FailureRow(self.budget, ratio=True).lower_bound(proof)
+        greatest = float(self.compiled.start @ self.compiled.greatest.bound)
+        return max(proof.bound, 0.0) / min(greatest, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,6 +198,11 @@ class _QuestionWithinRows:
         return max(1.0 - self.compiled.least_goal, 0.0)
 
     @property
+    def typical(self) -> float:
+        """The cost given success of the policy that fails least."""
+        return self.compiled.typical_cost
+
+    @property
     def note(self) -> str:
         """No note: nothing is rounded here."""
         return ""
@@ -190,6 +227,21 @@ class _QuestionWithinRows:
         """A goal probability that all lotteries within the rows have."""
         bounds = self.compiled.bounds
         return least_goal_within(self.compiled, np.where(np.isfinite(bounds), bounds, 0.0))
+
+    def late_shares(
+        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> Callable[[int], float]:
+        """Lower bounds of Pr(C > B | goal) by the numbers of bounds B, a sweep for each.
+
+        Args:
+            number: of the greatest bound that is asked for.
+            kappa: what failing is thought to be worth.
+            prices: of further rows, by name.
+            slack: as of :meth:`refuted_below`.
+        """
+        del number
+        total = self.thresholds.total
+        return lambda k: self.refuted_below(LateCharge(total(k)), kappa, prices, slack=slack)
 
     def _truth(self, charge: Charge) -> Truth:
         """The charge of a lottery given success, by the law of its total cost."""
@@ -259,15 +311,15 @@ def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) ->
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
     """
     column = checked_least_failure(compiled, budget).column
-    least = column.failure
+    least, typical = column.failure, column.cost / column.goal
     if budget is not None and budget > least + _ROUNDING * column.goal:
-        return _QuestionWithinBudget(compiled, budget, least)
+        return _QuestionWithinBudget(compiled, budget, least, typical)
     note = ""
     if budget is not None and budget != least:
         side = "below" if budget < least else "above"
         away = abs(budget - least)
         note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
-    return _QuestionWithinBudget(compiled.safest(), None, least, note)
+    return _QuestionWithinBudget(compiled.safest(), None, least, typical, note)
 
 
 def question_remarks(question: Question, *, in_time: bool) -> str:

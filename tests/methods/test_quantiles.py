@@ -1,0 +1,97 @@
+"""Quantiles: one sweep answers all bounds, and the search ends at the first that is kept."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.solver_comparison.instances.families import corridor, layered
+from formulations import CostBoundedReach, CostQuantile
+from ssp_lp import SSP, certify, evaluate, solve, success_costs
+from ssp_lp.methods.risk.question import question_of
+from ssp_lp.processes.layered.charges import LateCharge
+
+FREE_STEPS = SSP.from_transitions(
+    {
+        "a": {"in": [(0.5, "b", 0.0), (0.5, "G", 1.0)], "by": [(0.9, "G", 2.0), (0.1, "D", 0.0)]},
+        "b": {"in": [(0.7, "c", 1.0), (0.3, "D", 1.0)], "up": [(1.0, "a", 2.0)]},
+        "c": {"in": [(0.8, "G", 0.0), (0.2, "b", 0.0)], "up": [(1.0, "a", 0.0)]},
+        "D": {},
+    },
+    goal={"G"},
+    treat_actionless_as_dead_ends=True,
+)
+
+
+@pytest.mark.parametrize("on", [False, True], ids=["numpy", "compiled"])
+@pytest.mark.parametrize("budget", [None, 0.2])
+@pytest.mark.parametrize(
+    ("model", "start"),
+    [
+        (layered(5, 4, seed=2), 0),
+        (layered(5, 4, seed=2), {0: 0.7, 20: 0.2, 1: 0.1}),  # 20 is the goal
+        (corridor(12), 0),
+        (FREE_STEPS, "a"),
+    ],
+)
+def test_what_is_best_depends_on_what_is_left(
+    model: SSP, start: Any, budget: float | None, on: bool, accelerate: Any
+) -> None:
+    """The bounds of one sweep at the greatest bound are those of a sweep at each."""
+    accelerate(on)
+    question = question_of(CostQuantile(model, start, 0.5, budget))
+    for kappa, slack in ((0.3, False), (0.6, True), (5.0, False)):
+        shares = question.late_shares(30, kappa, {}, slack=slack)
+        for number in range(31):
+            charge = LateCharge(question.thresholds.total(number))
+            alone = question.refuted_below(charge, kappa, {}, slack=slack)
+            assert shares(number) == pytest.approx(alone, rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize("level", [0.05, 0.5, 0.9, 0.99])
+@pytest.mark.parametrize("budget", [None, 0.011, 0.1, 1.0])
+def test_no_lesser_bound_is_kept_by_any_policy(level: float, budget: float | None) -> None:
+    """Bounded reach without a budget is known by itself: what fails more is no success."""
+    model = corridor(9)
+    solution = solve(CostQuantile(model, 0, level, budget))
+    law, quantile = success_costs(solution.policy, solution.problem), int(solution.objective)
+    assert law.quantile(level) == quantile
+    assert solution.gap == 0.0
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.gap == 0.0
+    if budget is None:  # all policies of least failure reach the goal alike
+        for bound, kept in ((quantile, True), (quantile - 1, False)):
+            within = solve(CostBoundedReach(model, 0, bound, failure_budget=None)).objective
+            assert (within >= level * law.goal * (1.0 - 1e-12)) == kept
+
+
+def test_a_corridor_of_many_layers_takes_few_bounds() -> None:
+    """A walk of thousands of steps: every trial's prices refute nearly all that is too low."""
+    problem = CostQuantile(corridor(50), 0, 0.9, 0.01)
+    solution = solve(problem)
+    assert solution.gap == 0.0
+    assert int(solution.run.reason.split()[0]) <= 6
+    assert evaluate(solution.policy, problem).objective == solution.objective > 2_000
+
+
+def test_layers_settled_together_or_one_by_one_are_the_same_law(accelerate: Any) -> None:
+    """The compiled loop and its twin follow the same masses; costs leave layers out."""
+    model = SSP.from_transitions(
+        {
+            "a": {"go": [(0.2, "b", 3.0), (0.5, "a", 7.0), (0.3, "G", 5.0)]},
+            "b": {"go": [(0.6, "a", 1.0), (0.2, "G", 11.0), (0.1, "G", 0.0), (0.1, "D", 1.0)]},
+            "D": {},
+        },
+        goal={"G"},
+        treat_actionless_as_dead_ends=True,
+    )
+    problem, atoms = CostQuantile(model, "a", 0.5), []
+    policy = solve(problem).policy
+    for on in (False, True):
+        accelerate(on)
+        atoms.append(success_costs(policy, problem).upto(200.0))
+    np.testing.assert_array_equal(atoms[0].costs, atoms[1].costs)
+    np.testing.assert_allclose(*(each.probabilities for each in atoms), rtol=1e-14)
