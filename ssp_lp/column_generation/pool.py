@@ -62,9 +62,9 @@ class Pool:
         return np.stack([column.figures for column in self.columns], axis=1)
 
     def sizes(self, rows: Rows) -> FloatArray:
-        """What is allowed of each row, or the most that a policy takes of it, [rows]."""
+        """The size of each row's bound, or the most that a policy takes of it, [rows]."""
         taken = self.figures[rows.index].max(axis=1, initial=0.0)
-        return np.asarray(np.maximum(rows.bounds, taken))
+        return np.asarray(np.maximum(np.abs(rows.bounds), taken))
 
     def best(self, weights: FloatArray) -> Column:
         """The known policy of least weighted totals."""
@@ -96,6 +96,7 @@ class Pool:
             bounds: [rows].
         """
         taken = self.figures[index].max(axis=1, initial=0.0)
-        scales = np.where(bounds > 0.0, np.maximum(bounds, _TRIFLE * taken), taken)
+        shares = np.where(bounds > 0.0, _TRIFLE, 1.0)  # nothing can be kept to less than nothing
+        scales = np.maximum(np.abs(bounds), shares * taken)
         scales = np.where(scales > 0.0, scales, 1.0)
         return Rows(index, bounds, scales, self.pricing.rewards.shape[1])

@@ -55,6 +55,7 @@ class _Standard:
     matrix: FloatArray  # [rows + 1, variables]; the last row says that weights sum to one
     right: FloatArray  # [rows + 1]
     rounding: FloatArray  # [variables] a value so far below 0 is a 0
+    noise: FloatArray  # [rows + 1] of an entry, from what it is the difference of
 
 
 def solve_master(
@@ -121,6 +122,7 @@ def _scaled_master(
         ),
         right=np.append(np.zeros(n_rows), 1.0),
         rounding=np.concatenate([np.full(n_columns, _NEGATIVE), broken[:n_excess], broken]),
+        noise=np.append(broken, 0.0),
     )
 
 
@@ -230,9 +232,9 @@ def _dual_step(
     unit = np.zeros(len(basis))
     unit[leaving] = 1.0
     among = _solved_in_master(program.matrix[:, basis].T, unit)
-    row, size = among @ program.matrix, np.abs(among) @ np.abs(program.matrix)
+    row, sizes = among @ program.matrix, _PIVOT * np.abs(program.matrix) + program.noise[:, None]
     row[basis] = 0.0
-    able = row < -_PIVOT * size
+    able = row < -np.abs(among) @ sizes
     if not able.any():
         return None
     ratio = np.where(able, np.maximum(reduced, 0.0), np.inf) / np.where(able, -row, 1.0)
@@ -251,7 +253,7 @@ def _primal_step(
         _solved_in_master(square, entry),
         _solved_in_master(square, np.eye(len(basis))),
     )
-    able = column > _PIVOT * (np.abs(inverse) @ np.abs(entry))
+    able = column > np.abs(inverse) @ (_PIVOT * np.abs(entry) + program.noise)
     if not able.any():
         return None
     ratio = np.where(able, np.maximum(values, 0.0), np.inf) / np.where(able, column, 1.0)

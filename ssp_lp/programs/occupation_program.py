@@ -247,7 +247,18 @@ class OccupationProgram:
     def _least_goal(self) -> float:
         """What every measure within the rows reaches the goal with at least."""
         budgets = [1.0 - row.bound for row in self.rows if row.name == "failure"]
-        return max([priced_minimum(self.process, self.process.goal).bound, *budgets])
+        priced = self.process.goal
+        known = max([priced_minimum(self.process, priced).bound, *budgets])
+        if known > 0.0:
+            return known
+        limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
+        reach = rows_program(replace(self.process, cost=priced), limits, ratio=False)
+        name, _ = cold_attempts(reach, None)[0]
+        dual, paid = run_backend(reach, name, np.inf).dual, 0.0
+        for row in self.rows:  # whatever a solver says, prices >= 0 prove what they prove
+            price = max(-float(np.nan_to_num(dual[reach.rows[row.name]][0])), 0.0)
+            priced, paid = priced + price * row.coefficients, paid + price * row.bound
+        return max(priced_minimum(self.process, priced).bound - paid, 0.0)
 
     def to_cvxpy(self) -> ConvexProgram:
         """The program in cvxpy, to which convex objectives and constraints may be added."""

@@ -16,7 +16,7 @@ import pytest
 
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
 from references import combined
-from references.combined import Program, Task
+from references.combined import Limit, Program, Task
 from small_models import model_of
 from ssp_lp import SSP, InfeasibleError, ModelError, certify, evaluate, secondary_cost, solve
 from ssp_lp.io import Controller, load_policy, save_policy, write_controller
@@ -84,11 +84,10 @@ def drawn(rng: np.random.Generator, kind: str, *, limited: bool) -> Drawn:
         for state, actions in choices.items()
     }
     fuel = {s: {a: float(rng.integers(0, 4)) for a in choices[s]} for s in LIVE}
-    most = float(rng.choice([0.5, 1.0, 2.0])) if limited else np.inf
+    most = float(rng.choice([0.5, 1.0, 2.0])) if limited else 0.0
     budget = float(rng.choice([0.2, 0.3, 0.5, 1.0]))
-    task = Task(
-        counted, frozenset({"home"}), {"s0": 1.0}, fuel, most_fuel=most, most_failure=budget
-    )
+    within = (Limit({"fuel": 1.0}, "<=", most),) if limited else ()
+    task = Task(counted, frozenset({"home"}), {"s0": 1.0}, fuel, within, budget)
     program = combined.program(task, 10**12)
     totals = sorted({total for here in program.arrivals for _, total in here})
     bound = float(totals[int(rng.integers(len(totals)))]) * float(rng.choice([1.0, 1.1]))

@@ -1,11 +1,12 @@
-"""Criteria of the total cost with further limits: one linear program written from the definitions.
+"""Any criterion with limits of any kind: a linear program written from the definitions.
 
-States are (state, cost paid), the cost counted one by one up to a horizon and not beyond; a policy
-moves, or stops where the goal can be avoided for sure (anywhere, if asked). Everything is plain
-dictionaries and one call of scipy: nothing is shared with the library.
+States are (state, cost paid), the cost counted one by one up to a horizon of costs; a policy moves,
+gives up where that is allowed, or stays for ever among steps that add nothing to what is minimised
+and limited. Everything is plain dictionaries and one call of scipy: nothing is shared
+with the library.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -18,7 +19,20 @@ Number = int | Fraction
 Choices = Mapping[str, Mapping[str, list[tuple[float, str, Number]]]]
 """State -> action -> [(probability, successor, exact cost)]; states without actions are ends."""
 
-STOP = "stop"
+STOP, SOURCE = "stop", "source"
+LEAST_ROOM = 1e-11  # beyond the least failure, where that is asked for
+
+
+class Limit(NamedTuple):
+    """A weighted sum of parts and a constant, and a bound of it.
+
+    A part is "fuel", "cost", "goal", "failure", "visits" of a state, or the "end" in one of them.
+    """
+
+    weights: Mapping[str, float]
+    sense: str  # "<=", ">=" or "=="
+    bound: float
+    constant: float = 0.0
 
 
 class Task(NamedTuple):
@@ -28,13 +42,29 @@ class Task(NamedTuple):
     goals: frozenset[str]
     start: Mapping[str, float]
     fuel: Mapping[str, Mapping[str, float]]  # a secondary cost
-    most_fuel: float = np.inf
-    watched: str = ""  # a live state
-    most_visits: float = np.inf
-    least_end: tuple[str, float] = ("", 0.0)  # a final state, and its least probability
-    most_end: tuple[str, float] = ("", 1.0)
-    most_failure: float = 1.0
-    most_cost: float = np.inf
+    limits: tuple[Limit, ...] = ()
+    most_failure: float | None = 1.0  # None: as little as possible
+
+
+def named(state: str) -> str:
+    """The state that a copy of it after so many steps stands for."""
+    return state.partition("@")[0]
+
+
+def within_steps(task: Task, steps: int) -> Task:
+    """The task on (state, steps taken), in which nothing goes on after the last step."""
+    choices: dict[str, dict[str, list[tuple[float, str, Number]]]] = {
+        f"{state}@{taken}": {
+            action: [(p, f"{successor}@{taken + 1}", cost) for p, successor, cost in outs]
+            for action, outs in actions.items()
+            if taken < steps
+        }
+        for state, actions in task.choices.items()
+        for taken in range(steps + 1)
+    }
+    goals = frozenset(f"{goal}@{taken}" for goal in task.goals for taken in range(steps + 1))
+    start = {f"{state}@0": share for state, share in task.start.items()}
+    return task._replace(choices=choices, goals=goals, start=start)
 
 
 def dead_ends(task: Task) -> set[str]:
@@ -69,25 +99,18 @@ def avoiding(task: Task) -> set[str]:
 
 
 class Program(NamedTuple):
-    """Columns of the visits program with what each takes of every row."""
+    """Columns of the visits program with what each takes of every part."""
 
     balance: csr_array
     start: np.ndarray
-    goal: np.ndarray
-    failure: np.ndarray
-    fuel: np.ndarray
-    visits: np.ndarray
-    least_end: np.ndarray
-    most_end: np.ndarray
-    wall: np.ndarray  # steps into the state of that name
-    cost: np.ndarray  # of steps
+    parts: dict[str, np.ndarray]
     arrivals: list[list[tuple[float, Number]]]  # per column: probability and total cost at the goal
 
 
 def places(task: Task, horizon: float, live: list[str]) -> dict[tuple[str, Number], int]:
-    """The pairs of a state and a cost paid that can occur, numbered."""
-    found = {(state, 0): 0 for state in task.start if state in live}
-    ahead = list(found)
+    """The pairs of a state and a cost paid that can occur, numbered after the source."""
+    found = {(SOURCE, 0): 0} | {(state, 0): 0 for state in task.start if state in live}
+    ahead = list(found)[1:]
     while ahead:
         state, paid = ahead.pop()
         for outs in task.choices[state].values():
@@ -99,47 +122,131 @@ def places(task: Task, horizon: float, live: list[str]) -> dict[tuple[str, Numbe
     return {where: number for number, where in enumerate(found)}
 
 
-def program(task: Task, horizon: float, *, anywhere: bool = False) -> Program:
-    """Write the program out, costs told apart below the horizon (0: not at all)."""
-    dead, may_stop = dead_ends(task), avoiding(task)
+def least_paid(task: Task, state: str, actions: Iterable[str]) -> dict[str, float]:
+    """The least that some actions of a state take of each cost; nothing where there are none."""
+    costs = [
+        (
+            sum(p * float(cost) for p, _, cost in task.choices[state][action]),
+            task.fuel.get(named(state), {}).get(action, 0.0),
+        )
+        for action in actions
+    ]
+    if not costs:
+        return {}
+    cost, fuel = zip(*costs, strict=True)
+    return {"cost": min(cost), "fuel": min(fuel)}
+
+
+def program(
+    task: Task,
+    horizon: float,
+    *,
+    give_up: str = "attention",
+    charged: bool = False,
+    minimised: Iterable[str] = (),
+    discount: float = 1.0,
+) -> Program:
+    """Write the program out, costs told apart below the horizon (0: not at all).
+
+    Args:
+        task: the model and its limits.
+        horizon: of costs.
+        give_up: "anywhere", "attention" or "dead_ends".
+        charged: whether the step that fails is paid.
+        minimised: parts that the objective counts besides ends.
+        discount: of each step.
+    """
+    dead, avoids = dead_ends(task), avoiding(task)
     live = [s for s in task.choices if s not in dead and s not in task.goals]
     place = places(task, horizon, live)
+    names = sorted({named(state) for state in task.choices})
+    every = ["goal", "failure", "cost", "fuel"]
+    every += [f"{part} {name}" for part in ("visits", "end") for name in names]
     rows, columns, entries = [], [], []
-    parts: dict[str, list[float]] = {name: [] for name in Program._fields[2:10]}
+    taken_by_column: list[dict[str, float]] = []
     arrivals: list[list[tuple[float, Number]]] = []
+    entering = {
+        state: least_paid(task, state, task.choices[state]) if charged else {} for state in dead
+    }
+
+    def add(row: int, taken: dict[str, float], steps: dict[int, float], here: list) -> None:
+        """One more column."""
+        for at, entry in ({row: 1.0} | {t: (t == row) - p for t, p in steps.items()}).items():
+            rows.append(at), columns.append(len(arrivals)), entries.append(entry)
+        taken_by_column.append(taken)
+        arrivals.append(here)
+
     for (state, paid), row in place.items():
-        stops = [(STOP, [])] if anywhere or state in may_stop else []
-        for action, outs in [*task.choices[state].items(), *stops]:
-            column = len(arrivals)
-            rows.append(row), columns.append(column), entries.append(1.0)
-            taken = dict.fromkeys(parts, 0.0)
-            taken["failure"] = float(action == STOP)
-            taken["fuel"] = task.fuel.get(state, {}).get(action, 0.0)
+        begins = [(share, s, 0) for s, share in task.start.items()]
+        actions = {"begin": begins} if state == SOURCE else task.choices[state]
+        for action, outs in actions.items():
+            survival = 1.0 if state == SOURCE else discount
+            taken = dict.fromkeys(every, 0.0)
+            taken["fuel"] = task.fuel.get(named(state), {}).get(action, 0.0)
+            taken["failure"] = 1.0 - survival
+            steps: dict[int, float] = {}
             here = []
             for p, successor, cost in outs:
                 total = min(paid + cost, horizon)
                 taken["cost"] += p * float(cost)
-                taken["visits"] += p * (successor == task.watched)
-                taken["least_end"] += p * (successor == task.least_end[0])
-                taken["most_end"] += p * (successor == task.most_end[0])
-                taken["wall"] += p * (successor == "wall")
+                taken[f"visits {named(successor)}"] += survival * p
+                if successor in task.goals or successor in dead:
+                    taken[f"end {named(successor)}"] += survival * p
+                for part, charge in entering.get(successor, {}).items():
+                    taken[part] += survival * p * charge
                 if successor in task.goals:
-                    taken["goal"] += p
+                    taken["goal"] += survival * p
                     here.append((p, total))
                 elif successor in dead:
-                    taken["failure"] += p
+                    taken["failure"] += survival * p
                 elif p > 0:
-                    rows.append(place[successor, total])
-                    columns.append(column), entries.append(-p)
-            arrivals.append(here)
-            for name, value in taken.items():
-                parts[name].append(value)
+                    there = place[successor, total]
+                    steps[there] = steps.get(there, 0.0) + survival * p
+            add(row, taken, steps, here)
+        allowed = {"anywhere": True, "attention": state in avoids, "dead_ends": False}
+        if state != SOURCE and allowed[give_up]:
+            staying = [
+                action
+                for action, outs in actions.items()
+                if give_up == "anywhere" or all(t in avoids | dead for p, t, _ in outs if p > 0)
+            ]
+            paid_once = least_paid(task, state, staying) if charged else {}
+            add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0} | paid_once, {}, [])
+    counted = {part for limit in task.limits for part in limit.weights} | set(minimised)
+    counted -= {part for part in every if part.startswith("end") or part in ("goal", "failure")}
+    for row in wandering(place.values(), rows, columns, taken_by_column, counted):
+        add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0}, {}, [])
+    parts = {name: np.array([taken[name] for taken in taken_by_column]) for name in every}
     start = np.zeros(len(place))
-    for state, share in task.start.items():
-        start[place[state, 0]] += share
+    start[0] = 1.0
     shape = len(place), len(arrivals)
-    arrays = {name: np.array(values) for name, values in parts.items()}
-    return Program(csr_array((entries, (rows, columns)), shape), start, arrivals=arrivals, **arrays)
+    return Program(csr_array((entries, (rows, columns)), shape), start, parts, arrivals)
+
+
+def wandering(
+    everywhere: Iterable[int],
+    rows: list[int],
+    columns: list[int],
+    taken: list[dict[str, float]],
+    counted: set[str],
+) -> set[int]:
+    """Places in which one may stay for ever by steps that add nothing to what is counted."""
+    reached: dict[int, set[int]] = {}
+    home: dict[int, int] = {}
+    for row, column in zip(rows, columns, strict=True):  # a column's first row is its own
+        home.setdefault(column, row)
+        reached.setdefault(column, set()).add(row)
+    free = [
+        column
+        for column in reached
+        if not any(taken[column][part] for part in (*counted, "goal", "failure"))
+    ]
+    found = set(everywhere)
+    while True:
+        kept = {home[column] for column in free if reached[column] <= found}
+        if kept == found:
+            return found
+        found = kept
 
 
 def charged(written: Program, charge: Callable[[Number], float]) -> np.ndarray:
@@ -149,23 +256,38 @@ def charged(written: Program, charge: Callable[[Number], float]) -> np.ndarray:
 
 def least(task: Task, written: Program, objective: np.ndarray, *, ratio: bool) -> float | None:
     """The least objective, or its ratio to the goal probability, within all limits; None: none."""
-    begun = task.start.get(task.watched, 0.0)
-    limits = [
-        (written.failure, task.most_failure),
-        (written.fuel, task.most_fuel),
-        (written.cost, task.most_cost),
-        (written.visits, task.most_visits - begun),
-        (-written.least_end, -task.least_end[1]),
-        (written.most_end, task.most_end[1]),
-    ]
-    limits = [(row, bound) for row, bound in limits if np.isfinite(bound)]
-    upper = np.array([row for row, _ in limits])
+    limits = []
+    if task.most_failure is None:
+        failure = solved(written, written.parts["failure"], [], ratio=False)
+        limits.append((written.parts["failure"], failure + LEAST_ROOM))
+    elif task.most_failure < 1.0:
+        limits.append((written.parts["failure"], task.most_failure))
+    for limit in task.limits:
+        counted = [weight * written.parts[part] for part, weight in limit.weights.items()]
+        row = np.sum([np.zeros(objective.size), *counted], axis=0)
+        bound = limit.bound - limit.constant
+        if limit.sense != ">=":
+            limits.append((row, bound))
+        if limit.sense != "<=":
+            limits.append((-row, -bound))
+    return solved(written, objective, limits, ratio=ratio)
+
+
+def solved(
+    written: Program,
+    objective: np.ndarray,
+    limits: list[tuple[np.ndarray, float]],
+    *,
+    ratio: bool,
+) -> float | None:
+    """The optimum of the program with further rows; None: there is none."""
+    upper = np.array([row for row, _ in limits]) if limits else np.zeros((0, objective.size))
     bounds = np.array([bound for _, bound in limits])
     equal, right = written.balance.toarray(), written.start
     if ratio:  # Charnes and Cooper: visits times t, with goal probability times t equal to 1
         objective = np.append(objective, 0.0)
         upper, bounds = np.hstack([upper, -bounds[:, None]]), np.zeros(len(bounds))
-        equal = np.block([[equal, -right[:, None]], [written.goal, 0.0]])
+        equal = np.block([[equal, -right[:, None]], [written.parts["goal"], 0.0]])
         right = np.append(np.zeros(len(right)), 1.0)
     for presolve in (True, False):  # HiGHS 1.8 takes some bounded programs for unbounded
         options = dict.fromkeys(

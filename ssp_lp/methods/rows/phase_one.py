@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.pool import Pool, Rows
@@ -46,7 +46,6 @@ def phase_one_opening(
     cheapest = pool.priced(np.eye(1, pricing.rewards.shape[1])[0])
     pool.add(cheapest)
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
-    _refuse_empty(compiled, stated, limited)
     rows = pool.rows(1 + limited, compiled.bounds[limited])
     ended = generate(violation_in_master(pool, rows), options)
     if _kept_to(ended, rows):
@@ -81,24 +80,6 @@ def _first_ratio(pool: Pool, ended: Generated) -> float:
         known = pool.figures[0] / (1.0 - pool.figures[1])
     known = known[np.isfinite(known) & (known > 0.0)]
     return float(known.max()) if known.size else 1.0
-
-
-def _refuse_empty(
-    compiled: CompiledConstrained, stated: CompiledConstrained, limited: IntArray
-) -> None:
-    """Refuse rows that count nothing and may not even take that.
-
-    Raises:
-        InfeasibleError: naming the first.
-    """
-    for k in limited.tolist():
-        if compiled.bounds[k] < 0.0 and not compiled.pricing.rewards[:, 1 + k].any():
-            raise InfeasibleError(
-                f"{compiled.told[k]!r} is 0 under every policy, {compiled.bounds[k]:.6g} allowed",
-                failure_budget=stated.budget,
-                least_failure=_least_failure_in_phase_one(compiled, None),
-                conflicting_rows=(compiled.names[k],),
-            )
 
 
 def _refusal_in_phase_one(
@@ -178,14 +159,15 @@ def _proved_conflict(pool: Pool, rows: Rows, found: Generated) -> _Conflict | No
         found: how it ended.
     """
     sizes = pool.sizes(rows)
-    prices = np.where(found.prices * sizes > ATTAINABLE, found.prices, 0.0)
+    matters = found.prices * sizes > ATTAINABLE * min(found.objective, 1.0)
+    prices = np.where(matters, found.prices, 0.0)
     total = float(prices.sum())
     if total <= 0.0:
         return None
     shares = prices / total
     least = pool.proved(rows.weights(shares, 0.0)).bound
     allowed = float(shares @ rows.bounds)
-    room = ATTAINABLE * allowed + 4.0 * len(shares) * MACHINE_EPSILON * allowed
+    room = (ATTAINABLE + 4.0 * len(shares) * MACHINE_EPSILON) * max(allowed, 0.0)
     if least <= allowed + room:
         return None
     kept = tuple(np.flatnonzero(shares).tolist())

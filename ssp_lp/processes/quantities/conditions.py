@@ -188,17 +188,19 @@ class Condition:
                 terms.append((weight, term))
         constant = sign * self.constant
         shift = max(-constant, 0.0)  # no coefficient may be negative
+        size, bound = max(offset, shift, abs(bound)), bound + offset + shift
+        bound = 0.0 if -_ROOM * size <= bound < 0.0 else bound  # the rounding of a complement
         told = (
             self.name
-            if sign > 0.0 and offset == 0.0
-            else f"{_signed_in_condition(offset, sign)}{self.name}"
+            if sign > 0.0 and offset + shift == 0.0
+            else f"{_signed_in_condition(offset + shift, sign)}{self.name}"
         )
         return UpperRow(
             name=name,
             told=told,
             terms=tuple(terms),
             constant=constant + shift,
-            bound=bound + offset + shift,
+            bound=bound,
             condition=self,
             sign=sign,
             offset=offset + shift,
@@ -232,4 +234,5 @@ def free_pairs(
 
 def _signed_in_condition(offset: float, sign: float) -> str:
     """An offset and the sign that follows it, as a condition prints them."""
-    return f"{offset:g} {'+' if sign > 0.0 else '-'} "
+    first = f"{offset:g} " if offset else ""
+    return f"{first}{'+' if sign > 0.0 else '-'} "
