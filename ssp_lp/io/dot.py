@@ -88,7 +88,7 @@ def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
 def _dot_edges(chain: Chain, member: int) -> Iterator[str]:
     """The edges of the graph, as lines of dot."""
     steps = chain.matrix.tocoo()
-    for source, target, probability in zip(*np.asarray(steps.coords), steps.data, strict=True):
+    for source, target, probability in zip(steps.row, steps.col, steps.data, strict=True):
         if probability > 0.0:
             share = f"{probability:.6g}"
             yield f"n{member}_{source} -> n{member}_{target} [label={_dot_text(share)}];"

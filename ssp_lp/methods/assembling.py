@@ -48,7 +48,7 @@ def assembled(
     policy = found.policy
     if not isinstance(policy, MixedPolicy):
         policy = MixedPolicy((policy,), np.ones(1))
-    bound = least_of(found.bound, found.value)
+    bound = sense.settled_bound(found.value, least_of(found.bound, found.value))
     objective, limit = sense.worth(found.value), sense.worth(bound)
     maximised, prices = sense.constant is not None, found.prices
     if not prices and found.price is not None and not problem.semantics.forbids_failing:

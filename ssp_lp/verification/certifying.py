@@ -24,7 +24,7 @@ from ssp_lp.methods.split_model import span_of_steps, span_to_split
 from ssp_lp.options import CERTIFYING, Game, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, conditions_of
-from ssp_lp.processes.failure_semantics import Aim, start_distribution
+from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
 from ssp_lp.processes.totals.ladder import Rungs
 from ssp_lp.solution import Solution, as_solved
@@ -257,7 +257,10 @@ def _worth_certificate(solution: Solution, found: Evaluation) -> Certificate:
         priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
         bound = max(priced, bound) if budget <= allowed else priced
         allowed = max(budget, allowed)
-    worth = problem.semantics.failing_worth - bound
+    failing = problem.semantics.failing_worth
+    value = failing - found.objective
+    is_rounding = ObjectiveSense(failing).settled_bound(value, bound) == value
+    worth = found.objective if is_rounding else failing - bound
     return certificate_of(found, worth, allowed, reason, above=True)
 
 

@@ -210,6 +210,9 @@ def _episode_actions(envs: VectorEnv[Any, Any, Any], actions: Sequence[Hashable]
 
 def step_limit_of_vector(envs: VectorEnv[Any, Any, Any]) -> int | None:
     """The steps after which each environment's ``TimeLimit`` cuts an episode off; None: never."""
+    made = getattr(envs.unwrapped, "envs", None)  # of ones that step one after the other
+    if made:
+        return step_limit_of(made[0])
     makers = getattr(envs.unwrapped, "env_fns", None)
     if not makers:
         return envs.spec.max_episode_steps if envs.spec is not None else None

@@ -191,12 +191,13 @@ def nearer_pairs(
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice, distance)
         return choice
-    # by the distance of each state, found by scipy from a node added behind all ends
-    reached = np.repeat(np.arange(n), np.diff(before.offsets))
+    # by the distance of each state, found by scipy from a node added behind all ends; its search
+    # of shortest paths took only numbers of 32 bits before version 1.15
+    reached = np.repeat(np.arange(n, dtype=np.int32), np.diff(before.offsets))
     kept = free[before.pairs]
     pairs, reached = before.pairs[kept], reached[kept]
-    source = np.concatenate([reached, np.full(useful.size, n)])
-    target = np.concatenate([pair_state[pairs], pair_state[useful]])
+    source = np.concatenate([reached, np.full(useful.size, n, dtype=np.int32)])
+    target = pair_state[np.concatenate([pairs, useful])].astype(np.int32, copy=False)
     graph = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
     steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
         graph, indices=n, unweighted=True

@@ -9,7 +9,7 @@ from checks import GAP, library_model, plain
 from cost_law_models import SHARP
 from formulations import EGUBS, GUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from references import accumulated, accumulated_program
-from ssp_lp import InfeasibleError, certify, evaluate, solve
+from ssp_lp import SSP, InfeasibleError, certify, evaluate, solve
 from strategies import Draw, often, problems
 
 CLOSE = {"rel": 1e-7, "abs": 1e-8}
@@ -84,6 +84,14 @@ def test_expected_utility(drawn, name, bonus, at_infinity):
     assume(high - low <= 1e-9)
     problem = GUBS(library_model(drawn), drawn.start, utility, bonus, at_infinity)
     check(problem, (low + high) / 2)
+
+
+@pytest.mark.parametrize("back", [0.5, 0.75, 0.9, 1 / 3])
+def test_what_cancels_to_rounding_is_no_gap(back):
+    """Worth nothing and surely reached: success is worth what failing costs, taken off that."""
+    steps = {"a": {"on": [(1.0, "c", 1)]}, "c": {"try": [(back, "a", 1), (1 - back, "goal", 1)]}}
+    model = SSP.from_transitions(steps, goal={"goal"})
+    check(GUBS(model, "a", UTILITIES["constant"], 0.0, -0.5), 0.0)
 
 
 @often(80)

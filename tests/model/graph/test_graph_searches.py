@@ -155,6 +155,18 @@ def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, eve
     assert choice.tolist() == [expected.get(s, -1) for s in range(n_states)]
 
 
+def test_scipy_is_given_numbers_of_32_bits(accelerate, monkeypatch):
+    """Its searches before version 1.15 take no others."""
+    accelerate(False)
+    model, rng = drawn_model(*SEEDS[0])
+    graphs, search = [], reachability.csgraph.dijkstra
+    monkeypatch.setattr(
+        reachability.csgraph, "dijkstra", lambda g, **kw: graphs.append(g) or search(g, **kw)
+    )
+    reachability.approach_pairs(model, rng.random(model.n_pairs) < 0.5)
+    assert [(g.indices.dtype, g.indptr.dtype) for g in graphs] == [(np.int32, np.int32)]
+
+
 @pytest.mark.parametrize("share", [0.0, 0.6, 1.0])
 @pytest.mark.parametrize(("seed", "n_states"), SEEDS)
 def test_end_components_are_the_maximal_ones(path, seed, n_states, share):
