@@ -28,7 +28,7 @@ from ssp_lp.dynamic_programming.bellman import Work
 
 _SHARE = 0.25  # of a search that its bounds on the way may take
 _LONG = 0.1  # seconds of a pricing call, below which its proof can wait for the end
-_SAME_COST = 1e-15  # relative
+_SAME_COST = 1e-15  # relative; a weight so far below 1 is 1
 _SAME_FAILURE = 1e-15  # of columns, one of which is the other, found again
 _SAME_SMALL = 1e-14  # the same, relative to failures that are small and to goals that are rare
 
@@ -65,7 +65,7 @@ class Secant:
         if self.outside is None:
             return 0.0
         room = self.row.spare(self.inside) / excess_failure(self.outside, self.inside)
-        return float(min(max(room, 0.0), 1.0))
+        return 1.0 if room > 1.0 - _SAME_COST else float(max(room, 0.0))
 
     @property
     def objective(self) -> float:

@@ -7,8 +7,6 @@ from collections.abc import Hashable, Iterator, Mapping
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
-
 from ssp_lp.analysis.chain import Chain, policy_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.io.policy_tables import memories_of

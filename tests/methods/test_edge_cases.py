@@ -291,3 +291,16 @@ def test_a_slack_budget_near_one_keeps_its_bound(budget: float) -> None:
     solution = solve(S3P(model, "a", budget))
     assert solution.objective == pytest.approx(1.0, rel=1e-9)
     assert solution.gap <= 1e-9
+
+
+@pytest.mark.parametrize("method", ["columns", "lp"])
+def test_a_budget_that_a_policy_meets_to_the_last_digit_needs_no_lottery(method):
+    """Waiting succeeds with 1/12 at no cost, and its failure is summed to a digit above 11/12."""
+    steps = {
+        "a": {"on": [(1.0, "b", 1)], "wait": [(0.2, "b", 0), (0.8, "a", 0)]},
+        "b": {"back": [(1.0, "a", 1)], "go": [(1.0, "goal", 0)]},
+    }
+    model = SSP.from_transitions(steps, goal={"goal"})
+    asked = {"give_up": "anywhere", "charge_failing_step": False, "discount": 0.5}
+    solution = solve(MCMP(model, "a", failure_budget=11 / 12, **asked), method)
+    assert (solution.objective, solution.gap) == (0.0, 0.0)
