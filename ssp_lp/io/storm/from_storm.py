@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import tarfile
 from collections.abc import Hashable, Sequence
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, cast
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, offsets_of
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_files.decimals import decimal_sum
 from ssp_lp.io.model_files.raw_model import (
@@ -18,6 +20,12 @@ from ssp_lp.io.model_files.raw_model import (
 )
 from ssp_lp.io.storm.bindings import ask_storm, storm
 from ssp_lp.model.arguments import explained
+
+_MATRIX = "choice-to-branches.bin", "branch-to-target.bin", "branch-to-probability.bin"
+"""Parts of a UMB archive: offsets, successors and probabilities."""
+
+BEYOND = "_OutOfBoundsBit"
+"""Storm's variable of states that it adds where another variable is to leave its bounds."""
 
 _KINDS = ("MDP", "DTMC")
 
@@ -85,16 +93,16 @@ def built_from_storm(
     if formula is not None:
         labels[goal] = ask_storm(source, _states_from_storm, model, formula, goal, source)
     reward, paid = _chosen_storm_reward(model, cost, source)
-    matrix = model.transition_matrix
-    offsets, pair_offsets = _offsets_from_storm(model, matrix)
-    entries = list(matrix.row_iter(0, matrix.nr_rows - 1))
-    successors = np.array([entry.column for entry in entries], dtype=np.int64)
+    offsets, successors, probabilities = ask_storm(source, _matrix_from_storm, model)
+    pair_offsets = np.arange(model.nr_states + 1)
+    if not model.transition_matrix.has_trivial_row_grouping:
+        pair_offsets = np.array(model.nondeterministic_choice_indices, dtype=np.int64)
     state = np.repeat(np.arange(model.nr_states), np.diff(pair_offsets))
     raw = RawModel(
         pair_offsets=pair_offsets,
         outcome_offsets=offsets,
         successors=successors,
-        probabilities=np.array([entry.value for entry in entries]),
+        probabilities=probabilities,
         costs=_costs_from_storm(reward, state, offsets, successors),
         actions=ask_storm(source, _action_names_from_storm, model, state, pair_offsets),
         labels=labels,
@@ -143,12 +151,25 @@ def _states_from_storm(model: Any, formula: Any, goal: str, source: str) -> IntA
     return _members_from_storm(found.get_truth_values_vector())
 
 
-def _offsets_from_storm(model: Any, matrix: Any) -> tuple[IntArray, IntArray]:
-    """Where the outcomes of each pair begin, and the pairs of each state."""
-    sizes = np.array([len(matrix.get_row(row)) for row in range(matrix.nr_rows)], dtype=np.int64)
-    if matrix.has_trivial_row_grouping:
-        return offsets_of(sizes), np.arange(model.nr_states + 1)
-    return offsets_of(sizes), np.array(model.nondeterministic_choice_indices, dtype=np.int64)
+def _matrix_from_storm(model: Any) -> tuple[IntArray, IntArray, FloatArray]:
+    """Where the outcomes of each pair begin, their successors and probabilities.
+
+    Storm's bindings hand out entries one by one; its UMB archive holds the arrays as they are.
+    """
+    formats = storm().io
+    options = formats.UmbExportOptions()
+    options.compression = formats.CompressionMode.NO_COMPRESSION
+    options.value_type = formats.UmbExportValueType.DOUBLE
+    with TemporaryDirectory() as folder:
+        formats.export_to_umb(model, f"{folder}/model.umb", options=options)
+        with tarfile.open(f"{folder}/model.umb", "r:") as archive:
+            parts = [archive.extractfile(name) for name in _MATRIX]
+            offsets, successors, probabilities = (part.read() for part in parts if part is not None)
+    return (
+        np.frombuffer(offsets, dtype="<i8"),
+        np.frombuffer(successors, dtype="<i8"),
+        np.frombuffer(probabilities, dtype="<f8"),
+    )
 
 
 def _chosen_storm_reward(model: Any, cost: str | None, source: str) -> tuple[Any, str]:
@@ -196,12 +217,13 @@ def _action_names_from_storm(
     """Labels of choices, the position where there is none, [pairs]; None: no labels at all."""
     if not model.has_choice_labeling():
         return None
-    position = (np.arange(state.size) - pair_offsets[state]).tolist()
-    labels = [model.choice_labeling.get_labels_of_choice(pair) for pair in range(state.size)]
-    names = [
-        "+".join(sorted(some)) or str(number) for some, number in zip(labels, position, strict=True)
-    ]
-    return distinct_actions(names, state)
+    names = np.full(state.size, "", dtype=object)
+    for label in sorted(model.choice_labeling.get_labels()):
+        here = _members_from_storm(model.choice_labeling.get_choices(label))
+        names[here] = np.where(names[here] == "", label, names[here] + f"+{label}")
+    bare = np.flatnonzero(names == "")
+    names[bare] = list(map(str, (bare - pair_offsets[state[bare]]).tolist()))
+    return distinct_actions(names.tolist(), state)
 
 
 def _state_names_from_storm(model: Any) -> Sequence[Hashable] | None:
@@ -210,17 +232,34 @@ def _state_names_from_storm(model: Any) -> Sequence[Hashable] | None:
         return None
     valuations = model.state_valuations
     columns = [
-        _values_from_storm(valuations, variable) for variable in valuations.get_all_variables()
+        _values_from_storm(valuations, variable)
+        for variable in valuations.get_all_variables()
+        if variable.name != BEYOND
     ]
-    names = list(zip(*columns, strict=True))
+    names: list[Hashable] = list(zip(*columns, strict=True))
+    for state in states_beyond(model).tolist():
+        names[state] = BEYOND, state  # what its variables show is another's
     return names if len(set(names)) == model.nr_states else None
+
+
+def states_beyond(model: Any) -> IntArray:
+    """States that Storm added where a variable is to leave its bounds, [members]."""
+    valuations = model.state_valuations
+    for variable in valuations.get_all_variables():
+        if variable.name == BEYOND:
+            return np.flatnonzero(
+                np.array(_values_from_storm(valuations, variable), dtype=np.bool_)
+            )
+    return np.zeros(0, dtype=np.int64)
 
 
 def _values_from_storm(valuations: Any, variable: Any) -> list[Hashable]:
     """A variable's value in each state, [states]."""
     if variable.has_boolean_type():
         bits = valuations.get_boolean_values(variable)
-        return [bits[state] for state in range(len(bits))]
+        holds = np.zeros(len(bits), dtype=np.bool_)
+        holds[_members_from_storm(bits)] = True
+        return cast("list[Hashable]", holds.tolist())
     if variable.has_integer_type():
         return list(valuations.get_int64_values(variable))
     if variable.has_rational_type():

@@ -6,11 +6,19 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_files.raw_model import DEADLOCK, INITIAL, ModelFile
 from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.io.storm.bindings import ask_storm, storm
-from ssp_lp.io.storm.from_storm import built_from_storm, check_kind, label_formula
+from ssp_lp.io.storm.from_storm import (
+    BEYOND,
+    built_from_storm,
+    check_kind,
+    label_formula,
+    states_beyond,
+)
 from ssp_lp.io.storm.sound_files import check_jani, check_umb
 from ssp_lp.model.arguments import explained
 
@@ -93,11 +101,18 @@ def _explored_program(
     options.set_build_choice_labels()
     options.set_build_state_valuations()
     options.set_scale_and_lift_transition_rewards(False)
-    options.set_exploration_checks()
+    options.set_add_out_of_bounds_state()  # its own check would refuse 0.8 + 0.1 + 0.1
     if cost is None:
         options.set_build_all_reward_models()
     model = ask_storm(file, stormpy.build_model, program, options=options)
-    return built_from_storm(model, goal, formula, cost, str(file))
+    found = built_from_storm(model, goal, formula, cost, str(file))
+    if states_beyond(model).size:
+        names = enumerate(found.model.states)
+        beyond = [k for k, name in names if isinstance(name, tuple) and name[0] == BEYOND]
+        leading = np.flatnonzero(np.isin(found.model.successors, beyond))
+        where = found.model._describe_outcome(int(leading[0])) if leading.size else "a goal"
+        raise ModelError(f"{file}, {where}: a variable leaves its bounds")
+    return found
 
 
 def _program_labels(program: Any) -> str:

@@ -160,8 +160,18 @@ def test_a_goal_may_be_a_condition(tmp_path: Path) -> None:
         ("mdp\n", "ctmc\n", {}, "is a CTMC: only MDPs and DTMCs"),
         ("mdp\n", "mpd\n", {}, "Storm refuses it"),
         ("x' = x + 1", "x' = x + y", {}, "Storm refuses it"),
-        ("x' = x + 1", "x' = x + 1000", {}, "Storm refuses it"),
-        ("1 - p : (x'", "0.9 - p : (x'", {}, "Storm refuses it"),
+        (
+            "x' = x + 1",
+            "x' = x + 1000",
+            {},
+            r"action 'go' of state \(False, 0\): a variable leaves its bounds",
+        ),
+        (
+            "1 - p : (x'",
+            "0.9 - p : (x'",
+            {},
+            r"action 'go' of state \(False, 0\): probabilities sum to 0.9, not to 1",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_program_is_named(
@@ -172,6 +182,45 @@ def test_what_is_wrong_with_a_program_is_named(
     with pytest.raises(ModelError, match=message) as found:
         read_with_storm(path, **asked)
     assert "walker.prism" in str(found.value)
+
+
+TENTHS = """
+mdp
+module m
+  s : [0..3] init 0;
+  b : bool init false;
+  [a] s = 0 -> P : (s' = 1) + 0.1 : (s' = 2) + 0.1 : (s' = 3) & (b' = true);
+  [a] s = 1 -> (s' = 2);
+  [b] s = 1 -> (s' = 3);
+  [] s >= 2 -> true;
+endmodule
+label "done" = s = 2;
+"""
+
+
+@pytest.mark.parametrize("ending", ["prism", "jani"])
+def test_decimals_that_sum_to_one_are_probabilities(tmp_path: Path, ending: str) -> None:
+    """As floats 0.8 + 0.1 + 0.1 is a little less than 1: rounding, up to 1e-9."""
+
+    def read(probability: str, text: str = TENTHS) -> SSP:
+        path = written(tmp_path, text.replace("P :", f"{probability} :"), "tenths.prism")
+        if ending == "jani":
+            stormpy = pytest.importorskip("stormpy")
+            program, _ = stormpy.parse_prism_program(str(path)).to_jani([])
+            path = tmp_path / "tenths.jani"
+            stormpy.io.export_jani_to_file(str(path), program)
+        goal = "done" if ending == "prism" else "s = 2"
+        return read_with_storm(path, goal=goal).model
+
+    model = read("0.8")
+    assert model.probabilities[:3].tolist() == pytest.approx([0.8, 0.1, 0.1], abs=1e-15)
+    assert read("0.8000000001").n_outcomes == model.n_outcomes
+    with pytest.raises(ModelError, match=r"action 'a' of .*: probabilities sum to 1.00000001,"):
+        read("0.80000001")
+    # one bit more than two would hold: Storm by itself goes on from 0 again
+    for update in ("(s' = s + 4)", "(s' = s - 1)"):
+        with pytest.raises(ModelError, match="a variable leaves its bounds"):
+            read("0.8", TENTHS.replace("(s' = 1)", update))
 
 
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
