@@ -220,7 +220,7 @@ def budget_of_share(
         reach_fraction: the share, in [0, 1].
     """
     begun = start_distribution(model, start)
-    greatest = float(begun @ greatest_goal_reach(model, start=begun).goal)
+    greatest = float(begun @ greatest_goal_reach(model, start=begun, last_digits=False).goal)
     return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
 
 

@@ -66,6 +66,7 @@ SIZES: dict[str, Callable[[float], tuple[int, ...]]] = {
     "ring": lambda n: (round(n),),
     "holes": lambda n: (round(math.sqrt(n)),),
     "headings": lambda n: (max(round(math.sqrt(n / 8)), 5),),
+    "racetrack": lambda n: (max(round(math.sqrt(n / 49)), 6),),
     "tandem": lambda n: (round(math.sqrt(n)),),
     "inventory": lambda n: (round(math.sqrt(n / 2)), round(math.sqrt(2 * n))),
     "sysadmin": lambda n: (min(round(math.log2(n)), 14),),

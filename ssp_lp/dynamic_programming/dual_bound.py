@@ -92,7 +92,8 @@ def dual_bound(
         floor: a constant that is known to be a sub-solution: 0 where no pair cost is negative.
         choice: a policy of about these values, which leaves, [states].
         start: where the bound is to be near the values, positive there, [states]; None: everywhere.
-        least_loss: how far below the values it may be; None: a share of their size.
+        least_loss: how far below the values it may be, for probabilities, of which none is worked
+            out more precisely where there are many; None: a share of their size.
 
     Returns:
         Values that are checked lower bounds of the optimum.
@@ -114,8 +115,10 @@ def dual_bound(
         lowered = np.maximum(lowered, found)  # of two sub-solutions the greater is one
         lowered, worst = raised(dynamics, pair_cost, lowered, values, asked, enough)
     bound = DualBound(lowered, np.zeros_like(lowered))
-    enough *= 1.0 if dynamics.n_states <= DIRECT_STATES else _MORE_LOST
-    if worst <= enough or float(lack.max(initial=0.0)) > _NEARLY * scale:
+    many = dynamics.n_states > DIRECT_STATES
+    if worst <= (_MORE_LOST * enough if many else enough) or (many and least_loss is not None):
+        return bound
+    if float(lack.max(initial=0.0)) > _NEARLY * scale:
         return bound
     precise = _precise_bound(dynamics, pair_cost, values)
     return bound if precise is None else precise

@@ -25,7 +25,7 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import pieces
 from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
-from ssp_lp.dynamic_programming.bellman import unsigned_parts
+from ssp_lp.dynamic_programming.bellman import best_pairs, unsigned_parts
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.leaving import approach_leaving, leaving_chain
@@ -38,6 +38,7 @@ from ssp_lp.model.graph.reachability import nearer_pairs
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2
 _SWEEPS = 40  # before the first evaluation: more than most distances take to spread both ways
+_STEPS = 1_000  # over which it is gathered what is lost where cost decides
 _PROVED = 1e-11  # gap of a probability that rounding may leave
 _PROVED_OF_MANY = 5e-10  # the same where there are many states, and each evaluation takes its time
 _PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
@@ -63,6 +64,7 @@ def extreme_reach(
     *,
     greatest: bool,
     start: FloatArray | None = None,
+    last_digits: bool = True,
 ) -> ExtremeReach:
     """The greatest or the least probability of hitting, from every state.
 
@@ -74,6 +76,7 @@ def extreme_reach(
         miss: probability of leaving it otherwise, [pairs].
         greatest: or least.
         start: where the bound is to be tight, positive there, [states]; None: everywhere.
+        last_digits: whether policies are compared to the last digit where the bound asks for less.
     """
     # what is wanted is maximised, which is to minimise the other: each is exact where it is small
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
@@ -81,7 +84,7 @@ def extreme_reach(
     floor = 0.0 if dynamics.components.largest <= EXACTLY_SOLVED else FAILURE_FLOOR
     run = partial(iterate_policy, dynamics, both, _OTHER, floor=floor)
     few = dynamics.n_states <= DIRECT_STATES
-    enough = None if few else False  # where there are many the bound tells whether it is precise
+    enough = None if few or last_digits else False
     settled = run(_swept_towards(dynamics, wanted), precise=enough)
     if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # so small that the other cannot tell
         choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
@@ -108,6 +111,27 @@ def extreme_reach(
         reach = np.where(reach > missed, missed, 1.0 - reach)
         bound = np.clip(least, 0.0, reach)
     return ExtremeReach(dynamics, both, settled.choice, totals, reach, bound, floor)
+
+
+def _gathers(dynamics: Dynamics, lost: FloatArray, slack: FloatArray) -> bool:
+    """Whether some policy loses much more in many steps than is let pass.
+
+    Args:
+        dynamics: the process.
+        lost: at each step, infinite where a pair is not taken, [pairs].
+        slack: what may be lost, [states].
+    """
+    gathered = np.zeros(dynamics.n_states)
+    for step in range(_STEPS):
+        cost = np.where(np.isinf(lost), np.inf, -lost)
+        backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, cost, -gathered)
+        growth = float(((-backup.minima - gathered) / slack).max(initial=0.0))
+        gathered = -backup.minima
+        if (gathered > 10.0 * slack).any():
+            return True
+        if growth * (_STEPS - step) <= 1.0:
+            break
+    return False
 
 
 def _swept_towards(dynamics: Dynamics, wanted: FloatArray) -> IntArray:
@@ -160,6 +184,11 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
     tied[choice] = True
     chosen = np.zeros_like(tied)
     chosen[choice] = True
+    if found.floor > 0.0:
+        lost = np.where(tied, np.maximum(-ahead, 0.0), np.inf)
+        if _gathers(dynamics, lost, slack[choice]):
+            tied &= chosen | (lost <= np.maximum(slack / _STEPS, found.floor * high[home]))
+        return tied
     while (tied & ~chosen & (ahead < 0.0)).any():
         kept = np.flatnonzero(tied)
         place = np.full(len(tied), -1, dtype=np.int32)

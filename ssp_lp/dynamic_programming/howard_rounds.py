@@ -38,6 +38,7 @@ _SWEEPS = 20  # of Bellman backups between two evaluations
 _LEAST_SWEEPS = 6
 _DIRECT = 2  # passes over a chain that an evaluation takes which does not iterate
 _SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
+_RISEN = 10.0  # times the last size of the values, which no improvement makes of them
 _WORSE = 1e-9
 """Relative rise of a value that is no rounding: improvement never raises one."""
 
@@ -93,9 +94,11 @@ def _howard_rounds(
         the work.
     """
     transitions, pair_cost = dynamics.transitions, weighted(rewards, weights)
-    accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES else _FINE
+    # where a floor is promised, rough evaluations of long runs would undo what sweeps have settled
+    accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES and floor == 0.0 else _FINE
     choice, work, rounds, changed_before = latest[0], Work(), 0, np.inf
     before: IntArray | None = None
+    scale_before = np.inf
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
         check_time()
@@ -111,6 +114,12 @@ def _howard_rounds(
         exact = system.is_solved_exactly
         missed = 0.0 if exact and accuracy <= _FINE else accuracy
         better, gain, scale = _gains_of_round(backup, values, missed, floor)
+        if accuracy > _FINE and scale > _RISEN * scale_before:
+            accuracy = _FINE  # improvement raises nothing: evaluations are too rough for such runs
+            if not exact:
+                scale_before = np.inf
+                continue
+        scale_before = scale
         if not better.any() and accuracy > _FINE:
             accuracy = _FINE  # only noise was thought greater
             if not exact:

@@ -66,9 +66,24 @@ class FailureLabelled:
             safe = ~pairs_into(model, self.quotient.dead)
             guarded = self.quotient.nearer(goal_pairs(model) & safe, safe)
             found = found if guarded is None else np.where(guarded >= 0, guarded, found)
-        if found is None or self.process.n_states == len(found):
-            return found
-        return np.append(found, self.process.n_pairs - 1)  # the source state's only pair
+        return None if found is None else self._with_source(found)
+
+    def placed(self, decision: IntArray) -> IntArray | None:
+        """A policy of the model as a choice here, [states]; None where it is not one of its pairs.
+
+        Args:
+            decision: pair of the model, negative for none, [model states].
+        """
+        if self.quotient.merged.any():
+            return None
+        choice = self.quotient.placed(decision)
+        return None if (choice < 0).any() else self._with_source(choice).astype(np.int32)
+
+    def _with_source(self, choice: IntArray) -> IntArray:
+        """A choice of the nodes with the source state's only pair, where there is one."""
+        if self.process.n_states == len(choice):
+            return choice
+        return np.append(choice, self.process.n_pairs - 1)
 
 
 def label_failure(

@@ -73,7 +73,11 @@ class ReachPolicy:
 
 
 def greatest_goal_reach(
-    model: SSP, survival: float = 1.0, start: FloatArray | None = None
+    model: SSP,
+    survival: float = 1.0,
+    start: FloatArray | None = None,
+    *,
+    last_digits: bool = True,
 ) -> GoalReach:
     """MAXPROB: the greatest E[survival^T; goal] from every state.
 
@@ -85,12 +89,14 @@ def greatest_goal_reach(
         model: the model.
         survival: the discount; 1 for probabilities.
         start: where it is asked for, positive there, [states]; None: in every state.
+        last_digits: whether all that attains it is asked for; else one policy and a bound.
     """
     exact = survival == 1.0
     if not exact:
         quotient = build_quotient(model, ended=model.goal_mask)
         inside = np.zeros(model.n_pairs, dtype=np.bool_)
-        return _extreme_reach(quotient, model.goal_mask, inside, survival, start, greatest=True)
+        setting = survival, start, last_digits
+        return _extreme_reach(quotient, model.goal_mask, inside, *setting, greatest=True)
     sure, keeping, nearer = surely_reaching(model)
     inside = sure & ~model.goal_mask
     surely, asked = keeping & inside[model.pair_state], ~dead_ends(model)
@@ -102,14 +108,15 @@ def greatest_goal_reach(
     everything = np.ones(model.n_pairs, dtype=np.bool_)
     # moving about in a component risks nothing
     quotient = build_quotient(model, free=everything, ended=sure)
-    found = _extreme_reach(quotient, sure, surely, survival, start, greatest=True)
+    setting = survival, start, last_digits
+    found = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
     return replace(found, decision=np.where(inside, nearer, found.decision))
 
 
 def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:
     """MAXPROB or MINPROB, exact, as the aim says, for a start, [states]."""
     if aim is Aim.GREATEST_GOAL:
-        return greatest_goal_reach(model, start=start)
+        return greatest_goal_reach(model, start=start, last_digits=False)
     return least_goal_reach(model, start=start)
 
 
@@ -128,7 +135,7 @@ def least_goal_reach(
     quotient = build_quotient(model, ended=attention | bound_to)
     inside = bound_to & ~model.goal_mask
     surely = inside[model.pair_state]
-    found = _extreme_reach(quotient, bound_to, surely, survival, start, greatest=False)
+    found = _extreme_reach(quotient, bound_to, surely, survival, start, True, greatest=False)
     decision = np.where(attention & ~quotient.dead, GIVE_UP_CODE, found.decision)
     return replace(found, decision=np.where(inside, model.pair_offsets[:-1], decision))
 
@@ -139,6 +146,7 @@ def _extreme_reach(
     surely: BoolArray,
     survival: float,
     start: FloatArray | None,
+    last_digits: bool,
     *,
     greatest: bool,
 ) -> GoalReach:
@@ -150,6 +158,7 @@ def _extreme_reach(
         surely: pairs that attain the extreme as the graph says, [model pairs].
         survival: the discount.
         start: where it is asked for, [states]; None: everywhere.
+        last_digits: as ``extreme_reach`` takes it.
         greatest: or least.
     """
     model = quotient.model
@@ -160,7 +169,9 @@ def _extreme_reach(
     if survival < 1.0:
         miss = miss + (1.0 - survival)
     begun = None if start is None else quotient.gather(start)
-    found = extreme_reach(dynamics, hit, miss, greatest=greatest, start=begun)
+    found = extreme_reach(
+        dynamics, hit, miss, greatest=greatest, start=begun, last_digits=last_digits
+    )
     return GoalReach(
         goal=np.where(hit_states, 1.0, quotient.lift(found.reach)),
         bound=np.where(hit_states, 1.0, quotient.lift(found.bound)),

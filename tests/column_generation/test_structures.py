@@ -16,7 +16,7 @@ from ssp_lp.formulation import CostLimit
 SIZES = {
     "layered": (30, 20), "scattered": (1_500,), "grid": (40,), "river": (20, 60),
     "corridor": (1_500,), "rooms": (15, 10), "ring": (1_500,),
-    "holes": (40,), "headings": (14,), "tandem": (30,), "inventory": (20, 20),
+    "holes": (40,), "headings": (14,), "racetrack": (7,), "tandem": (30,), "inventory": (20, 20),
     "sysadmin": (8,), "factored": (9,), "blocks": (4,),
 }  # fmt: skip
 GAP = 1e-9

@@ -168,6 +168,39 @@ def headings(side: int, *, directions: int = 8, seed: int = _SEED) -> SSP:
     return _model(successors, shares, np.broadcast_to([1.5, 1.0, 1.5], (n, 3)))
 
 
+def racetrack(side: int, *, speed: int = 3, slip: float = 0.1, seed: int = _SEED) -> SSP:
+    """Return a car on a square whose velocity changes by one at most, and may fail to, and walls.
+
+    Whoever leaves the square or ends a step in a wall is lost; the goal is the last corner.
+    """
+    rng, cells, width = np.random.default_rng(seed), side * side, 2 * speed + 1
+    is_wall = rng.random(cells) < 0.05
+    is_wall[[0, -1]] = False
+    cell, velocity = np.divmod(np.arange(cells * width**2), width**2)
+    fast_x, fast_y = (part - speed for part in np.divmod(velocity, width))
+    pushes = [(x, y) for x in (-1, 0, 1) for y in (-1, 0, 1)]
+
+    def after(push_x: int, push_y: int) -> np.ndarray:
+        now_x = np.clip(fast_x + push_x, -speed, speed)
+        now_y = np.clip(fast_y + push_y, -speed, speed)
+        x, y = cell % side + now_x, cell // side + now_y
+        is_inside = (np.clip(x, 0, side - 1) == x) & (np.clip(y, 0, side - 1) == y)
+        there = np.where(is_inside, y * side + x, 0)
+        moved = there * width**2 + (now_x + speed) * width + now_y + speed
+        moved = np.where(there == cells - 1, cell.size, moved)
+        return np.where(is_inside & ~is_wall[there], moved, cell.size + 1)
+
+    idle = after(0, 0)
+    successors = np.stack([np.stack([after(*push), idle], axis=1) for push in pushes], axis=1)
+    start = speed * width + speed  # at rest in the first corner
+    names = np.append(np.arange(cell.size), [cell.size, cell.size + 1])
+    names[[0, start]] = start, 0
+    successors = names[successors]
+    successors[[0, start]] = successors[[start, 0]]
+    shares = np.broadcast_to([1.0 - slip, slip], successors.shape)
+    return _model(successors, shares, np.ones((cell.size, len(pushes))))
+
+
 def tandem(capacity: int, *, arriving: float = 0.22) -> SSP:
     """Return two queues in a row, served fast (dear) or slowly, until both are empty at once.
 
@@ -299,25 +332,25 @@ FAMILIES: dict[str, Callable[..., SSP]] = {
     family.__name__: family
     for family in (
         layered, scattered, grid, river, corridor, rooms, ring,
-        holes, headings, tandem, inventory, sysadmin, factored, blocks,
+        holes, headings, racetrack, tandem, inventory, sysadmin, factored, blocks,
     )
 }  # fmt: skip
 """The families by name; their sizes are one or two whole numbers."""
 
-RANDOM = ("layered", "scattered", "grid", "rooms", "holes", "headings", "factored")
+RANDOM = ("layered", "scattered", "grid", "rooms", "holes", "headings", "racetrack", "factored")
 """Families that are drawn, and take a seed."""
 
 SQUARES = (
     "scattered", "grid", "corridor", "ring",
-    "holes", "headings", "tandem", "sysadmin", "factored", "blocks",
+    "holes", "headings", "racetrack", "tandem", "sysadmin", "factored", "blocks",
 )  # fmt: skip
 """Families of one size."""
 
 WARM_UP_SIZES = {
     "layered": (80, 100), "scattered": (8_000,), "grid": (100,), "river": (100, 100),
     "corridor": (10_000,), "rooms": (20, 20), "ring": (10_000,),
-    "holes": (100,), "headings": (40,), "tandem": (100,), "inventory": (100, 100),
-    "sysadmin": (10,), "factored": (12,), "blocks": (4,),
+    "holes": (100,), "headings": (40,), "racetrack": (16,), "tandem": (100,),
+    "inventory": (100, 100), "sysadmin": (10,), "factored": (12,), "blocks": (4,),
 }  # fmt: skip
 """Sizes that solvers are warmed up with."""
 

@@ -38,6 +38,7 @@ STRUCTURES = (
     "ring-10000-M",
     "holes-100-M",
     "headings-60-M",
+    "racetrack-38-P",
     "tandem-100-M",
     "inventory-80x100-M",
     "sysadmin-11-M",

@@ -18,7 +18,7 @@ from ssp_lp.model.graph.reachability import surely_reaching
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, label_failure
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
-from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.goal_reach import GoalReach, greatest_goal_reach
 
 _UNPROVED = 1e-10
 """Relative gap at least failure from which pairs are compared in twice the working precision."""
@@ -42,12 +42,15 @@ class CompiledFailureLabel:
         """The process; InfeasibleError where failing is forbidden and cannot be avoided."""
         return self._labelled(None)
 
+    @cached_property
+    def _safest(self) -> GoalReach:
+        """The greatest goal probability from the start, and the pairs that attain it."""
+        return greatest_goal_reach(self.model, survival_of(self.discount), self.start)
+
     @property
     def second_stage(self) -> FailureLabelled:
         """The process over the pairs that attain the greatest goal probability."""
-        return self._labelled(
-            greatest_goal_reach(self.model, survival_of(self.discount), self.start).usable
-        )
+        return self._labelled(self._safest.usable)
 
     def _labelled(self, usable: BoolArray | None) -> FailureLabelled:
         """The process of all pairs (None) or, without giving up, of some, [model pairs]."""
@@ -70,7 +73,7 @@ class CompiledFailureLabel:
         unsure = np.flatnonzero(~sure & (self.start > 0.0))
         if not unsure.size:
             return
-        greatest = greatest_goal_reach(self.model, start=self.start).goal
+        greatest = greatest_goal_reach(self.model, start=self.start, last_digits=False).goal
         state = int(unsure[np.argmin(greatest[unsure])])
         least = max(1.0 - float(self.start @ greatest), 0.0)
         raise InfeasibleError(
@@ -91,7 +94,9 @@ class CompiledFailureLabel:
 
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least cost among its actions."""
-        second = ExplicitPricing(self.second_stage, self.precise)
+        stage = self.second_stage
+        begun_from = stage.placed(self._safest.decision)
+        second = ExplicitPricing(stage, self.precise, begun_from=begun_from)
         column = second.minimise(0.0)
         bound = second.prove(0.0, column).bound
         if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:

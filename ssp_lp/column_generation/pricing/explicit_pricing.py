@@ -59,6 +59,7 @@ class ExplicitPricing:
     precise: bool = False  # compare pairs in twice the working precision
     rows: tuple[FloatArray, ...] = ()  # [pairs] each: what is counted besides cost and failure
     counted: FloatArray | None = None  # [pairs] in place of the process's cost
+    begun_from: IntArray | None = None  # [states] a policy that leaves, where one is known
     _known: dict[bytes, Contraction | None] = field(default_factory=dict)  # by what is priced
 
     @property
@@ -78,6 +79,8 @@ class ExplicitPricing:
 
         Where there is little time the first policy may be the answer: it keeps off what is risky.
         """
+        if self.begun_from is not None:
+            return self.begun_from
         process, nearer = self.process, self.augmented.nearer_goal(safely=is_limited())
         return leaving_choice(process.dynamics, process.goal, nearer).astype(np.int32)
 

@@ -1,0 +1,124 @@
+"""Greatest goal probabilities, and least failures, where failing is all but impossible in places.
+
+Reference: value iteration from below and from above, state by state in a stated order, with the
+equations written out; its two values enclose the truth but for rounding.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from examples.solver_comparison.instances.families import holes, racetrack, river
+from formulations import MCMP, S3P, AlphaMCMP, MaxProb, MinCost
+from small_models import model_of
+from ssp_lp import SSP, certify, evaluate, solve
+
+_ENDS = 60.0  # seconds; what is looked at here took for ever
+
+
+def enclosed(model: SSP, sweeps: int) -> tuple[float, float]:
+    """The greatest goal probability from state 0 by sweeps over all states, from 0 and from 1."""
+    probability = model.probabilities.reshape(-1, model.outcome_offsets[1])
+    successors = model.successors.reshape(probability.shape)
+    live, goal = (
+        int(np.count_nonzero(np.diff(model.pair_offsets))),
+        int(np.flatnonzero(model.goal_mask)[0]),
+    )
+    states, actions = np.arange(live), len(successors) // live
+    loops = np.where(successors == np.repeat(states, actions)[:, None], probability, 0.0).sum(
+        axis=1
+    )
+    away = np.where(successors == np.repeat(states, actions)[:, None], 0.0, probability)
+    low, high = np.zeros(model.n_states), np.ones(model.n_states)
+    low[goal], high[live:] = 1.0, np.arange(live, model.n_states) == goal
+    for _ in range(sweeps):
+        for values in (low, high):
+            total = (away * values[successors]).sum(axis=1)
+            held = values[np.repeat(states, actions)]
+            ahead = np.where(loops < 1.0, total / np.maximum(1.0 - loops, 1e-300), held)
+            values[:live] = ahead.reshape(live, actions).max(axis=1)
+    return float(low[0]), float(high[0])
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(("side", "slip", "share", "seed"), [(34, 0.3, 0.1, 2), (33, 0.1, 0.1, 4)])
+def test_the_greatest_probability_of_a_grid_with_holes(
+    side: int,
+    slip: float,
+    share: float,
+    seed: int,
+    compiled: bool,
+    accelerate: Callable[[bool], None],
+) -> None:
+    if compiled:
+        pytest.importorskip("numba")
+    accelerate(compiled)
+    model = holes(side, slip=slip, share=share, seed=seed)
+    solution = solve(MaxProb(model, 0), time_limit=_ENDS)
+    low, high = enclosed(model, 2_000)
+    assert low - 1e-9 <= solution.objective <= high + 1e-9
+    assert solution.gap <= 1e-9
+    assert evaluate(solution.policy, solution.problem).goal_probability == pytest.approx(
+        solution.objective, rel=1e-9
+    )
+    assert certify(solution).accepted
+
+
+@pytest.mark.parametrize(
+    ("side", "slip", "share", "seed"), [(44, 0.3, 0.1, 1), (60, 0.1, 0.07, 7), (60, 0.05, 0.1, 9)]
+)
+def test_least_failure_of_a_large_grid_ends_and_criteria_agree(
+    side: int, slip: float, share: float, seed: int
+) -> None:
+    """Where hardly anything fails, cost until failure and cost given success are one."""
+    pytest.importorskip("numba")
+    model = holes(side, slip=slip, share=share, seed=seed)
+    best = solve(MaxProb(model, 0), time_limit=_ENDS)
+    cheapest = solve(MCMP(model, 0), time_limit=_ENDS)
+    assert best.gap <= 1e-9
+    assert cheapest.failure_probability == pytest.approx(best.failure_probability, abs=1e-9)
+    given_success = solve(S3P(model, 0), time_limit=_ENDS)
+    assert given_success.gap <= 1e-6
+    if best.failure_probability < 1e-9:
+        assert given_success.objective == pytest.approx(cheapest.objective, rel=1e-6)
+    share_of_best = solve(AlphaMCMP(model, 0, 0.9), time_limit=_ENDS)
+    assert share_of_best.goal_probability == pytest.approx(0.9 * best.objective, rel=1e-9)
+    assert share_of_best.objective <= cheapest.objective * (1 + 1e-9)
+
+
+def test_a_start_that_surely_reaches_the_goal_is_decided_on_the_graph() -> None:
+    model = river(100, 1000)
+    solution = solve(MaxProb(model, 0), time_limit=_ENDS)
+    assert solution.objective == 1.0
+    assert solution.gap == 0.0
+    cheapest = solve(MinCost(model, 0), time_limit=_ENDS)
+    assert cheapest.gap <= 1e-9
+    assert solve(MCMP(model, 0), time_limit=_ENDS).objective == pytest.approx(
+        cheapest.objective, rel=1e-9
+    )
+
+
+def test_a_racetrack_of_seventy_thousand_states_ends() -> None:
+    pytest.importorskip("numba")
+    model = racetrack(38)
+    assert model.n_states == 70_758
+    solution = solve(MaxProb(model, 0), time_limit=_ENDS)
+    assert solution.gap <= 1e-9
+    assert certify(solution).accepted
+
+
+def test_a_policy_whose_run_is_exponentially_long_is_evaluated() -> None:
+    """A walk against the wind, which loses nothing: whoever arrives chooses 0.6."""
+    pytest.importorskip("numba")
+    length, onward = 1_300, 0.48
+    walk = {
+        k: {"go": [(onward, k + 1, 1.0), (1.0 - onward, max(k - 1, 0), 1.0)]} for k in range(length)
+    }
+    walk[length] = {"end": [(0.6, "home", 1.0), (0.4, "pit", 1.0)]}
+    model = model_of({**walk, "pit": {}}, "home")
+    solution = solve(MaxProb(model, 0))
+    assert solution.objective == pytest.approx(0.6, rel=1e-12)
+    ratio = (1.0 - onward) / onward
+    steps = sum(ratio**i * (length - i) for i in range(length)) / onward
+    assert solution.expected_cost == pytest.approx(steps + 1.0, rel=1e-9)
