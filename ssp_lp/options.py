@@ -14,7 +14,7 @@ from typing import ClassVar, TextIO
 from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_flag, is_number, wrong_argument
 
-BACKENDS = ("highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy")
+BACKENDS = ("highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy")
 """Solvers of linear programs."""
 
 
@@ -53,9 +53,7 @@ class LinearProgramming:
 
     Args:
         backend: "highs", "highs-simplex", "highs-ipx", "clarabel" or "cvxpy"; None: chosen by the
-            size of the program. "highs-warm" is a check of optimality by HiGHS's simplex method,
-            started at column generation's policies, not a cold solve; ``run.program`` tells how
-            many iterations it took from there.
+            size of the program.
 
     Raises:
         ModelError: an unknown backend.

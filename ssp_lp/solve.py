@@ -27,7 +27,6 @@ from ssp_lp.options import (
     ColumnGeneration,
     DeterministicPolicies,
     Game,
-    LinearProgramming,
     Method,
     Progress,
     SolveOptions,
@@ -188,9 +187,6 @@ def _check_method(problem: Problem, method: Method) -> None:
         raise ModelError(asked, f" is not available for {name}")
     if isinstance(method, Game) and has_rows(problem):
         raise ModelError(asked, f" knows one row only, not {name}: take 'columns' or 'lp'")
-    warm = isinstance(method, LinearProgramming) and method.backend == "highs-warm"
-    if warm and by_rows(problem):
-        raise ModelError("backend='highs-warm' checks programs with one row: take another backend")
 
 
 def _check_solution(solution: Solution) -> None:

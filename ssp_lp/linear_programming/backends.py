@@ -13,17 +13,15 @@ from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.linear_program import (
     LinearProgram,
     LPAnswer,
-    PolicyBasis,
     program_residuals,
 )
 from ssp_lp.options import BACKENDS
 
 _SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
 _REMEDY = "column generation needs no LP solver"
-Attempt = tuple[str, PolicyBasis | None]
 
 
-def cold_attempts(program: LinearProgram, backend: str | None) -> list[Attempt]:
+def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, str]:
     """The backend asked for, or the one for the program's size, and a backend to fall back on.
 
     Raises:
@@ -34,28 +32,29 @@ def cold_attempts(program: LinearProgram, backend: str | None) -> list[Attempt]:
     small = program.matrix.shape[1] <= _SIMPLEX_COLUMNS
     preferred = "highs-simplex" if small else "highs-ipx"
     chosen = preferred if backend in (None, "highs") else str(backend)
-    spare = "clarabel" if chosen == "highs-ipx" else "highs-ipx"
-    if chosen == "highs-warm":
-        spare = preferred
-    return [(chosen, None), (spare, None)]
+    return chosen, "clarabel" if chosen == "highs-ipx" else "highs-ipx"
 
 
 def first_accepted(
-    program: LinearProgram, attempts: list[Attempt], deadline: float
+    program: LinearProgram, backend: str | None, deadline: float
 ) -> tuple[LPAnswer, float]:
-    """The first backend's answer that passes its check, and its worst residual.
+    """The answer of a backend, or of the one to fall back on, that passes its check.
 
     Args:
         program: the program.
-        attempts: backends with what they start from, in the order in which they are tried.
+        backend: one of BACKENDS; None: the one for the program's size.
         deadline: on the clock of ``time.perf_counter``.
 
+    Returns:
+        The answer and its worst residual.
+
     Raises:
-        SolverError: none passes.
+        ModelError: an unknown backend.
+        SolverError: no answer passes.
     """
     tried = []
-    for name, basis in attempts:
-        answer = run_backend(program, name, deadline - time.perf_counter(), basis)
+    for name in backends_for(program, backend):
+        answer = run_backend(program, name, deadline - time.perf_counter())
         worst = max(program_residuals(program, answer))
         if worst <= RESIDUAL:
             return answer, worst
@@ -64,16 +63,13 @@ def first_accepted(
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
 
-def run_backend(
-    program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
-) -> LPAnswer:
+def run_backend(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
     """One backend's answer, unchecked.
 
     Args:
         program: the program.
-        backend: "highs-simplex", "highs-ipx", "highs-warm", "clarabel" or "cvxpy".
+        backend: "highs-simplex", "highs-ipx", "clarabel" or "cvxpy".
         time_limit: seconds.
-        basis: where "highs-warm" starts.
     """
     if backend == "clarabel":  # each solver is imported only when it is asked for
         return solve_with_clarabel(program, time_limit)
@@ -81,7 +77,7 @@ def run_backend(
         return solve_with_cvxpy(program, time_limit)
     from ssp_lp.linear_programming.highs import solve_with_highs
 
-    return solve_with_highs(program, backend, time_limit, basis)
+    return solve_with_highs(program, backend, time_limit)
 
 
 def solve_with_clarabel(program: LinearProgram, time_limit: float) -> LPAnswer:

@@ -11,11 +11,11 @@ import highspy
 import numpy as np
 
 from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, PolicyBasis
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 
 HighsOptions = dict[str, bool | int | float | str]
 
-_SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx", "highs-warm": "simplex"}
+_SOLVERS = {"highs-simplex": "simplex", "highs-ipx": "ipx"}
 _DOUBTED = (
     highspy.HighsModelStatus.kUnbounded,
     highspy.HighsModelStatus.kUnboundedOrInfeasible,
@@ -26,30 +26,21 @@ _BROKEN = 1e-6  # violation of a row of an answer that is called optimal
 ENDINGS = (".mps", ".lp")
 
 
-def solve_with_highs(
-    program: LinearProgram, backend: str, time_limit: float, basis: PolicyBasis | None = None
-) -> LPAnswer:
+def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
     """Solve with HiGHS' dual simplex or its interior point IPX (with crossover).
-
-    "highs-warm" is the simplex method started at a given basis: at an optimal one it takes no
-    iteration and says so, after a factorisation and its own test of feasibility.
 
     IPX ignores the time limit. The name ``ipm`` is avoided: it means another solver where
     ``highspy-extras`` is installed.
 
     Args:
-        backend: "highs-simplex", "highs-ipx" or "highs-warm".
+        backend: "highs-simplex" or "highs-ipx".
         time_limit: seconds.
-        basis: where the simplex method starts, without presolving, in "highs-warm".
 
     Raises:
-        SolverError: HiGHS refuses an option, the model or the basis.
+        SolverError: HiGHS refuses an option or the model.
     """
     began = time.perf_counter()
-    solver = highs_solver(highs_lp(program), _highs_options(backend, time_limit, basis))
-    start = None if basis is None else highs_basis(program, basis)
-    if start is not None and solver.setBasis(start) == highspy.HighsStatus.kError:
-        raise SolverError("HiGHS refuses the basis")
+    solver = highs_solver(highs_lp(program), _highs_options(backend, time_limit))
     solver.run()
     if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
         solver.setOptionValue("presolve", "off")
@@ -62,7 +53,6 @@ def solve_with_highs(
         dual=np.asarray(solution.row_dual, dtype=np.float64),
         status=solver.modelStatusToString(solver.getModelStatus()),
         seconds=time.perf_counter() - began,
-        iterations=None if basis is None else int(solver.getInfo().simplex_iteration_count),
     )
 
 
@@ -74,23 +64,7 @@ def _is_doubtful(solver: highspy.Highs) -> bool:
     return status in _DOUBTED
 
 
-def highs_basis(program: LinearProgram, basis: PolicyBasis) -> highspy.HighsBasis:
-    """A basis in HiGHS' own form; what is not basic lies at the bound that holds it."""
-    n_rows, n_columns = program.matrix.shape
-    basic, lower = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kLower
-    columns, rows = [lower] * n_columns, [lower] * n_rows
-    for pair in basis.pairs.tolist():
-        columns[pair] = basic
-    if "normaliser" in program.rows:
-        columns[-1] = basic  # the scale t
-    failure = program.rows["failure"].start
-    rows[failure] = basic if basis.slack else highspy.HighsBasisStatus.kUpper
-    given = highspy.HighsBasis()
-    given.col_status, given.row_status, given.valid = columns, rows, True
-    return given
-
-
-def _highs_options(backend: str, time_limit: float, basis: PolicyBasis | None) -> HighsOptions:
+def _highs_options(backend: str, time_limit: float) -> HighsOptions:
     """The options of HiGHS for a linear program."""
     options: HighsOptions = {
         "solver": _SOLVERS[backend],
@@ -98,8 +72,6 @@ def _highs_options(backend: str, time_limit: float, basis: PolicyBasis | None) -
         "dual_feasibility_tolerance": 1e-10,
         "small_matrix_value": 1e-12,  # smaller entries are dropped; this is the least it takes
     }
-    if basis is not None:
-        options |= {"presolve": "off", "factor_pivot_threshold": basis.pivot_threshold}
     if np.isfinite(time_limit):
         options["time_limit"] = max(time_limit, 1e-3)
     return options

@@ -1,14 +1,14 @@
-"""A linear program with named rows, as arrays; a basis of it, and an answer with its residuals."""
+"""A linear program with named rows, as arrays, and an answer with its residuals."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.arrays import BoolArray, FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,24 +28,6 @@ class LinearProgram:
 
 
 @dataclass(frozen=True, eq=False)
-class PolicyBasis:
-    """Basic columns of a program, besides the scale t of case S."""
-
-    pairs: IntArray  # [states] a policy's pairs, or [states + 1] with one of a second policy
-    slack: bool  # whether the failure row's slack is basic: one policy is enough
-    pivot_threshold: float = 0.1  # least pivot relative to its column, where there is a choice
-
-    @property
-    def stabler(self) -> PolicyBasis:
-        """The same basis of a linear program, factorised with larger pivots: slower, more exact.
-
-        At 0.1 the errors of HiGHS's duals can grow from layer to layer of a policy's chain, to
-        0.04 after 46 layers of a process whose basis is well conditioned; with 0.5 to 1e-14.
-        """
-        return replace(self, pivot_threshold=0.5)
-
-
-@dataclass(frozen=True, eq=False)
 class LPAnswer:
     """Primal and dual values; a row's dual is d objective / d right side."""
 
@@ -54,7 +36,6 @@ class LPAnswer:
     dual: FloatArray  # [rows]
     status: str
     seconds: float
-    iterations: int | None = None  # of a simplex method that was given a basis to start from
 
 
 def program_residuals(program: LinearProgram, answer: LPAnswer) -> tuple[float, float, float]:

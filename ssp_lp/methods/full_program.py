@@ -9,9 +9,8 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.failure_row import FailureRow
 from ssp_lp.errors import SolverError
-from ssp_lp.linear_programming.backends import cold_attempts, first_accepted
+from ssp_lp.linear_programming.backends import first_accepted
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
-from ssp_lp.methods.policy_basis import policy_basis
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.programs.program_rows import rows_program
@@ -34,10 +33,6 @@ def solve_program(
 ) -> ProgramOptimum:
     """Solve a problem's linear program, falling back once to another backend if need be.
 
-    "highs-warm" checks rather than solves: the simplex method starts at the policies that column
-    generation found, and reports how many iterations it took from there (0: it agrees at once).
-    Where the residuals are large it starts there a second time, with larger pivots.
-
     Args:
         compiled: brings the process.
         row: the failure budget and the form of the objective.
@@ -51,11 +46,7 @@ def solve_program(
     process = compiled.explicit()
     limits = {FAILURE_ROW: (process.failure, row.budget)}
     program = rows_program(process, limits, row.ratio)
-    attempts = cold_attempts(program, backend)
-    if backend == "highs-warm":
-        start = policy_basis(compiled, process, row, deadline)
-        attempts = [(backend, start), (backend, start.stabler), attempts[1]]
-    answer, worst = first_accepted(program, attempts, deadline)
+    answer, worst = first_accepted(program, backend, deadline)
     ratio = float(answer.dual[program.rows["normaliser"]][0]) if row.ratio else 0.0
     return _program_optimum(program, answer, worst, ratio)
 
@@ -73,7 +64,7 @@ def solve_rows_program(
     Args:
         process: the process.
         limits: name -> (coefficient of each pair, [pairs], and bound).
-        backend: one of BACKENDS but "highs-warm", or None to choose by size.
+        backend: one of BACKENDS, or None to choose by size.
         deadline: on the clock of ``time.perf_counter``.
         ratio: case S, the objective <cost, x> / <goal, x>.
 
@@ -81,9 +72,7 @@ def solve_rows_program(
         SolverError: no backend's answer passes the check of its residuals.
     """
     program = rows_program(process, limits, ratio)
-    return _program_optimum(
-        program, *first_accepted(program, cold_attempts(program, backend), deadline), 0.0
-    )
+    return _program_optimum(program, *first_accepted(program, backend, deadline), 0.0)
 
 
 def check_agreement(optimum: ProgramOptimum, objective: float) -> None:
@@ -103,11 +92,10 @@ def _program_optimum(
     prices = {name: max(-float(answer.dual[program.rows[name]][0]), 0.0) for name in named}
     objective = float(program.cost @ answer.x)
     n_rows, n_columns = program.matrix.shape
-    moved = "" if answer.iterations is None else f"{answer.iterations:,} simplex iterations, "
     return ProgramOptimum(
         objective=objective,
         price=prices.get(FAILURE_ROW, 0.0) + ratio,
         report=f"{answer.backend}: {objective:.10g}, {n_rows:,} rows x {n_columns:,} columns, "
-        f"residual {worst:.0e}, {moved}{answer.seconds:.2g} s",
+        f"residual {worst:.0e}, {answer.seconds:.2g} s",
         prices=prices,
     )

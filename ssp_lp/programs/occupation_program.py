@@ -20,7 +20,7 @@ import numpy as np
 
 from ssp_lp.arrays import BELOW_RATIO, BoolArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
-from ssp_lp.linear_programming.backends import cold_attempts, run_backend
+from ssp_lp.linear_programming.backends import backends_for, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.html_table import html_text
@@ -146,7 +146,7 @@ class OccupationProgram:
             SolverError: no backend's answer has a small residual and a small proved gap.
         """
         tried, deadline, infeasible = [], time.perf_counter() + time_limit, False
-        for name, _ in cold_attempts(self.linear, backend):
+        for name in backends_for(self.linear, backend):
             answer = run_backend(self.linear, name, deadline - time.perf_counter())
             told = f"{name}: {answer.status}"
             refused = "infeasible" in answer.status.lower()
@@ -253,7 +253,7 @@ class OccupationProgram:
             return known
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
         reach = rows_program(replace(self.process, cost=priced), limits, ratio=False)
-        name, _ = cold_attempts(reach, None)[0]
+        name, _ = backends_for(reach, None)
         dual, paid = run_backend(reach, name, np.inf).dual, 0.0
         for row in self.rows:  # whatever a solver says, prices >= 0 prove what they prove
             price = max(-float(np.nan_to_num(dual[reach.rows[row.name]][0])), 0.0)

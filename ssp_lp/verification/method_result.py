@@ -11,7 +11,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.game.setting import checked_setting
-from ssp_lp.options import BACKENDS, LinearProgramming, parse_method
+from ssp_lp.options import LinearProgramming, parse_method
 from ssp_lp.problem import Problem
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
@@ -22,8 +22,6 @@ METHODS = ("lp", "columns", "game")
 MOST_COLUMNS = 60_000
 """Largest program that is solved from nothing. The paper's robot has 24,000 columns in case M,
 seconds for an interior point; case S has one to two millions, which take it many minutes."""
-
-_WARM = "highs-warm"
 
 
 @dataclass(frozen=True)
@@ -163,8 +161,6 @@ def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, s
     columns = _columns_of_method(problem)
     if columns <= MOST_COLUMNS:
         return None, ""
-    if _WARM in BACKENDS:
-        return _WARM, ""
     return None, f"{columns:,} columns are too many to solve from nothing"
 
 

@@ -11,7 +11,7 @@ from references.frontier import least_failure
 from ssp_lp import LinearProgramming, solve
 from strategies import discounts, often, problems
 
-BACKENDS = ["highs", "highs-simplex", "highs-ipx", "highs-warm", "clarabel", "cvxpy"]
+BACKENDS = ["highs", "highs-simplex", "highs-ipx", "clarabel", "cvxpy"]
 shares = st.sampled_from([0.0, 0.1, 0.3, 0.5, 0.75])
 drawn_settings = often(15)
 

@@ -92,26 +92,11 @@ def test_at_least_failure_there_is_one_road():
 
 def test_a_large_program_is_not_asked(monkeypatch):
     monkeypatch.setattr(method_result, "MOST_COLUMNS", 1)
-    monkeypatch.setattr(method_result, "BACKENDS", ("highs",))
     found = cross_check(PROBLEM)
     assert found.methods[0].note.startswith("not asked: ")
     assert "columns are too many" in found.methods[0].note
     assert found.agrees
     assert cross_check(PROBLEM, lp_backend="highs").methods[0].answered
-
-
-def test_a_large_program_starts_at_the_policies_where_that_is_known(monkeypatch):
-    asked = []
-
-    def noted(problem, method, *, time_limit=None):
-        asked.append(method)
-        return solve(problem, method.name)
-
-    monkeypatch.setattr(method_result, "MOST_COLUMNS", 1)
-    monkeypatch.setattr(method_result, "BACKENDS", ("highs", "highs-warm"))
-    monkeypatch.setattr(method_result, "solve", noted)
-    assert cross_check(PROBLEM).agrees
-    assert LinearProgramming("highs-warm") in asked
 
 
 def test_a_cap_of_the_users_leaves_the_game_out():

@@ -19,7 +19,6 @@ from ssp_lp.methods.integer_programming.integer_program import (
     most_visits,
 )
 from ssp_lp.methods.integer_programming.process_view import ProcessView, process_view, within_reach
-from ssp_lp.methods.policy_basis import mixed_choice
 from ssp_lp.methods.refinement import RefinedOutcome
 from ssp_lp.processes.explicit import ExplicitProcess
 
@@ -173,9 +172,9 @@ def _search_walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: 
         kept, broken = 0, order.size + 1  # states changed, and too many
         while broken - kept > 1 and not is_late():
             middle = (kept + broken) // 2
-            within = search.offer(mixed_choice(here, risky, order[:middle]))
+            within = search.offer(_mixed_choice(here, risky, order[:middle]))
             kept, broken = (middle, broken) if within else (kept, middle)
-        here, order = mixed_choice(here, risky, order[:kept]), order[kept + 1 :]
+        here, order = _mixed_choice(here, risky, order[:kept]), order[kept + 1 :]
         if order.size == 0:
             return
 
@@ -258,3 +257,10 @@ def _bound_of_search(row: FailureRow, ratio: float, value: float) -> float:
     if safe >= 0.0:
         return ratio
     return max(ratio + safe / share, 0.0) if share > 0.0 else 0.0
+
+
+def _mixed_choice(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
+    """The first choice of pairs, in some states the second, [states]."""
+    mixed = first.copy()
+    mixed[states] = second[states]
+    return mixed

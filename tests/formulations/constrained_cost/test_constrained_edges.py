@@ -236,8 +236,8 @@ def test_a_policy_that_fails_more_than_the_least_is_refused():
 def test_what_is_refused():
     """Methods and questions that know one row only."""
     problem = ConstrainedCost(THREE, "a", {"fuel": CostLimit(FUEL, 3)}, failure_budget=0.5)
-    for method in ("game", "deterministic", LinearProgramming("highs-warm")):
-        with pytest.raises(ModelError, match=r"ConstrainedCost|highs-warm"):
+    for method in ("game", "deterministic"):
+        with pytest.raises(ModelError, match="ConstrainedCost"):
             solve(problem, method)
     for question in (trace_frontier, cross_check):
         with pytest.raises(ModelError, match="ConstrainedCost"):
