@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from copy import copy
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+import scipy.sparse as sp
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.integer[Any]]
@@ -97,6 +99,18 @@ def unsigned(indices: IntArray) -> npt.NDArray[Any]:
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)
 
 
+def csr_of(
+    data: FloatArray, indices: IntArray, indptr: IntArray, shape: tuple[int, int]
+) -> sp.csr_array:
+    """Scipy's matrix of three arrays that fit, which it would take longer to check than to use."""
+    matrix = copy(_NO_ROWS)
+    vars(matrix).update(data=data, indices=indices, indptr=indptr, _shape=shape)
+    return matrix
+
+
+_NO_ROWS: Final = sp.csr_array((0, 0))
+
+
 def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.int64]:
     """Concatenate ``arange(start, start + length)`` over all given ranges, without a loop."""
     lengths = np.asarray(lengths, dtype=np.int64)
@@ -107,7 +121,9 @@ def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.i
 
 def offsets_of(lengths: IntArray) -> IntArray:
     """Where each of several segments in a row begins, and the end, [segments + 1]."""
-    return np.concatenate([[0], np.cumsum(lengths)])
+    offsets = np.zeros(len(lengths) + 1, dtype=np.int64)
+    np.add.accumulate(lengths, out=offsets[1:])
+    return offsets
 
 
 def sorted_unique(values: IntArray) -> IntArray:
@@ -118,7 +134,7 @@ def sorted_unique(values: IntArray) -> IntArray:
 
 def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
     """The segment ``offsets[k] : offsets[k + 1]`` that each entry lies in, [entries]."""
-    return np.repeat(np.arange(len(offsets) - 1, dtype=np.int32), np.diff(offsets))
+    return np.arange(len(offsets) - 1, dtype=np.int32).repeat(offsets[1:] - offsets[:-1])
 
 
 def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:

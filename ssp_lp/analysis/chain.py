@@ -13,6 +13,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     concatenated_ranges,
+    offsets_of,
     read_only,
     sorted_unique,
 )
@@ -159,7 +160,7 @@ def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolAr
     outcome = concatenated_ranges(begin, count)
     possible = model.probabilities[outcome] > 0.0
     edges = np.bincount(np.repeat(source, count)[possible], minlength=model.n_states)
-    offsets = np.append(0, np.cumsum(edges))
+    offsets = offsets_of(edges)
     return np.flatnonzero(reached_along(model.successors[outcome[possible]], offsets, start))
 
 

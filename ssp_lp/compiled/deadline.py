@@ -8,9 +8,9 @@ and every pass over a process, compiled or not, looks at it. Loops that have an 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from contextvars import ContextVar
+from contextvars import ContextVar, Token
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
@@ -60,6 +60,17 @@ class Deadline:
     closes: float = float("inf")  # what an answer still needs is to be done by then
     was_met: bool = False  # whether some loop ended because of it
     prepare: Callable[[], None] | None = None  # finds an answer where none is in hand soon
+    _before: Token[Deadline | None] | None = None
+
+    def __enter__(self) -> Deadline:
+        """All that runs from now on, on this thread, ends with it."""
+        self._before = _running.set(self)
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        """What was the deadline before is it again."""
+        if self._before is not None:
+            _running.reset(self._before)
 
     def has_an_answer(self) -> None:
         """Find an answer, with a share of the time that is left, where none has been looked for."""
@@ -102,10 +113,9 @@ class Deadline:
 _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
-@contextmanager
 def until(
     at: float, *, is_closing: bool = False, prepare: Callable[[], None] | None = None
-) -> Iterator[Deadline]:
+) -> Deadline:
     """Within it loops end at a point in time, or when Ctrl-C comes.
 
     Args:
@@ -115,12 +125,7 @@ def until(
             without one, with a share of the time that is left.
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
-    deadline = Deadline(at, grace, time.perf_counter(), closes=at + more, prepare=prepare)
-    before = _running.set(deadline)
-    try:
-        yield deadline
-    finally:
-        _running.reset(before)
+    return Deadline(at, grace, time.perf_counter(), closes=at + more, prepare=prepare)
 
 
 @contextmanager
@@ -152,7 +157,11 @@ def check_time() -> None:
         Stop: the deadline has passed, with its grace, or Ctrl-C came.
     """
     deadline = _running.get()
-    if deadline is not None:
+    if deadline is not None and (  # asked so often that a call is too much
+        deadline.is_interrupted
+        or deadline.prepare is not None
+        or time.perf_counter() > deadline.at + deadline.grace
+    ):
         deadline.look()
 
 
@@ -197,18 +206,21 @@ def heed(stop: BaseException) -> None:
         deadline.was_met = True
 
 
-def pieces(length: int, entries: int) -> Iterator[slice]:
+def pieces(length: int, entries: int) -> Iterable[slice]:
     """A long loop in pieces, with a look at the time, and at Ctrl-C, before each.
 
     Args:
         length: turns of the loop.
         entries: that it passes over in all.
     """
-    count = max(-(-entries // _PIECE), 1)
-    if count == 1:
-        check_time()
-        yield slice(0, length)
-        return
+    if entries > _PIECE:
+        return _several_pieces(length, -(-entries // _PIECE))
+    check_time()
+    return (slice(0, length),)
+
+
+def _several_pieces(length: int, count: int) -> Iterator[slice]:
+    """So many pieces of a loop, about as long as each other."""
     bounds = np.linspace(0, length, count + 1).astype(np.int64).tolist()
     for begin, end in pairwise(bounds):
         check_time()

@@ -41,7 +41,7 @@ def is_solved_backwards(dynamics: Dynamics) -> bool:
 def is_compiled_backwards(dynamics: Dynamics) -> bool:
     """Whether a pass over the process is run compiled: what is passed often is worth it sooner."""
     passes = _LAYERS if dynamics.is_reused else 1
-    return accelerated(passes * dynamics.transitions.nnz)
+    return accelerated(passes * len(dynamics.transitions.indices))
 
 
 def least_backwards(

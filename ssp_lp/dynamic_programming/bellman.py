@@ -11,7 +11,9 @@ from ssp_lp.arrays import (
     MACHINE_EPSILON,
     FloatArray,
     IntArray,
+    csr_of,
     first_minimisers,
+    offsets_of,
     segment_minima,
     unsigned,
 )
@@ -73,7 +75,7 @@ def best_pairs(
     check_time()
     cost = pair_cost if isinstance(pair_cost, PairCost) else PairCost(pair_cost)
     n = len(pair_offsets) - 1
-    if not accelerated(transitions.nnz):
+    if not accelerated(len(transitions.indices)):
         ahead = cost.total + transitions @ values
         minima = segment_minima(ahead, pair_offsets)
         choice = np.array(pair_offsets[:-1], dtype=np.int32)
@@ -84,7 +86,7 @@ def best_pairs(
     minima, choice = np.empty(n), np.empty(n, dtype=np.int32)
     here = np.empty(0 if held is None else n)
     own = _NOBODY if held is None else unsigned(held)
-    compiled.back_up(transitions.nnz)(
+    compiled.back_up(len(transitions.indices))(
         unsigned(pair_offsets), *row_parts(transitions), *cost.parts, values, own,
         minima, choice.view(np.uint32), here,
     )  # fmt: skip
@@ -116,7 +118,7 @@ def safe_minima(
         [states], infinite where a state has no pairs.
     """
     check_time()
-    if not accelerated(transitions.nnz):
+    if not accelerated(len(transitions.indices)):
         growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
         size = (magnitude + growth) + transitions @ np.abs(values)
         ahead = (pair_cost.fixed + growth) + transitions @ values
@@ -126,7 +128,7 @@ def safe_minima(
 
     minima = np.empty(len(pair_offsets) - 1)
     fixed, slope, factor = pair_cost.parts
-    compiled.back_up_safely(transitions.nnz)(
+    compiled.back_up_safely(len(transitions.indices))(
         unsigned(pair_offsets), *row_parts(transitions), fixed, magnitude, slope, factor, alone,
         MACHINE_EPSILON, values, minima, _NOBODY if position is None else position,
     )  # fmt: skip
@@ -140,7 +142,7 @@ def backup_rounding(transitions: SparseRows) -> FloatArray:
 
 def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> FloatArray:
     """``transitions[choice] @ x``, once; picking rows costs more than products of few entries."""
-    if transitions.nnz <= _FEW_ENTRIES:
+    if len(transitions.indices) <= _FEW_ENTRIES:
         return np.asarray((transitions @ x)[choice])
     return ChosenRows(transitions, choice) @ x
 
@@ -159,7 +161,9 @@ class ChosenRows:
             is_compiled: run compiled loops; None: where there are many entries.
         """
         self._transitions, self._choice = transitions, choice
-        self._is_compiled = accelerated(transitions.nnz) if is_compiled is None else is_compiled
+        self._is_compiled = (
+            accelerated(len(transitions.indices)) if is_compiled is None else is_compiled
+        )
         self._is_gathered = False
         self.shape = (len(choice), int(transitions.shape[1]))
         self.products = 0  # how often all rows were multiplied by vectors
@@ -184,7 +188,7 @@ class ChosenRows:
 
         begin = self._transitions.indptr
         lengths = begin[self._choice + 1] - begin[self._choice]
-        indptr = np.append(0, np.cumsum(lengths)).astype(begin.dtype)
+        indptr = offsets_of(lengths).astype(begin.dtype)
         indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
         data = np.empty(indices.size)
         run, (choice, *arrays) = compiled.copy_rows(indices.size), self._arrays
@@ -192,7 +196,7 @@ class ChosenRows:
         for some in pieces(len(choice), indices.size):
             ends = own[some.start : some.stop + 1]
             run(choice[some], *arrays, ends, unsigned(indices), data)
-        return sp.csr_array((data, indices, indptr), shape=self.shape)
+        return csr_of(data, indices, indptr, self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
         """Product with one vector, [columns], or several, [columns, vectors]."""
@@ -216,7 +220,7 @@ class ChosenRows:
     def _entries(self) -> int:
         """About how many entries the chosen rows have."""
         share = self.shape[0] / max(int(self._transitions.shape[0]), 1)
-        return int(share * self._transitions.nnz)
+        return int(share * len(self._transitions.indices))
 
 
 def all_rows(chain: sp.csr_array, is_compiled: bool | None = None) -> ChosenRows:

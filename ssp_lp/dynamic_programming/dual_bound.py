@@ -59,7 +59,7 @@ class DualBound:
         Args:
             start: distribution, [states].
         """
-        used = np.flatnonzero(start)
+        used = start.nonzero()[0]
         parts = start[used] * self.values[used]
         rounding = np.where(start[used] == 1.0, 0.0, np.abs(parts))  # a term of its own is exact
         summands = float(used.size - 1)
@@ -103,7 +103,7 @@ def dual_bound(
         lowered = lowered_at_once(dynamics, pair_cost, values, floor, choice)
         if lowered is not None:
             return DualBound(lowered, np.zeros_like(lowered))
-    asked = np.flatnonzero(np.ones_like(values) if start is None else start)
+    asked = (np.ones_like(values) if start is None else start).nonzero()[0]
     scale = float(np.abs(values).max(initial=0.0))
     enough = _LOST * scale if least_loss is None else least_loss
     lack, worst = shortfall(dynamics, pair_cost, values), np.inf
@@ -153,7 +153,7 @@ def _precise_bound(
         tied = ahead <= _SPARE * lack
         for _ in range(_ROUNDS):
             tied[settled.choice] = True
-            kept = np.flatnonzero(tied)
+            kept = tied.nonzero()[0]
             place = np.cumsum(tied) - 1
             steps = -np.ones((kept.size, 1))
             longest = iterate_policy(dynamics.restricted(kept), steps, _ONE, place[settled.choice])

@@ -13,6 +13,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     concatenated_ranges,
+    offsets_of,
     segment_ids,
     sorted_unique,
 )
@@ -50,7 +51,7 @@ class Dynamics:
     exits: FloatArray  # [pairs]
     is_reused: bool = False  # solved again and again, as in every layer of accumulated cost
 
-    @property
+    @cached_property
     def n_states(self) -> int:
         """Number of states."""
         return len(self.pair_offsets) - 1
@@ -93,7 +94,7 @@ class Dynamics:
         """The process with some of its pairs only, ascending, at least one for each state."""
         counts = np.bincount(self.pair_state[kept], minlength=self.n_states)
         return Dynamics(
-            pair_offsets=np.append(0, np.cumsum(counts)).astype(self.pair_offsets.dtype),
+            pair_offsets=offsets_of(counts).astype(self.pair_offsets.dtype),
             transitions=sp.csr_array(self.transitions[kept]),
             exits=self.exits[kept],
         )
@@ -125,7 +126,7 @@ def _levels_of_dynamics(dynamics: Dynamics) -> Iterator[Level]:
         pairs = concatenated_ranges(begin, counts)
         rows = sp.csr_array(moving[pairs])
         departs = dynamics.exits[pairs] + np.asarray(rows.sum(axis=1)).ravel()
-        yield states, pairs, np.append(0, np.cumsum(counts)), rows, departs
+        yield states, pairs, offsets_of(counts), rows, departs
         first = before.indptr[states]
         entering = before.indices[concatenated_ranges(first, before.indptr[states + 1] - first)]
         owners = home[entering]

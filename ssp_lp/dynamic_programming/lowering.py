@@ -41,12 +41,13 @@ def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> 
     """How far each state's value has to be lowered to its backup, rounding counted, [states]."""
     check_time()
     rows, exits = dynamics.transitions, dynamics.exits
-    if accelerated(rows.nnz):
+    if accelerated(len(rows.indices)):
         from ssp_lp.compiled.precision import shortfalls_safely
 
         lack = np.empty(dynamics.n_states)
         parts = unsigned_parts(dynamics.pair_offsets, rows)
-        shortfalls_safely(rows.nnz)(*parts, exits, pair_cost, values, MACHINE_EPSILON, lack)
+        run = shortfalls_safely(len(rows.indices))
+        run(*parts, exits, pair_cost, values, MACHINE_EPSILON, lack)
         return lack
     ahead = safe_advantages(dynamics.pair_state, rows, exits, pair_cost, values)
     return np.maximum(-segment_minima(ahead, dynamics.pair_offsets), 0.0)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, unsigned
+from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, csr_of, unsigned
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,7 @@ class SharedRows:
     def written_out(self) -> sp.csr_array:
         """The same matrix with each entry's number beside its column."""
         data = self.data[concatenated_ranges(self.begins, np.diff(self.indptr))]
-        return sp.csr_array((data, self.indices, self.indptr), shape=self.shape)
+        return csr_of(data, self.indices, self.indptr, self.shape)
 
     def __matmul__(self, x: FloatArray) -> FloatArray:
         """Product with a vector, [columns], or several, [columns, vectors]."""

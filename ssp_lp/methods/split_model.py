@@ -15,7 +15,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from ssp_lp.arrays import SAME_TOTAL, read_only
+from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
     CompiledAccumulatedCost,
 )
@@ -93,7 +93,7 @@ def with_split_costs(model: SSP, unit: Fraction) -> SSP:
     cost = totals_of((whole[outcome] + is_above).astype(np.int64), unit)
     return replace(
         model,
-        outcome_offsets=read_only(np.append(0, np.cumsum(copies))[model.outcome_offsets]),
+        outcome_offsets=read_only(offsets_of(copies)[model.outcome_offsets]),
         successors=read_only(model.successors[outcome]),
         probabilities=read_only(model.probabilities[outcome] * part),
         costs=read_only(np.where(ended[model.successors[outcome]], model.costs[outcome], cost)),

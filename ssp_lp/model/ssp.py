@@ -235,17 +235,17 @@ class SSP(Naming):
             exact_costs={},
         )
 
-    @property
+    @cached_property
     def n_states(self) -> int:
         """Number of states, goals included."""
         return len(self.pair_offsets) - 1
 
-    @property
+    @cached_property
     def n_pairs(self) -> int:
         """Number of state-action pairs."""
         return len(self.outcome_offsets) - 1
 
-    @property
+    @cached_property
     def n_outcomes(self) -> int:
         """Number of outcomes over all pairs."""
         return len(self.successors)

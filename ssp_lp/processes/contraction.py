@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_ids
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model.graph.predecessors import find_predecessors
@@ -136,7 +136,7 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     counts = np.bincount(node_of[process.pair_state[kept]], minlength=n_nodes)
     return Contraction(
         dynamics=Dynamics(
-            pair_offsets=np.append(0, np.cumsum(counts)).astype(process.pair_offsets.dtype),
+            pair_offsets=offsets_of(counts).astype(process.pair_offsets.dtype),
             transitions=sp.csr_array(process.transitions[kept] @ members),
             exits=process.dynamics.exits[kept],
         ),

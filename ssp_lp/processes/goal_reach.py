@@ -227,7 +227,7 @@ def _failing_to_reach(
         missed: of the nodes, [nodes].
     """
     failure = np.where(model.goal_mask | surely, 0.0, 1.0)
-    solved = np.flatnonzero((node_of >= 0) & ~model.goal_mask)
+    solved = ((node_of >= 0) & ~model.goal_mask).nonzero()[0]
     failure[solved] = np.clip(missed[node_of[solved]], 0.0, 1.0)
     return failure
 
@@ -239,7 +239,7 @@ def goal_directed(model: SSP, survival: float = 1.0) -> ReachPolicy:
     evaluated without optimising anything; its cost bound is the trivial one.
     """
     decision, _ = goal_approach(model)
-    live = np.flatnonzero(decision >= 0)
+    live = (decision >= 0).nonzero()[0]
     node_of = np.full(model.n_states, -1, dtype=np.int32)
     node_of[live] = np.arange(live.size)
     taken, exact = decision[live].astype(np.int32), survival == 1.0

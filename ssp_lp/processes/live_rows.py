@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, segment_ids
+from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, csr_of, offsets_of, segment_ids
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import pieces
 from ssp_lp.dynamic_programming.shared_rows import SharedRows, SparseRows
@@ -83,7 +83,7 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
 def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
     """Where the entries of each row begin, and the end, [rows + 1]."""
     bounds = np.zeros(len(counts) + 1, dtype=np.int64)
-    np.cumsum(counts, out=bounds[1:])
+    np.add.accumulate(counts, out=bounds[1:])
     small = max(int(bounds[-1]), rows.width * rows.n_nodes) < 2**31
     return bounds.astype(np.int32) if small else bounds
 
@@ -148,7 +148,7 @@ def _filled_rows(
             place = slice(bounds[some.start], bounds[some.stop])
             indices[place] = column
             data[place] = probability / departs[some][row] * survival
-    return sp.csr_array((data, indices, bounds), shape=(n_rows, n_columns))
+    return csr_of(data, indices, bounds, (n_rows, n_columns))
 
 
 def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -209,7 +209,7 @@ def _outcomes_of_live_rows(rows: RowChoice, some: slice) -> tuple[IntArray, IntA
     offsets, pair = rows.model.outcome_offsets, rows.pair_at[some]
     begin = np.where(pair < 0, 0, offsets[pair])
     lengths = np.where(pair < 0, 0, offsets[pair + 1] - begin)
-    return concatenated_ranges(begin, lengths), segment_ids(np.append(0, np.cumsum(lengths)))
+    return concatenated_ranges(begin, lengths), segment_ids(offsets_of(lengths))
 
 
 def _row_array(given: IntArray | None) -> IntArray:
@@ -221,4 +221,4 @@ def _row_chunks(rows: RowChoice) -> list[slice]:
     """Chunks of live rows with about as many outcomes each."""
     pair, offsets = rows.pair_at, rows.model.outcome_offsets
     lengths = np.where(pair < 0, 0, offsets[pair + 1] - offsets[pair])
-    return list(segment_chunks(np.append(0, np.cumsum(lengths))))
+    return list(segment_chunks(offsets_of(lengths)))

@@ -17,6 +17,7 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     least_integer_type,
+    offsets_of,
     segment_ids,
     unsigned,
 )
@@ -129,7 +130,7 @@ class Quotient:
     def _places(self) -> IntArray:
         """Where each pair of the model stands here, -1: nowhere, [model pairs]."""
         place = np.full(self.model.n_pairs, -1, dtype=np.int32)
-        acting = np.flatnonzero(self.pair_at >= 0)
+        acting = (self.pair_at >= 0).nonzero()[0]
         place[self.pair_at[acting]] = acting
         return place
 
@@ -174,7 +175,7 @@ class Quotient:
             return found
         place = self.pair_at - offsets[model.pair_state[np.maximum(self.pair_at, 0)]]
         place = np.where(self.pair_at < 0, self.pair_at, place).astype(found.dtype)
-        live, several = np.flatnonzero(self.node_of >= 0), max(_TOGETHER // max(len(offsets), 1), 1)
+        live, several = (self.node_of >= 0).nonzero()[0], max(_TOGETHER // max(len(offsets), 1), 1)
         for begin in range(0, len(choice), several):
             some = slice(begin, begin + several)
             if self.merged.any():
@@ -197,7 +198,7 @@ class Quotient:
         """
         decision = np.full(self.model.n_states, UNDECIDED, dtype=np.int32)
         chosen = self.pair_at[choice]
-        live = np.flatnonzero(self.node_of >= 0)
+        live = (self.node_of >= 0).nonzero()[0]
         decision[live[chosen[self.node_of[live]] == GIVE_UP_CODE]] = GIVE_UP_CODE
         acting = chosen[chosen >= 0]
         decision[self.model.pair_state[acting]] = acting
@@ -256,12 +257,12 @@ def _numbered_nodes(live: BoolArray, component: IntArray) -> IntArray:
     """Node of each state in the order of their first states, -1 where it is not live, [states]."""
     group = np.where(component >= 0, component + live.size, np.arange(live.size))
     first = np.arange(live.size)
-    members = np.flatnonzero(component >= 0)
+    members = (component >= 0).nonzero()[0]
     if members.size:
         _, begin, back = np.unique(group[members], return_index=True, return_inverse=True)
         first[members] = members[begin[back]]
     heads = live & (first == np.arange(live.size))
-    number = np.cumsum(heads, dtype=np.int32) - 1
+    number = heads.cumsum(dtype=np.int32) - 1
     return np.where(live, number[first], -1).astype(np.int32)
 
 
@@ -276,7 +277,7 @@ def _quotient_with_pairs(
 ) -> Quotient:
     """The quotient with the pairs that its nodes keep."""
     n_nodes = int(node_of.max(initial=-1)) + 1
-    pairs = np.flatnonzero(kept).astype(np.int32)
+    pairs = kept.nonzero()[0].astype(np.int32)
     pair_node = node_of[model.pair_state[pairs]]
     if merged.any():
         order = np.argsort(pair_node, kind="stable")
@@ -284,7 +285,7 @@ def _quotient_with_pairs(
     gives_up = np.zeros(n_nodes, dtype=np.int32)
     gives_up[node_of[leaving]] = 1
     counts = np.bincount(pair_node, minlength=n_nodes) + gives_up
-    offsets = np.append(0, np.cumsum(counts)).astype(np.int32)
+    offsets = offsets_of(counts).astype(np.int32)
     pair_at = np.full(int(offsets[-1]), GIVE_UP_CODE, dtype=np.int32)
     acting = np.ones(len(pair_at), dtype=np.bool_)
     acting[offsets[:-1][gives_up > 0]] = False  # first in its node: among equals giving up wins

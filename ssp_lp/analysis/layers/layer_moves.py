@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges, offsets_of
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
@@ -156,7 +156,7 @@ class LayerMoves:
         source, outcome, _ = self._taken(pairs, slots < 0)
         if not source.size:
             return begins
-        offsets = np.append(0, np.cumsum(np.bincount(source, minlength=len(pairs))))
+        offsets = offsets_of(np.bincount(source, minlength=len(pairs)))
         return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
 
     def staying(self, states: IntArray, pairs: IntArray, slots: IntArray) -> Staying | None:

@@ -56,12 +56,12 @@ def precise_advantages(
     Returns:
         Advantages and bounds of what each may be wrong by, [pairs] each.
     """
-    if accelerated(transitions.nnz):
+    if accelerated(len(transitions.indices)):
         from ssp_lp.compiled.precision import advantages_precisely
 
         result, rounding = np.empty(len(cost)), np.empty(len(cost))
         parts = unsigned_parts(home, transitions)
-        run = advantages_precisely(transitions.nnz)
+        run = advantages_precisely(len(transitions.indices))
         run(*parts, exits, cost, high, low, MACHINE_EPSILON, result, rounding)
         return result, rounding
     here, here_low = high[home], low[home]
@@ -104,12 +104,13 @@ def safe_advantages(
         cost: [pairs].
         values: [states].
     """
-    if accelerated(transitions.nnz):
+    if accelerated(len(transitions.indices)):
         from ssp_lp.compiled.precision import advantages_safely
 
         result = np.empty(len(cost))
         parts = unsigned_parts(home, transitions)
-        advantages_safely(transitions.nnz)(*parts, exits, cost, values, MACHINE_EPSILON, result)
+        run = advantages_safely(len(transitions.indices))
+        run(*parts, exits, cost, values, MACHINE_EPSILON, result)
         return result
     here = values[home]
     term = exits * here
@@ -141,7 +142,7 @@ def advantage_bounds(
         cost: [pairs].
         values: [states].
     """
-    if accelerated(transitions.nnz):
+    if accelerated(len(transitions.indices)):
         arguments = home, transitions, exits
         return (
             safe_advantages(*arguments, cost, values),

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import FloatArray, IntArray, unsigned
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of, unsigned
 from ssp_lp.compiled.accelerator import accelerated, has_accelerator
 from ssp_lp.compiled.deadline import pieces
 from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
@@ -122,7 +122,7 @@ class LargeComponent:
         arrays, members = self._arrays, unsigned(states)
         counts = np.empty(size, dtype=np.int64)
         compiled.count_inside(*arrays, members, self._place, counts)
-        indptr = np.append(0, np.cumsum(counts)).astype(np.int32)
+        indptr = offsets_of(counts).astype(np.int32)
         indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
         departs, leaving = np.empty(size), np.empty(size)
         for some in pieces(size, len(indices)):

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.compiled.accelerator import accelerated
 
 
@@ -59,7 +59,7 @@ def strong_components(
     found = csgraph.connected_components(_possible_edges(graph), connection="strong")[1]
     label = _topological_components(graph, found)
     order = np.argsort(label, kind="stable").astype(np.int32)
-    return StrongComponents(label, order, np.append(0, np.cumsum(np.bincount(label))))
+    return StrongComponents(label, order, offsets_of(np.bincount(label)))
 
 
 def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
@@ -81,7 +81,7 @@ def _compiled_components(
 
     label, order, count = order_components(begin, end, indices, data, by_height=by_height)
     sizes = np.bincount(label, minlength=count)
-    return StrongComponents(label, order, np.append(0, np.cumsum(sizes)))
+    return StrongComponents(label, order, offsets_of(sizes))
 
 
 def _possible_edges(graph: sp.csr_array) -> sp.csr_array:

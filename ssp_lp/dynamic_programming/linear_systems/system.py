@@ -95,7 +95,7 @@ class System:
         """States from which the chain never leaves, [some states]."""
         found, rows = self.components, self.matrix
         left = np.zeros(found.n_components, dtype=np.bool_)
-        if accelerated(rows.nnz):
+        if accelerated(len(rows.indices)):
             from ssp_lp.compiled.graph_components import mark_left
 
             arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
@@ -105,7 +105,7 @@ class System:
             onward = (found.label[entry.row] != found.label[entry.col]) & (entry.data > 0.0)
             left[found.label[self.exits > 0.0]] = True
             left[found.label[entry.row[onward]]] = True
-        return np.flatnonzero(~left[found.label]) if not left.all() else _NOBODY
+        return (~left[found.label]).nonzero()[0] if not left.all() else _NOBODY
 
     def solve(
         self, rewards: FloatArray, guess: FloatArray | None = None, accuracy: float = EXACT
@@ -123,13 +123,13 @@ class System:
         Raises:
             SolverError: the chain holds mass for ever, or no method gets anywhere.
         """
-        if self.size == 0 or self.matrix.nnz == 0:
+        if self.size == 0 or len(self.matrix.indices) == 0:
             if (self.exits <= 0.0).any():
                 raise SolverError(HOLDS_MASS)
             return rewards / (self.exits if rewards.ndim == 1 else self.exits[:, None])
         columns = rewards.reshape(self.size, -1)
         self.products += 1
-        if self.size <= DIRECT_STATES and not accelerated(self.matrix.nnz):
+        if self.size <= DIRECT_STATES and not accelerated(len(self.matrix.indices)):
             return self._factors(columns).reshape(rewards.shape)
         x = np.zeros(columns.shape) if guess is None else guess.reshape(columns.shape).copy()
         for first, last in self._runs:
@@ -148,7 +148,7 @@ class System:
         """
         columns = rewards.reshape(self.size, -1)
         x, found = np.zeros(columns.shape), self.components
-        if accelerated(self.matrix.nnz):
+        if accelerated(len(self.matrix.indices)):
             for first, last in self._runs:
                 if last - first == 1 and found.sizes[first] > DIRECT_STATES:
                     LargeComponent(self.matrix, self.exits, found.members(first)).reduce(columns, x)
@@ -212,20 +212,20 @@ class System:
         place[order] = np.arange(self.size)
         to_from = place[column], place[row]
         own = sp.csr_array((data / departs[row], to_from), shape=self.matrix.shape)
-        large = np.flatnonzero(found.sizes > EXACTLY_SOLVED).tolist()
+        large = (found.sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
 
         def direct_work() -> float:
             """That of all large components."""
             return sum(self._block(c).direct_work for c in large)
 
-        iteration = Iteration(own, direct_work, is_compiled=accelerated(own.nnz))
+        iteration = Iteration(own, direct_work, is_compiled=accelerated(len(own.indices)))
         return departs, order, iteration
 
     @cached_property
     def _runs(self) -> list[tuple[int, int]]:
         """Ranges of components to be solved at once: small ones together, large ones alone."""
         sizes = self.components.sizes
-        large = np.flatnonzero(sizes > EXACTLY_SOLVED).tolist()
+        large = (sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
         runs, begin = [], 0
         for c in large:
             if c > begin:
@@ -245,7 +245,7 @@ class System:
 
     def _solve_small(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
         """Solve a run of small components, in place."""
-        if accelerated(self.matrix.nnz):
+        if accelerated(len(self.matrix.indices)):
             self._solve_compiled(first, last, rewards, x)
             return
         found = self.components

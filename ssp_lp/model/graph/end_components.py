@@ -34,7 +34,7 @@ def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]
         return component, inside
     counts = np.bincount(model.pair_state[inside], minlength=model.n_states)
     label = np.full(model.n_states, -1, dtype=np.int32)
-    closed: IntArray = np.flatnonzero(counts == 0)
+    closed: IntArray = (counts == 0).nonzero()[0]
     pending = np.ones(model.n_states, dtype=np.bool_)
     while True:
         drain(model, inside, counts, closed)
@@ -43,7 +43,7 @@ def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]
         if not pending.any():
             break
         _label_end_components(model, inside, pending, label)
-        leaving = np.flatnonzero(_crossing_end_components(model, inside, pending, label))
+        leaving = _crossing_end_components(model, inside, pending, label).nonzero()[0]
         torn = np.zeros_like(pending)
         torn[label[model.pair_state[leaving]]] = True
         closed = close_pairs(model, inside, counts, leaving)
@@ -67,7 +67,7 @@ def _label_end_components(
         from ssp_lp.compiled.graph_components import label_components
 
         arrays = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
-        label_components(*arrays, inside, np.flatnonzero(pending), label)
+        label_components(*arrays, inside, pending.nonzero()[0], label)
         return
     ends, columns = possible_steps(
         model.outcome_offsets,

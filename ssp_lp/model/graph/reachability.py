@@ -28,7 +28,7 @@ def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
     Args:
         ends: [states].
     """
-    before, first = model.predecessors, np.flatnonzero(ends)
+    before, first = model.predecessors, ends.nonzero()[0]
     if accelerated(model.n_outcomes):
         from ssp_lp.compiled.graph_searches import reaching
 
@@ -47,7 +47,7 @@ def attention_states(model: SSP) -> BoolArray:
     open_pairs = np.ones(model.n_pairs, dtype=np.bool_)
     open_counts = np.diff(model.pair_offsets)
     idle = open_counts == 0
-    drain(model, open_pairs, open_counts, np.flatnonzero(model.goal_mask))
+    drain(model, open_pairs, open_counts, model.goal_mask.nonzero()[0])
     return np.asarray(~model.goal_mask & (idle | (open_counts > 0)))
 
 
@@ -73,7 +73,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
             return kept, open_pairs, nearer
         open_pairs &= ~lost[model.pair_state]
         open_counts[lost] = 0
-        drain(model, open_pairs, open_counts, np.flatnonzero(lost))
+        drain(model, open_pairs, open_counts, lost.nonzero()[0])
         kept = model.goal_mask | (open_counts > 0)
 
 
@@ -185,7 +185,7 @@ def nearer_pairs(
     n = len(pair_offsets) - 1
     distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     choice = np.full(n, -1, dtype=np.int64)
-    useful: IntArray = np.flatnonzero(leaving & free)
+    useful: IntArray = (leaving & free).nonzero()[0]
     if accelerated(len(before.pairs)):
         from ssp_lp.compiled.graph_searches import approach
 
@@ -206,8 +206,8 @@ def nearer_pairs(
     near = np.full(len(pair_state), np.inf)
     np.minimum.at(near, pairs, steps[reached] + 1.0)
     near[useful] = 1.0
-    best = np.flatnonzero((near == steps[pair_state]) & np.isfinite(near))
-    first = np.flatnonzero(np.diff(pair_state[best], prepend=-1))
+    best = ((near == steps[pair_state]) & np.isfinite(near)).nonzero()[0]
+    first = np.diff(pair_state[best], prepend=-1).nonzero()[0]
     choice[pair_state[best[first]]] = best[first]
     return choice
 
@@ -243,7 +243,7 @@ def close_pairs(
     """Close these open pairs, ascending, in place; return the states with none left open."""
     open_pairs[pairs] = False
     state = model.pair_state[pairs]
-    first = np.flatnonzero(np.diff(state, prepend=-1))
+    first = np.diff(state, prepend=-1).nonzero()[0]
     touched = state[first]
     open_counts[touched] -= np.diff(first, append=pairs.size)
     return np.asarray(touched[open_counts[touched] == 0])
@@ -275,4 +275,4 @@ def attention_labels(model: SSP) -> frozenset[Hashable]:
 
 def _labels_of_states(model: SSP, states: BoolArray) -> frozenset[Hashable]:
     """The labels of states."""
-    return frozenset(model.states[i] for i in np.flatnonzero(states).tolist())
+    return frozenset(model.states[i] for i in states.nonzero()[0].tolist())
