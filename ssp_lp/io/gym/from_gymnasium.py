@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
+from fractions import Fraction
 from functools import cached_property
+from itertools import chain
 from math import fsum
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
-from ssp_lp.arrays import SINGLE_PRECISION_SUM
+from ssp_lp.arrays import SINGLE_PRECISION_SUM, BoolArray, FloatArray, IntArray, offsets_of
 from ssp_lp.errors import Argument, ModelError, wrong_argument
 from ssp_lp.io.gym.environment import name_of_environment, step_limit_of
 from ssp_lp.model.arguments import explained
@@ -27,12 +30,7 @@ END = "end"
 CostFunction = Callable[[Any, Any, Any, float], float]
 """``(state, action, next_state, reward) -> cost``."""
 
-Outcome = tuple[float, Hashable, float, bool]
-"""Probability, next state, reward, terminated."""
-
 _SAY_GOALS = "say which states are goals: ", Argument("goal")
-
-Table = dict[Hashable, dict[Hashable, list[Outcome]]]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -107,7 +105,7 @@ def from_gymnasium(
     """
     limit = step_limit_of(env)
     table, begin = _table_of(env), _start_of_environment(env, start)
-    model = _model_of_environment(_GymListing(table, begin, goal), _cost_function(cost))
+    model = _model_of_environment(table, begin, goal, _cost_function(cost))
     logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
         raise wrong_argument("horizon", "be 'env', a number of steps or None", horizon)
@@ -118,38 +116,80 @@ def from_gymnasium(
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps)
 
 
-def _table_of(env: gymnasium.Env[Any, Any]) -> Table:
-    """The environment's table, with plain numbers, and probabilities that sum to one."""
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """An environment's table: its states, then those that only outcomes name."""
+
+    states: list[Hashable]  # [states]
+    listed: int  # of them in the table
+    pair_state: IntArray  # [pairs]
+    actions: list[Hashable]  # [pairs]
+    pair: IntArray  # [outcomes]
+    probability: FloatArray  # [outcomes], > 0
+    target: IntArray  # [outcomes]
+    reward: FloatArray  # [outcomes]
+    over: BoolArray  # [outcomes] whether an episode terminates
+
+
+def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
+    """The environment's table of transitions, checked.
+
+    Raises:
+        ModelError: there is none, or outcomes that are none, or do not sum to one.
+    """
     listed = getattr(env.unwrapped, "P", None)
     if listed is None:
         name = name_of_environment(env)
         raise ModelError(f"{name} is not tabular: it has no table of transitions, env.unwrapped.P")
-    return {
-        state: {action: _gym_outcomes(state, action, rows) for action, rows in _entries(actions)}
-        for state, actions in _entries(listed)
-    }
+    # no lists of lists: their collector would take longer than all the rest
+    names, tables = _keys(listed), list(_values(listed))
+    index = {gym_value(name): k for k, name in enumerate(names)}
+    actions = list(map(gym_value, chain.from_iterable(map(_keys, tables))))
+    outcomes = list(chain.from_iterable(map(_values, tables)))
+    pair_state = np.repeat(np.arange(len(tables)), list(map(len, tables)))
+    pair = np.repeat(np.arange(len(outcomes)), list(map(len, outcomes)))
+    entries = list(chain.from_iterable(outcomes))
+    if set(map(len, entries)) - {4}:
+        raise ModelError("an outcome in the table must be (probability, state, reward, terminated)")
+    flat = list(chain.from_iterable(entries))
+    probability, targets = np.array(flat[::4], dtype=np.float64), flat[1::4]
+    total = np.bincount(pair, probability, minlength=len(outcomes))
+    wrong = ~(np.abs(total - 1.0) <= SINGLE_PRECISION_SUM)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise ModelError(
+            f"action {actions[k]!r} of state {list(index)[int(pair_state[k])]!r}: the table's "
+            f"probabilities sum to {total[k]:.9g}"
+        )
+    for state in dict.fromkeys(targets):
+        index.setdefault(gym_value(state), len(index))
+    occurs = probability != 0.0
+    return _Table(
+        states=list(index),
+        listed=len(tables),
+        pair_state=pair_state,
+        actions=actions,
+        pair=pair[occurs],
+        probability=probability[occurs],
+        target=np.fromiter(map(index.__getitem__, targets), np.int64, len(targets))[occurs],
+        reward=np.array(flat[2::4], dtype=np.float64)[occurs],
+        over=np.array(flat[3::4], dtype=np.bool_)[occurs],
+    )
 
 
-def _entries(listed: Any) -> list[tuple[Hashable, Any]]:
-    """Keys and values of the environment's dict, or positions and entries of a list."""
-    rows = listed.items() if isinstance(listed, Mapping) else enumerate(listed)
-    return [(gym_value(key), value) for key, value in rows]
+def _keys(listed: Any) -> Any:
+    """Keys of the environment's dict, or positions in a list."""
+    return listed if isinstance(listed, Mapping) else range(len(listed))
+
+
+def _values(listed: Any) -> Any:
+    """Values of the environment's dict, or entries of a list."""
+    return listed.values() if isinstance(listed, Mapping) else listed
 
 
 def gym_value(value: Any) -> Any:
     """A number of numpy's as one of Python's; anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
-
-
-def _gym_outcomes(state: Hashable, action: Hashable, rows: Iterable[Any]) -> list[Outcome]:
-    """The environment's outcomes of a pair, checked."""
-    found = [(float(p), gym_value(to), float(reward), bool(over)) for p, to, reward, over in rows]
-    total = fsum(p for p, *_ in found)
-    if abs(total - 1.0) > SINGLE_PRECISION_SUM:
-        raise ModelError(
-            f"action {action!r} of state {state!r}: the table's probabilities sum to {total:.9g}"
-        )
-    return [(p / total, to, reward, over) for p, to, reward, over in found if p != 0.0]
 
 
 def _start_of_environment(
@@ -161,7 +201,7 @@ def _start_of_environment(
         if shares is None:
             told = "the environment has no initial_state_distrib: give "
             raise ModelError(told, Argument("start"))
-        start = {state: float(share) for state, share in _entries(shares)}
+        start = dict(zip(_keys(shares), map(float, _values(shares)), strict=True))
     if not isinstance(start, Mapping):
         return {gym_value(start): 1.0}
     total = fsum(start.values())
@@ -192,90 +232,111 @@ def _reward_cost(state: Any, action: Any, next_state: Any, reward: float) -> flo
 _COSTS: dict[str, CostFunction] = {"step": _step_cost, "reward": _reward_cost}
 
 
-def _model_of_environment(listing: _GymListing, cost: CostFunction) -> EnvironmentSSP:
-    """The model of an environment: every state of its table, and the ends."""
-    label = listing.label
-    transitions: dict[Hashable, dict[Hashable, list[tuple[float, Hashable, float]]]] = {
-        state: {
-            action: [
-                (p, label(to, over), cost(state, action, to, reward))
-                for p, to, reward, over in rows
-            ]
-            for action, rows in actions.items()
-        }
-        for state, actions in listing.going.items()
-    }
-    for _, to, _, over in listing.steps:
-        transitions.setdefault(label(to, over), {})
-    goals = [label(state, True) for state in listing.goals]
-    plain = SSP.from_transitions(transitions, goals, treat_actionless_as_dead_ends=True)
+def _model_of_environment(
+    table: _Table,
+    begin: Mapping[Hashable, float],
+    goal: Callable[[Any], bool] | None,
+    cost: CostFunction,
+) -> EnvironmentSSP:
+    """The model of an environment: every state of its table, and the ends.
+
+    Args:
+        table: of the environment.
+        begin: the states in which its episodes begin.
+        goal: which states are goals; None: those that are entered with a reward alone.
+        cost: of a step.
+
+    Raises:
+        ModelError: goals that cannot be told, or a cost that is no number >= 0.
+    """
+    n_states = len(table.states)
+    listed = np.arange(n_states) < table.listed
+    goes_on = np.array([state in begin for state in table.states])
+    goes_on[table.target[~table.over]] = True
+    going = listed.copy()
+    going[table.target[table.over]] = False  # an end, unless an episode may go on from there
+    going |= listed & goes_on
+    steps = np.flatnonzero(going[table.pair_state[table.pair]])
+    target, over = table.target[steps], table.over[steps]
+    if goal is None:
+        goals, parted = _rewarded(table, steps), goes_on
+    else:
+        listed[target] = True
+        asked = zip(listed.tolist(), table.states, strict=True)
+        goals = np.array([known and bool(goal(state)) for known, state in asked])
+        parted = goes_on & ~goals
+    # where the environment also goes on from, the end has a number of its own, n_states higher
+    led = target + n_states * (over & parted[target])
+    reached, first = np.unique(led, return_index=True)
+    aims = np.flatnonzero(goals) + n_states * parted[goals]
+    numbered = np.concatenate([np.flatnonzero(going), reached[np.argsort(first)], aims])
+    order = np.array(list(dict.fromkeys(numbered.tolist())), dtype=np.int64)
+    number = np.full(2 * n_states, -1)
+    number[order] = np.arange(order.size)
+    acting = (going & ~(goals & ~parted))[table.pair_state]
+    taken = acting[table.pair[steps]]
+    kept = steps[taken]
+    costs, exact = _costs_of_outcomes(table, kept, cost)
+    plain = SSP.from_arrays(
+        pair_offsets=offsets_of(
+            np.bincount(number[table.pair_state[acting]], minlength=order.size)
+        ),
+        outcome_offsets=offsets_of(np.bincount(table.pair[kept], minlength=acting.size)[acting]),
+        successors=number[led[taken]],
+        probabilities=table.probability[kept],
+        costs=costs,
+        goal_states=number[aims],
+        states=[
+            (END, table.states[k - n_states]) if k >= n_states else table.states[k]
+            for k in order.tolist()
+        ],
+        actions=[table.actions[k] for k in np.flatnonzero(acting).tolist()],
+        exact_costs=exact,
+        treat_actionless_as_dead_ends=True,
+        normalise=True,
+    )
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
     return EnvironmentSSP(**fields, step_cost=cost)
 
 
-@dataclass(frozen=True)
-class _GymListing:
-    """An environment's table, and which of its states are ends and goals."""
-
-    table: Table
-    begin: Mapping[Hashable, float]
-    goal: Callable[[Any], bool] | None
-
-    @cached_property
-    def going(self) -> Table:
-        """The rows of the environment's states in which an episode may go on."""
-        return {s: actions for s, actions in self.table.items() if s not in self._only_ends}
-
-    @cached_property
-    def steps(self) -> list[Outcome]:
-        """The environment's outcomes listed there."""
-        return _gym_steps(self.going)
-
-    @cached_property
-    def goals(self) -> frozenset[Hashable]:
-        """The environment's states that are goals, or end in one."""
-        if self.goal is None:
-            return frozenset(_rewarded(self.steps))
-        every = {*self.table, *(to for _, to, _, _ in self.steps)}
-        return frozenset(s for s in every if self.goal(s))
-
-    def label(self, state: Hashable, over: bool) -> Hashable:
-        """The model's state for one of the environment's: an end of its own where it needs one."""
-        chosen = self.goal is not None and state in self.goals
-        return (END, state) if over and state in self._goes_on and not chosen else state
-
-    @cached_property
-    def _goes_on(self) -> frozenset[Hashable]:
-        return frozenset(self.begin) | {to for _, to, _, over in _gym_steps(self.table) if not over}
-
-    @cached_property
-    def _only_ends(self) -> frozenset[Hashable]:
-        return frozenset(to for _, to, _, over in _gym_steps(self.table) if over) - self._goes_on
+def _costs_of_outcomes(
+    table: _Table, kept: IntArray, cost: CostFunction
+) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
+    """What some of the table's outcomes cost, and the fractions among it."""
+    if cost is _step_cost:
+        return 1.0, {}
+    if cost is _reward_cost:
+        return np.maximum(-table.reward[kept], 0.0) + 0.0, {}
+    pair = table.pair[kept].tolist()
+    columns = table.pair_state[pair].tolist(), pair, table.target[kept].tolist()
+    names, actions = table.states, table.actions
+    paid: list[Any] = [
+        cost(names[state], actions[k], names[to], reward)
+        for state, k, to, reward in zip(*columns, table.reward[kept].tolist(), strict=True)
+    ]
+    return paid, {float(one): one for one in paid if isinstance(one, Fraction)}
 
 
-def _gym_steps(table: Table) -> list[Outcome]:
-    """All outcomes in the environment's table."""
-    return [row for actions in table.values() for rows in actions.values() for row in rows]
-
-
-def _rewarded(steps: Iterable[Outcome]) -> list[Hashable]:
-    """The states in which the environment terminates with a reward.
+def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
+    """Whether the environment terminates in a state with a reward, [states].
 
     Raises:
         ModelError: there are none, or one is entered with a reward and without.
     """
-    rewards: dict[Hashable, list[float]] = {}
-    for _, to, reward, over in steps:
-        if over:
-            rewards.setdefault(to, []).append(reward)
-    for to, given in rewards.items():
-        if min(given) <= 0.0 < max(given):
-            raise ModelError(
-                f"state {to!r} ends some episodes with a reward and some without: ", *_SAY_GOALS
-            )
-    goals = [to for to, given in rewards.items() if min(given) > 0.0]
-    if not goals:
-        ends = list(rewards)[:5]
+    ending = steps[table.over[steps]]
+    to, reward = table.target[ending], table.reward[ending]
+    least, most = np.full((2, len(table.states)), np.inf) * [[1.0], [-1.0]]
+    np.minimum.at(least, to, reward)
+    np.maximum.at(most, to, reward)
+    mixed = (least <= 0.0) & (most > 0.0)
+    if mixed.any():
+        state = table.states[int(to[int(np.argmax(mixed[to]))])]
+        raise ModelError(
+            f"state {state!r} ends some episodes with a reward and some without: ", *_SAY_GOALS
+        )
+    goals = (least > 0.0) & (most > 0.0)
+    if not goals.any():
+        ends = [table.states[k] for k in list(dict.fromkeys(to.tolist()))[:5]]
         told = f"no step into one of the environment's ends {ends} is rewarded: "
         raise ModelError(told, *_SAY_GOALS)
-    return goals
+    return np.asarray(goals)
