@@ -51,7 +51,7 @@ def _quantity_value(chain: Chain, counted: BoolArray, problem: Problem, term: Te
         at_once = chain.start @ (there * ((chain.goal > 0) | (chain.dead > 0)))
         free = term.free
         return value_until_failure(entering, counted, plain, survival, free) + float(at_once)
-    ended = ending_value(chain, there[:, None], survival)[0]
+    ended = float(ending_value(chain, there[:, None], survival)[0])
     return complement(ended) if term.others else ended
 
 

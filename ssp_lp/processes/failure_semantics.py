@@ -80,7 +80,7 @@ class FailureSemantics:
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None
 
 
-_ROUNDED = 4e-15  # of what a complement is taken from
+_ROUNDED = 2e-14  # of what a difference is taken from, sums along a process included
 
 
 @dataclass(frozen=True)
@@ -95,10 +95,17 @@ class ObjectiveSense:
         """What is asked for, where what is minimised has a value."""
         return value - self.offset if self.constant is None else self.constant - value
 
-    def settled_bound(self, value: float, bound: float) -> float:
-        """The bound, or the value where only the rounding of a complement parts them."""
-        taken = self.offset if self.constant is None else self.constant
-        return value if abs(value - bound) <= _ROUNDED * abs(taken) else bound
+    def settled_bound(self, value: float, bound: float, paid: float = 0.0) -> float:
+        """The bound, or the value where only the rounding of a difference parts them.
+
+        Args:
+            value: what a lottery attains, in what is minimised.
+            bound: of every lottery.
+            paid: what the bounds of rows are worth at their prices, which is taken off a bound.
+        """
+        taken = abs(self.offset if self.constant is None else self.constant)
+        taken = max(taken, paid) if taken > 0.0 else 0.0  # else what is asked is no difference
+        return value if abs(value - bound) <= _ROUNDED * taken else bound
 
 
 AS_ASKED = ObjectiveSense()

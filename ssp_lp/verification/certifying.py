@@ -185,7 +185,9 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     budget = float(raised[0]) if limited[0] else budget
     attained = found.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
-        attained if compiled.sense.constant is None else -attained, lower
+        attained if compiled.sense.constant is None else -attained,
+        lower,
+        float(prices[limited] @ np.abs(bounds[limited])),
     )
     above = compiled.sense.constant is not None
     return certificate_of(found, compiled.sense.worth(lower), budget, above=above)

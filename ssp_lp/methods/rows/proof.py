@@ -12,6 +12,7 @@ from ssp_lp.column_generation.compiled_problems.constrained import CompiledConst
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.pool import Pool, Rows
+from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.column_generation.pricing.pricing_problem import Proof
 from ssp_lp.compiled.deadline import STOPS, closing, heed
 from ssp_lp.errors import InfeasibleError
@@ -32,10 +33,12 @@ def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> floa
     return least - paid - (len(prices) + 1.0) * MACHINE_EPSILON * float(prices @ np.abs(bounds))
 
 
-def proved_bound(
+def bound_in_time(
     compiled: CompiledConstrained, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
-) -> tuple[float, Proof]:
-    """A certified lower bound of every lottery within the rows, at prices.
+) -> tuple[float, FloatArray]:
+    """A certified lower bound of every lottery within the rows, at prices, and its values.
+
+    Where no time is left the bound is 0, and the values ask for the best.
 
     Args:
         compiled: the problem.
@@ -46,24 +49,9 @@ def proved_bound(
     """
     every, bounds = np.zeros((2, rows.n_rewards - 1))
     every[rows.index - 1], bounds[rows.index - 1] = prices, rows.bounds
-    return rows_bound(compiled, every, bounds, ratio, pool.proved)
-
-
-def bound_in_time(
-    compiled: CompiledConstrained, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
-) -> tuple[float, FloatArray]:
-    """``proved_bound`` and its values; where no time is left 0, and values that ask for the best.
-
-    Args:
-        compiled: the problem.
-        rows: what is limited.
-        prices: [rows] >= 0.
-        ratio: case S: the value that is to be proved.
-        pool: policies to begin with.
-    """
     try:
         with closing():
-            bound, proof = proved_bound(compiled, rows, prices, ratio, pool)
+            bound, proof = rows_bound(compiled, every, bounds, ratio, pool.proved)
         return bound, read_only(proof.values)
     except STOPS as stop:
         heed(stop)
@@ -102,19 +90,14 @@ def rows_bound(
 
     def best(goal: float) -> tuple[float, Proof]:
         """The best bound, where every lottery has a goal probability."""
-        proved = [
-            (
-                ratio if beyond >= 0.0 else max(ratio + beyond / goal, 0.0) if goal > 0.0 else 0.0,
-                proof,
-            )
-            for ratio, beyond, proof in found
-        ]
+        goal = max(goal, compiled.least_goal, 1.0 / LARGEST)
+        proved = [(max(r + min(beyond, 0.0) / goal, 0.0), proof) for r, beyond, proof in found]
         return max(proved, key=lambda pair: pair[0])
 
-    bound, proof = best(max(compiled.least_goal, least_goal or 0.0))
-    if least_goal is None and relative_gap(ratio, bound) > RELATIVE_GAP:
-        return best(max(compiled.least_goal, least_goal_within(compiled, bounds)))
-    return bound, proof
+    bound = best(least_goal or 0.0)
+    if least_goal is None and relative_gap(ratio, bound[0]) > RELATIVE_GAP:
+        return best(least_goal_within(compiled, bounds))
+    return bound
 
 
 def _beyond_paid(
@@ -147,9 +130,7 @@ def least_goal_within(compiled: CompiledConstrained, bounds: FloatArray) -> floa
     if compiled.budget is None:
         return compiled.least_goal
     semantics = FailureSemantics(aim=Aim.LEAST_GOAL)
-    reach = replace(
-        compiled, semantics=semantics, charge=None, ratio=False, rungs=None, precise=False
-    )
+    reach = replace(compiled, semantics=semantics, charge=None, ratio=False, rungs=None)
     try:
         opened = phase_one_opening(reach, reach, CERTIFYING)
     except InfeasibleError:

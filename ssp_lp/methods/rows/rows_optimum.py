@@ -215,7 +215,9 @@ def _concluded_for_rows(
     return RowsOptimum(
         compiled=compiled,
         value=value,
-        bound=compiled.sense.settled_bound(value, least_of(bound, value)),
+        bound=compiled.sense.settled_bound(
+            value, least_of(bound, value), float(prices @ np.abs(rows.bounds))
+        ),
         policy=policy,
         failure=failure,
         price=named.get(FAILURE_ROW),
