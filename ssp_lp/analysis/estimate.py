@@ -33,12 +33,17 @@ def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
 
 
 def mean_estimate(sample: FloatArray, confidence: float) -> Estimate:
-    """Normal interval of a mean; nan for an empty sample, infinitely wide for a single value."""
+    """Normal interval of a mean; nan for an empty sample, infinitely wide for a single value.
+
+    Where an episode pays for ever, the mean is infinite, and so are both ends.
+    """
     if sample.size == 0:
         return Estimate(float("nan"), float("nan"), float("nan"), confidence)
     mean = float(sample.mean())
-    if sample.size == 1:
-        return Estimate(mean, -float("inf"), float("inf"), confidence)
+    if sample.size == 1 or mean == float("inf"):
+        return Estimate(
+            mean, -float("inf") if mean < float("inf") else mean, float("inf"), confidence
+        )
     from scipy import special
 
     quantile = float(special.ndtri(0.5 + confidence / 2.0))

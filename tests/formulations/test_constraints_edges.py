@@ -34,6 +34,7 @@ from ssp_lp import (
     failure_probability,
     goal_probability,
     secondary_cost,
+    simulate,
     solve,
     visits,
 )
@@ -274,7 +275,10 @@ def test_what_uses_none_of_the_quantity_may_go_on_for_ever(method: str, give_up:
     staying = DeterministicPolicy.from_actions(TANK, {"x": "stay"})
     found = evaluate(staying, problem)
     assert found.objective == 0.0
-    assert found.expected_cost == (np.inf if give_up == "dead_ends" else 0.0)
+    forever = np.inf if give_up == "dead_ends" else 0.0
+    assert found.expected_cost == forever
+    report = simulate(solution.policy, problem, episodes=100, rng=np.random.default_rng(1))
+    assert report.expected_cost.value == np.inf if forever else report.expected_cost.value < 1.0
 
 
 def test_to_pay_for_ever_is_no_way_to_fail_where_that_is_limited() -> None:
@@ -367,3 +371,55 @@ def test_to_stop_where_the_goal_can_be_avoided(give_up: str, value: float) -> No
         {"x": {"go": [(0.6, "g", 1.0), (0.4, "d", 1.0)], "quit": [(1.0, "d", 1 / 7)]}, "d": {}}
     )
     assert solve(CostBudgetedMaxProb(model, "x", 0.5, give_up)).objective == pytest.approx(value)
+
+
+ROADS = model_of(
+    {
+        "x": {
+            "road": [(0.9, "g", 2.0), (0.1, "pit", 1.0)],
+            "way": [(1.0, "t", 1.0)],
+            "wait": [(1.0, "x", 1.0)],
+        },
+        "t": {"on": [(0.95, "g", 1.0), (0.05, "pit", 1.0)]},
+        "pit": {},
+    },
+    labels={"pit": ["pit"]},
+)
+
+
+@pytest.mark.parametrize(
+    ("limits", "named"),
+    [
+        ({"a": end_probability("pit") <= -0.05}, {"a"}),
+        ({"a": goal_probability() >= 1.04}, {"a"}),
+        ({"a": 0.1 * visits("t") - 0.025 <= -0.03}, {"a"}),
+        ({"a": end_probability("pit") <= 0.0, "b": end_probability("pit") >= 0.05}, {"a", "b"}),
+        ({"a": goal_probability() >= 0.6, "b": failure_probability() >= 0.5}, {"a", "b"}),
+        ({"a": failure_probability() <= 0.04}, {"a"}),
+        ({"a": secondary_cost({"x": {"road": 1.0}}) <= -1e-9}, {"a"}),
+        ({"a": goal_probability() == 0.5, "b": goal_probability() == 0.6}, {"a", "b, at least"}),
+    ],
+)
+@pytest.mark.parametrize("method", ["columns", "lp"])
+def test_plain_contradictions_are_named(method: str, limits: dict, named: set[str]) -> None:
+    """Beside a limit that is kept; no solver's rounding has a say."""
+    every = {"kept": visits("t") <= 3.0, **limits}
+    for problem in (
+        MaxProb(ROADS, "x", constraints=every),
+        MCMP(ROADS, "x", 1.0, constraints=every),
+        MCMP(ROADS, "x", 1.0, 0.99, constraints=every),
+        S3P(ROADS, "x", 1.0, constraints=every),
+        CVaR(ROADS, "x", 0.5, 1.0, constraints=every),
+        CostBoundedReach(ROADS, "x", 2, constraints=every),
+        LeastQuantity(ROADS, "x", visits("t"), constraints=every, horizon=4),
+    ):
+        with pytest.raises(InfeasibleError, match="at least") as caught:
+            solve(problem, method)
+        assert set(caught.value.conflicting_rows) == named
+
+
+def test_a_bound_may_be_wrong_by_rounding() -> None:
+    """A probability of 1 and a bit in the last place is meant to be 1."""
+    limits = {"sure": goal_probability() >= 1.0 + 2.0**-52, "none": end_probability("pit") <= 0.0}
+    model = model_of({"x": {"go": [(1.0, "g", 1.0)], "no": [(1.0, "pit", 0.0)]}, "pit": {}})
+    assert solve(MCMP(model, "x", 1.0, constraints=limits)).objective == 1.0
