@@ -14,6 +14,7 @@ from ssp_lp.processes.layered.measures_of_law import WithinBound
 
 _FIRST = 128  # units in the totals that matter, at first
 _FINER = 4.0  # times as many next
+_QUICK = 1e8  # units times outcomes that a sweep soon passes over
 _MOST = 8_192  # unless more are asked for
 _ROOM = 6_000_000  # states times units, if there is a time limit that ends it before
 _FINEST = 65_536  # in any case
@@ -39,7 +40,8 @@ def rounding_units(
     ends = finest or is_limited()
     most = asked or (room if ends else _MOST)
     least = _ROOM_FOR_DIGITS * span / cheapest
-    many = float(min(max(_FIRST, least if least <= _MOST / _FINER else 0.0), most))
+    is_quick = least * problem.model.n_outcomes <= _QUICK
+    many = float(min(max(_FIRST, least if is_quick else 0.0), most))
     while many <= most:
         yield short_decimal(span / many)
         many = min(_FINER * many, float(most)) if _WORTH_WHILE * many <= most else _FINER * many

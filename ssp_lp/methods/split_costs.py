@@ -10,7 +10,7 @@ it by about the square of the unit, else by a share of the unit.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from time import perf_counter
+from fractions import Fraction
 
 import numpy as np
 
@@ -19,10 +19,11 @@ from ssp_lp.arrays import read_only
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.initial_columns import DualGuess
 from ssp_lp.column_generation.pricing.pricing_problem import Column, excess_failure
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, has_answer, heed, is_late
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.assembling import Found, assembled
+from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.methods.refinement import RefinedOutcome
 from ssp_lp.methods.split_model import layers_of_split, split_optimum, split_units
 from ssp_lp.options import SolveOptions
@@ -30,13 +31,16 @@ from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem
 from ssp_lp.processes.totals.lattice import totals_of
+from ssp_lp.processes.totals.step_sums import step_lattice
 from ssp_lp.solution import CUT_SHORT, Run, Solution
 
 _ROUGH = 1e-4  # how exactly the first model of split costs is solved
+_ROUGH_FIRST = 1e-3  # and one that only says where a price lies, with steps far below a unit
 _SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one solved
 _SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
 _BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
-_SLOWER = 4.0  # times as long as the last one the next unit may take
+_REACH = 0.5  # of the totals that matter: so far they are remembered at first
+_CELLS = 100_000_000  # states times levels that a policy measured truly may have
 _ROUNDING = 1e-12  # of the budget, or of what it leaves: so far a policy may seem to break it
 
 
@@ -73,20 +77,17 @@ def solve_on_split_costs(problem: Problem, span: float, options: SolveOptions) -
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    best, spent = _Split(), 0.0
+    best, guess = _begun_with_incumbent(problem), None
     asked: int | None = getattr(problem, "cost_levels", None)
-    for unit in split_units(problem, span):
-        began = perf_counter()
-        if best.lottery is not None and options.deadline - began < _SLOWER * spent:
-            heed(Stop())
-            break
-        rough = _SHARE * best.gap if best.lottery is not None else _ROUGH
-        finer = replace(options.after(best.calls), tolerance=max(options.tolerance, rough))
-        guess = DualGuess(best.price, _SPREAD) if best.lottery is not None else None
+    reach, units = _REACH * span, list(split_units(problem, span))
+    for unit in units:
+        is_first = best.lottery is not None and unit != units[-1] and parts_of(problem, unit) > 2
+        rough = _ROUGH_FIRST if is_first else min(_SHARE * best.gap, _ROUGH)
+        finer = replace(options.after(best.calls), tolerance=rough)
         try:
-            outcome = split_optimum(problem, unit, finer, guess, asked)
+            outcome = split_optimum(problem, unit, finer, guess, asked, reach)
             with closing():
-                best = _improved_split(problem, best, outcome)
+                best = _improved_split(problem, best, outcome, measured=not is_first)
         except STOPS as stop:
             if best.lottery is None:
                 raise
@@ -97,8 +98,20 @@ def solve_on_split_costs(problem: Problem, span: float, options: SolveOptions) -
             break
         if is_late() or best.gap <= options.tolerance:
             break
-        spent = perf_counter() - began
+        guess, reach = DualGuess(outcome.found.price, _SPREAD), outcome.found.price
     return _concluded_on_split(problem, best, options)
+
+
+def _begun_with_incumbent(problem: Problem) -> _Split:
+    """A policy of case M, with what it costs given success; nothing, where there is none."""
+    incumbent = Incumbent(problem)
+    incumbent.find()
+    has_answer(by_itself=incumbent.solution is not None)
+    known = incumbent.solution
+    if known is None:
+        return _Split()
+    lottery = known.policy
+    return _Split(lottery, known.objective, known.budget_used, known.lower_bound)
 
 
 def proved_on_split_costs(
@@ -135,13 +148,17 @@ def proved_on_split_costs(
     return bound, allowed
 
 
-def _improved_split(problem: Problem, best: _Split, outcome: RefinedOutcome) -> _Split:
-    """The best that is known with one unit's outcome; its policies are evaluated truly."""
+def _improved_split(
+    problem: Problem, best: _Split, outcome: RefinedOutcome, *, measured: bool
+) -> _Split:
+    """The best that is known with one unit's outcome; its policies may be evaluated truly."""
     process, found = layers_of_split(outcome).process, outcome.found
     calls, work = best.calls + outcome.calls, best.work + outcome.work
     note = "" if found.finished else CUT_SHORT
     known = replace(best, bound=max(best.bound, found.lower_bound), calls=calls, work=work)
     known = replace(known, price=found.price, note=note)
+    if not measured:
+        return known
     least, points, chosen = outcome.least, list[Column](), None
     if least is None or outcome.row.budget > least.column.failure:
         points = _true_points(problem, outcome)
@@ -161,6 +178,11 @@ def _improved_split(problem: Problem, best: _Split, outcome: RefinedOutcome) -> 
     return replace(
         known, lottery=lottery, value=value, failure=failure, layers=process.cap, end=end
     )
+
+
+def parts_of(problem: Problem, unit: Fraction) -> int:
+    """Parts of a unit of which the cheapest step takes one at least."""
+    return max(int(np.ceil(float(unit) / float(step_lattice(problem.model)[1][1]))), 1)
 
 
 def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
@@ -194,12 +216,24 @@ def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
 
 
 def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Column:
-    """A policy of the model with split costs on the true one, where memory is the nearest level."""
+    """A policy of the model with split costs on the true one, where memory is the nearest level.
+
+    Where a step is less than a unit its levels are parts of one: else it would round to nothing.
+    """
     unit = layers_of_split(outcome).base.exact_unit
     if isinstance(policy, CostAwarePolicy):
-        levels = read_only(totals_of(np.arange(policy.cap + 1), unit))
-        threshold = policy.tail_threshold * float(unit)
-        policy = replace(policy, model=problem.model, levels=levels, tail_threshold=threshold)
+        asked: int | None = getattr(problem, "cost_levels", None)
+        room = _CELLS // max(problem.model.n_states, 1) if asked is None else asked
+        parts = max(min(parts_of(problem, unit), room // policy.cap), 1)
+        levels = read_only(totals_of(np.arange(policy.cap * parts + 1), unit / parts))
+        nearest = np.minimum((np.arange(policy.cap * parts) + parts // 2) // parts, policy.cap - 1)
+        policy = replace(
+            policy,
+            model=problem.model,
+            levels=levels,
+            decision=policy.decision[nearest] if parts > 1 else policy.decision,
+            tail_threshold=policy.tail_threshold * float(unit),
+        )
     elif isinstance(policy, DeterministicPolicy):
         policy = replace(policy, model=problem.model)
     found = evaluate(policy, problem)

@@ -35,6 +35,7 @@ from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 _WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
 _FEW_SUMS = 1_000  # that are told apart exactly rather than by a grid
 _SECONDS = 1.5e-8  # that a search takes for each sum and outcome
+_MARGIN = 1.25  # beyond a price from a coarser unit: what is paid there still counts for something
 _TRIES = 6  # units, until levels are as few as is asked for
 
 
@@ -124,6 +125,7 @@ def split_optimum(
     options: SolveOptions,
     guess: DualGuess | None,
     most: int | None = None,
+    reach: float = np.inf,
 ) -> RefinedOutcome:
     """The optimum with split costs, of a larger unit where levels are more than asked for.
 
@@ -135,6 +137,7 @@ def split_optimum(
         options: tolerance and limits.
         guess: of the price of failure; None: nothing is known.
         most: levels; None: any number.
+        reach: total up to which layers are told apart at first; infinite: a guess is made.
 
     Raises:
         InfeasibleError: no policy keeps to the budget.
@@ -144,10 +147,11 @@ def split_optimum(
     budget = 1.0 if problem.failure_budget is None else problem.failure_budget
     for tried in range(_TRIES):
         model = with_split_costs(problem.model, unit)
-        start, cap = start_distribution(model, problem.start), None
+        start, fixed = start_distribution(model, problem.start), None
         if most is not None and tried + 1 == _TRIES:
-            cap = (most - 0.5) * float(unit)
-        compiled = CompiledAccumulatedCost(model, start, problem.discount, fixed_cap=cap)
+            fixed = (most - 0.5) * float(unit)
+        cap = None if np.isinf(reach) or fixed else int(np.ceil(_MARGIN * reach / float(unit))) + 1
+        compiled = CompiledAccumulatedCost(model, start, problem.discount, fixed, cap)
         outcome = refined_optimum(compiled, budget, options, guess)
         layers = layers_of_split(outcome).process.cap
         if most is None or layers <= most or is_late():

@@ -19,6 +19,7 @@ _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are
 _FAR = 1e15  # layers: no step passes more
 _MOST_PASSED = 20_000_000  # states times layers that one step passes, where costs are rounded up
 _CHECKED = 1_000_000  # decisions looked at together
+_TIE = 1e-6  # of a level: so far from the middle between two a total is nearer to one of them
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of a sum of costs, far below a step
 
 
@@ -171,8 +172,16 @@ class CostAwarePolicy(Policy):
             beyond = np.searchsorted(told_apart, np.searchsorted(totals, total), side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
 
+        shares = costs / levels[1]
+        steady = np.where(moving, np.rint(shares), 1.0).astype(np.int64)
+        is_even = bool((np.abs(np.diff(levels) - levels[1]) <= _TIE * levels[1]).all())
+        is_even = is_even and bool((np.abs(shares % 1.0 - 0.5) > _TIE)[moving].all())
+        most = int(steady.max(initial=0))
+
         def leads(level: int) -> IntArray:
             """Layers that a step of each cost passes from a level, [costs]."""
+            if is_even and level + most < cap:
+                return steady
             return np.where(moving, reached(levels[level] + costs) - level, 1)
 
         farthest = reached(levels[:cap] + costs[moving].max(initial=0.0))

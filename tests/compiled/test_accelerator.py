@@ -179,14 +179,19 @@ def test_rows_are_filled_within_their_arrays() -> None:
 
 @pytest.mark.parametrize("costs", [(1.0, 0.0), (1.0, 2.0**0.5), (2.0**0.5, 0.0, 1.0)])
 @pytest.mark.parametrize("budget", [0.3, 0.6])
+@pytest.mark.parametrize("back", [1.0, 0.0])
 def test_all_layers_in_one_pass_are_as_layer_by_layer(
-    accelerate: Switch, monkeypatch: pytest.MonkeyPatch, costs: tuple[float, ...], budget: float
+    accelerate: Switch,
+    monkeypatch: pytest.MonkeyPatch,
+    costs: tuple[float, ...],
+    budget: float,
+    back: float,
 ) -> None:
-    """Sums and multiples of a unit as layers, free steps in order within them: the same numbers."""
+    """Sums and multiples of a unit as layers, free steps in order or round within them."""
     n = 12
     choices = {
         i: {
-            str(k): [(0.7, i + 1, cost), (0.2 - 0.1 * k / 3, max(i - 2, 0), cost + 1.0),
+            str(k): [(0.7, i + 1, cost), (0.2 - 0.1 * k / 3, max(i - 2, 0), back * (cost + 1.0)),
                      (0.1 + 0.1 * k / 3, "d", 1.0)]
             for k, cost in enumerate(costs)
         }
@@ -198,6 +203,7 @@ def test_all_layers_in_one_pass_are_as_layer_by_layer(
     problem = S3P(model, start=0, failure_budget=least + budget * (1.0 - least))
     accelerate(True)
     passed = solve(problem)
+    assert certify(passed).accepted
     monkeypatch.setattr(layered_pricing, "one_pass", lambda process: None)
     layer_by_layer = solve(problem)
     accelerate(False)

@@ -9,6 +9,7 @@ import pytest
 from examples.domains.domain import Domain
 from examples.domains.windy_field import windy_field
 from examples.formulating import real_costs
+from examples.solver_comparison.instances import families
 from formulations import S3P, MaxProb
 from ssp_lp import SSP, CostAwarePolicy, certify, evaluate, solve
 from ssp_lp.arrays import read_only
@@ -63,6 +64,30 @@ def test_both_sides_enclose_the_optimum(seed: int, discount: float | None) -> No
     assert proof.accepted
     assert proof.lower_bound <= exact.objective * (1.0 + 1e-9)
     assert proof.gap <= 1.2 * found.gap + 1e-9
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        families.hub(5, 9),
+        families.ladder(3, 4),
+        families.ring(30, leak=0.02),
+        families.scattered(60),
+        families.layered(8, 6),
+    ],
+    ids=["hub", "ladder", "ring", "scattered", "layered"],
+)
+@pytest.mark.parametrize("width", [None, 40])
+def test_real_costs_on_every_structure(model: SSP, width: int | None) -> None:
+    """Units far below a step, or, with few levels, far above it: both sides enclose the optimum."""
+    problem = S3P(families.priced(model), 0, 0.3)
+    found = solve(problem, tolerance=1e-3)
+    assert found.gap <= 1e-3
+    assert evaluate(found.policy, problem).objective == pytest.approx(found.objective, rel=1e-9)
+    if width is not None:
+        coarse = solve(replace(problem, cost_levels=width), tolerance=1e-3)
+        assert coarse.lower_bound <= found.objective * (1.0 + 1e-9)
+        assert coarse.objective >= found.lower_bound * (1.0 - 1e-9)
 
 
 def test_a_thousand_prices_are_soon_settled() -> None:

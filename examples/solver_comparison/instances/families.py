@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ssp_lp import SSP
+from ssp_lp.arrays import read_only
 
 _SEED = 5
 _LAVA = 0.01  # share of cells of a grid that are traps
@@ -326,6 +327,51 @@ def blocks(count: int) -> SSP:
         treat_actionless_as_dead_ends=True,
     )
     return replace(model, states=tuple(range(model.n_states)))
+
+
+def hub(spokes: int, length: int, *, seed: int = _SEED) -> SSP:
+    """Return a hub with long ways, each of which ends at the goal, in the trap, or at the hub."""
+    rng, n = np.random.default_rng(seed), 1 + spokes * length
+    begins = 1 + length * np.arange(spokes)
+    after = np.arange(2, n + 1)
+    ends = begins + length - 1
+    reached = rng.uniform(0.05, 0.3, spokes)
+    lost = rng.uniform(0.0, 0.2, spokes) * reached
+    outcomes = np.ones(n - 1 + spokes, dtype=np.int64)
+    outcomes[spokes + ends - 1] = 3
+    successors = np.concatenate([begins, np.repeat(after, outcomes[spokes:])])
+    probabilities = np.ones(len(successors))
+    first = spokes + np.cumsum(outcomes[spokes:])[ends - 1] - 3
+    for k, (to, share) in enumerate(((n, reached), (n + 1, lost), (0, 1.0 - reached - lost))):
+        successors[first + k], probabilities[first + k] = to, share
+    return SSP.from_arrays(
+        pair_offsets=np.append(0, np.append(spokes + np.arange(n), [n - 1 + spokes] * 2)),
+        outcome_offsets=np.append(0, np.cumsum(outcomes)),
+        successors=successors.astype(np.int32),
+        probabilities=probabilities,
+        costs=np.ones(len(successors)),
+        goal_states=[n],
+        treat_actionless_as_dead_ends=True,
+    )
+
+
+def ladder(rungs: int, ladders: int, *, seed: int = _SEED) -> SSP:
+    """Return gambler's ladders, one above the other, climbed timidly or by bold steps."""
+    n = rungs * ladders
+    here, risk = np.arange(n), np.random.default_rng(seed).uniform(0.0, 2e-4, n)
+    down = np.where(here % rungs > 0, here - 1, here)
+    steps = np.stack([here + 1, down, np.full(n, n + 1)], axis=1)
+    timid = np.broadcast_to([0.5, 0.5, 0.0], (n, 3))
+    bold = np.stack([0.55 - risk, np.full(n, 0.45), risk], axis=1)
+    successors = np.stack([steps, steps], axis=1)
+    return _model(successors, np.stack([timid, bold], axis=1), np.ones((n, 2)))
+
+
+def priced(model: SSP, *, seed: int = _SEED) -> SSP:
+    """Return a model with a real cost between 0.5 and 2 for each of its actions."""
+    drawn = np.random.default_rng(seed).uniform(0.5, 2.0, model.n_pairs)
+    costs = np.repeat(drawn, np.diff(model.outcome_offsets))
+    return replace(model, costs=read_only(costs), exact_costs={})
 
 
 FAMILIES: dict[str, Callable[..., SSP]] = {

@@ -30,6 +30,9 @@ from ssp_lp.processes.quotient import Quotient, build_quotient
 from ssp_lp.processes.totals.lattice import Lattice, lattice_of, totals_of
 from ssp_lp.processes.totals.step_sums import last_steps, step_lattice
 
+_MOST_TURNS = 300  # to bound the steps within a layer
+_LAST_STEP = 0.4  # what another one adds by then; a half would do but for rounding
+
 
 @dataclass(frozen=True, eq=False)
 class AccumulatedCost:
@@ -86,6 +89,22 @@ class AccumulatedCost:
         onward = np.asarray(written_out(self.later).sum(axis=1)).ravel()
         exits = onward + self.survival * self.gain + self.failure
         return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
+
+    @cached_property
+    def steps_within(self) -> FloatArray | None:
+        """At least one more than after the free steps of any pair, [nodes]; None: it is large.
+
+        So it bounds the steps that a policy takes before it leaves a layer. Where another step
+        adds at most half a one, twice as many do.
+        """
+        steps = np.ones(self.n_nodes)
+        for _ in range(_MOST_TURNS):
+            after = self.instant @ steps
+            more = 1.0 + np.maximum.reduceat(after, self.pair_offsets[:-1])
+            if (more - steps).max(initial=0.0) <= _LAST_STEP:
+                return 2.0 * steps
+            steps = more
+        return None
 
     @property
     def steps(self) -> sp.csr_array:
