@@ -25,6 +25,9 @@ if TYPE_CHECKING:
     from ssp_lp.column_generation.stabilised_master import StabilisedMaster
 
 
+_NEVER = 1e-14  # a goal probability that is the rounding of none
+
+
 @dataclass(frozen=True, eq=False)
 class Generated:
     """What the loop ended with: the best lottery over columns, and prices that prove it."""
@@ -58,9 +61,12 @@ class Generated:
 
     @property
     def ratio(self) -> float:
-        """Cost given success of the lottery; infinite where there is none."""
-        cost, failure = self.figures[:2]
-        return float(cost / (1.0 - failure)) if failure < 1.0 - 1e-12 else float("inf")
+        """Cost given success of the lottery; infinite where there is none.
+
+        Summed over the members' own goal probabilities, which are exact where the sum is small.
+        """
+        goal = float(self.weights @ [column.goal for column in self.columns])
+        return float(self.figures[0]) / goal if goal > _NEVER else float("inf")
 
     def lottery(self, pricing: PricingProblem) -> MixedPolicy:
         """The lottery on the model."""

@@ -339,6 +339,20 @@ def test_the_least_goal_mass_follows_from_all_rows() -> None:
         assert certificate.lower_bound == pytest.approx(value, rel=1e-9)
 
 
+@pytest.mark.parametrize("most", [1e-1, 1e-4, 1e-8])
+def test_limits_that_nearly_forbid_to_move(most: float) -> None:
+    """Whoever goes at all goes cheaply, however few they may be."""
+    limits = {"fuel": secondary_cost({"x": {"cheap": 2.0, "dear": 1.0}}) <= most}
+    for more in ({}, {"d": end_probability("d") <= most / 20.0}):
+        for problem in (
+            S3P(WAITING, "x", 1.0, constraints=limits | more),
+            CVaR(WAITING, "x", 0.5, 1.0, constraints=limits | more),
+        ):
+            solution = solve(problem)
+            assert solution.objective == pytest.approx(1.0, rel=1e-12)
+            assert max(solution.gap, certify(solution).gap) < 1e-9
+
+
 LADDER = model_of(
     {
         "a": {"go": [(0.5, "g", 1.0), (0.5, "b", 1.0)]},

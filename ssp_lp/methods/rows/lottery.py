@@ -148,7 +148,7 @@ def _lottery_of(policies: list[Policy], weights: FloatArray) -> MixedPolicy:
 
 def _ratio_of_lottery(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:
     """The cost given success of a lottery."""
-    goal = 1.0 - float(failure @ weights)
+    goal = float((1.0 - failure) @ weights)
     return float(cost @ weights) / goal if goal > 0.0 else float("inf")
 
 

@@ -197,7 +197,7 @@ def _concluded_for_rows(
     """The lottery, and a certified bound at the prices that the search ended with."""
     pool, rows = opened.pool, opened.rows
     cost, failure = found.figures[:2].tolist()
-    value = cost / (1.0 - failure) if compiled.ratio else cost
+    value = found.ratio if compiled.ratio else cost
     if program is not None and found.finished:
         check_agreement(program, value)
     prices = without_trifles(found.prices, pool.sizes(rows), cost + ratio * failure)
