@@ -8,7 +8,11 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import signal
 import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -35,7 +39,10 @@ _INDEX: Final = "**/backups.back_up*.nbi"  # numba's index of the loop that ever
 
 @cache
 def has_accelerator() -> bool:
-    """Whether compiled loops are available and not switched off.
+    """Whether compiled loops are available and not switched off; numba is loaded by then.
+
+    Ctrl-C waits for the second that loading takes: what is loaded by half would stay so, and every
+    later loop of the process would fail ("module 'numba' has no attribute 'core'").
 
     Raises:
         ModelError: the environment variable holds another word.
@@ -43,7 +50,13 @@ def has_accelerator() -> bool:
     wish = os.environ.get(SWITCH, "")
     if wish not in ("", "numba", "none"):
         raise ModelError(f"{SWITCH} must be 'numba' or 'none', not {wish!r}")
-    return wish != "none" and importlib.util.find_spec("numba") is not None
+    if wish == "none" or importlib.util.find_spec("numba") is None:
+        return False
+    with _interrupt_put_off():
+        target = importlib.import_module("numba.core.registry").cpu_target
+        target.typing_context.refresh()  # what the first loop would load besides
+        target.target_context.refresh()
+    return True
 
 
 def accelerated(entries: int) -> bool:
@@ -57,6 +70,22 @@ def accelerated(entries: int) -> bool:
         return has_accelerator()
     _interpreted.entries += entries + _CALL
     return False
+
+
+@contextmanager
+def _interrupt_put_off() -> Iterator[None]:
+    """Within it Ctrl-C waits for the end; other threads than the first are never interrupted."""
+    before, heard = signal.getsignal(signal.SIGINT), list[int]()
+    if threading.current_thread() is not threading.main_thread() or before is None:
+        yield
+        return
+    signal.signal(signal.SIGINT, lambda number, _: heard.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+        if heard:
+            signal.raise_signal(signal.SIGINT)
 
 
 def least_entries() -> int:
