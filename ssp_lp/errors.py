@@ -139,11 +139,12 @@ def check_between_0_and_1(name: str, value: object, hint: str = "") -> None:
         raise wrong_argument(name, "lie strictly between 0 and 1", value, hint)
 
 
-def check_whole(name: str, value: object, least: int = 1) -> None:
-    """Raise :class:`ModelError`, naming the argument, unless it is a whole number >= ``least``."""
+def check_whole(name: str, value: object, least: int = 1, most: int = _MOST_COUNTED) -> None:
+    """Raise :class:`ModelError`, naming the argument, unless it is a whole number in a range."""
     counts = isinstance(value, Integral) and not isinstance(value, bool)
-    if not (counts and least <= int(cast("int", value)) <= _MOST_COUNTED):
-        raise wrong_argument(name, f"be a whole number >= {least}", value)
+    if not (counts and least <= int(cast("int", value)) <= most):
+        upto = f" and <= {most:,}" if most < _MOST_COUNTED else ""
+        raise wrong_argument(name, f"be a whole number >= {least}{upto}", value)
 
 
 def check_flag(name: str, value: object) -> None:

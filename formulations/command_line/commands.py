@@ -156,14 +156,13 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
         told["mean_steps"] = played.mean_steps
     else:
         report = simulate(policy, problem, rng=asked.seed, **settings)
-        goal = report.goal_probability
         told["ends"] = report.ends
-        told["failure_probability"] = Estimate(
-            1.0 - goal.value, 1.0 - goal.high, 1.0 - goal.low, goal.confidence
-        )
+        told["failure_probability"] = report.failure_probability
         told["cost_given_success"] = report.conditional_cost
         told["cost_until_failure"] = report.expected_cost
         told["mean_steps"] = report.mean_steps
+        if report.note:
+            told["note"] = report.note
     if asked.json:
         plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in told.items()}
         return json_answer(plain)
@@ -174,7 +173,7 @@ def _in_words(value: Any) -> str:
     """What a command found, in words."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {count:,}" for name, count in value.items() if count)
-    return f"{value}" if isinstance(value, Estimate) else f"{value:,.6g}"
+    return f"{value}" if isinstance(value, (Estimate, str)) else f"{value:,.6g}"
 
 
 def _convert_command(asked: Namespace) -> Iterable[str]:

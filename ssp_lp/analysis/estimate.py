@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, segment_ids, segment_minima
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import dead_ends
+
+_MOST_WORK = 300_000_000  # outcomes looked at for the dearest way, a few seconds
 
 
 class Estimate(NamedTuple):
@@ -32,20 +38,56 @@ def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
     return Estimate(hits / trials, low, high, confidence)
 
 
-def mean_estimate(sample: FloatArray, confidence: float) -> Estimate:
-    """Normal interval of a mean; nan for an empty sample, infinitely wide for a single value.
+def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimate:
+    """Estimate a mean cost by an empirical Bernstein interval; nan for an empty sample.
 
     Where an episode pays for ever, the mean is infinite, and so are both ends.
+
+    It holds for rare dear events that the sample need not show, of which normal intervals and the
+    bootstrap know nothing: the upper end counts what costs up to ``most`` may add. The lower end
+    counts what costs from 0 on may take away.
+
+    Args:
+        sample: of costs in [0, most], each drawn alike.
+        confidence: of the interval, half of the rest on either side.
+        most: the greatest cost that can occur.
+
+    Reference:
+        Maurer and Pontil, COLT 2009, theorem 4.
     """
     if sample.size == 0:
         return Estimate(float("nan"), float("nan"), float("nan"), confidence)
-    mean = float(sample.mean())
+    mean, most = float(sample.mean()), max(most, float(sample.max()))
     if sample.size == 1 or mean == float("inf"):
-        return Estimate(
-            mean, -float("inf") if mean < float("inf") else mean, float("inf"), confidence
-        )
-    from scipy import special
+        return Estimate(mean, 0.0 if mean < float("inf") else mean, most, confidence)
+    log = float(np.log(4.0 / (1.0 - confidence)))
+    spread = float(np.sqrt(2.0 * log / sample.size) * sample.std(ddof=1))
+    unseen = 7.0 * log / (3.0 * (sample.size - 1))  # times the range: what the spread may miss
+    low, high = mean - spread - unseen * mean, mean + spread + unseen * most
+    return Estimate(mean, max(low, 0.0), min(high, most), confidence)
 
-    quantile = float(special.ndtri(0.5 + confidence / 2.0))
-    half = quantile * float(sample.std(ddof=1)) / float(np.sqrt(sample.size))
-    return Estimate(mean, mean - half, mean + half, confidence)
+
+def greatest_total(model: SSP, steps: int) -> float:
+    """What an episode of at most so many steps costs at most, whatever it does.
+
+    Steps within a strong component may be repeated, others come once: they add up to the dearest
+    way through the components.
+    """
+    over = dead_ends(model) | model.goal_mask
+    starts = model.outcome_offsets[model.pair_offsets]  # of each state's outcomes, [states + 1]
+    source = segment_ids(starts)
+    entries = np.ones(model.n_outcomes), (source, model.successors)
+    graph = sp.csr_array(entries, shape=(model.n_states, model.n_states))
+    label = csgraph.connected_components(graph, connection="strong")[1]
+    going, again = ~over[source], label[source] == label[model.successors]
+    dearest = steps * float(model.costs[going].max(initial=0.0))
+    repeated = steps * float(model.costs[going & again].max(initial=0.0))
+    paid, total = np.where(going & ~again, model.costs, -np.inf), np.zeros(model.n_states)
+    for sweep in range(steps):
+        before = total
+        total = np.maximum(-segment_minima(-(paid + before[model.successors]), starts), 0.0)
+        if (total == before).all():
+            break
+        if sweep * model.n_outcomes > _MOST_WORK:
+            return dearest
+    return min(dearest, repeated + float(total.max()))

@@ -9,7 +9,6 @@ import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.analysis.failure_costs import check_giving_up
-from ssp_lp.analysis.layers.chain_of_law import chain_of_law
 from ssp_lp.analysis.layers.layered_measures import Measures, layered_measures, mean_of
 from ssp_lp.analysis.quantity_values import (
     complement,
@@ -18,12 +17,11 @@ from ssp_lp.analysis.quantity_values import (
     quantity_values,
     value_until_failure,
 )
-from ssp_lp.analysis.total_cost.cost_law import law_of_chains
+from ssp_lp.analysis.total_cost.cost_law import chain_as_counted, law_of_chains
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.model.naming import ByName
-from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
@@ -118,9 +116,7 @@ def evaluate_each(
             found = _evaluated_measures(chain, problem)
         members.append(found)
         if measure is not None and weight > 0.0:  # the law needs it as well
-            rounded = isinstance(member, CostAwarePolicy) and member.rounds_up
-            lawful = None if rounded else chain  # what it remembers is more than it pays
-            chains.append(lawful or chain_of_law(problem.model, member, start))
+            chains.append(chain_as_counted(problem.model, member, start, chain))
     evaluation = _evaluation_of(mean_of(members, lottery.weights), problem)
     each = [_evaluation_of(member, problem) for member in members]
     if measure is None:

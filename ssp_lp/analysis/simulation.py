@@ -11,7 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
+from ssp_lp.analysis.estimate import (
+    Estimate,
+    greatest_total,
+    mean_estimate,
+    proportion_estimate,
+)
 from ssp_lp.analysis.failure_costs import state_give_up_charges
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, ReadOnlyCopies, read_only
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
@@ -24,7 +29,7 @@ from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES
 from ssp_lp.policies.randomness import Randomness, generator_of
 from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
@@ -120,11 +125,20 @@ class SimulationReport(ReadOnlyCopies):
     episodes: int
     ends: Mapping[str, int]  # goal, each label, dead_end, gave_up, unfinished
     goal_probability: Estimate
-    conditional_cost: Estimate  # mean total cost of the episodes that reached the goal
+    conditional_cost: Estimate  # mean total cost of the episodes that reached the goal in time
     expected_cost: Estimate  # mean cost until the end, failing charged as the problem says
     success_costs: FloatArray  # [successes] total costs of the episodes that reached the goal
     mean_steps: float
+    max_steps: int  # after which an episode counted as unfinished
     paths: tuple[World, ...]  # worlds of the first recorded episodes, [steps + 1, ...] each
+
+    @property
+    def note(self) -> str:
+        """Where ``max_steps`` cut episodes off: that the costs are of what was played; else ""."""
+        cut = self.ends["unfinished"]
+        if not cut:
+            return ""
+        return f"costs are cut: {cut:,} episodes were unfinished after {self.max_steps:,} steps"
 
     @property
     def failure_probability(self) -> Estimate:
@@ -136,9 +150,10 @@ class SimulationReport(ReadOnlyCopies):
     def __repr__(self) -> str:
         """One line: how the episodes ended, and the costs with their intervals."""
         ends = ", ".join(f"{name} {count:,}" for name, count in self.ends.items() if count)
+        cut = f"; {self.note}" if self.note else ""
         return (
             f"SimulationReport({self.episodes:,} episodes: {ends}; goal {self.goal_probability}, "
-            f"cost given success {self.conditional_cost}, cost {self.expected_cost})"
+            f"cost given success {self.conditional_cost}, cost {self.expected_cost}{cut})"
         )
 
 
@@ -159,6 +174,11 @@ def simulate(
 
     An episode ends at a goal, in a dead-end, when the policy gives up, or unfinished after
     ``max_steps``. A mixed policy draws one member for each episode.
+
+    Intervals of probabilities are Clopper and Pearson's, those of mean costs empirical Bernstein
+    ones (``mean_estimate``), which hold for rare dear events too: they are as wide as the dearest
+    episode of ``max_steps`` steps asks for, in a world of one's own at the model's costs. Where
+    episodes are unfinished costs are those of what was played, as the report's ``note`` says.
 
     Args:
         policy: the policy, on the problem's model.
@@ -186,7 +206,7 @@ def simulate(
     source, limits = generator_of(rng), (max_steps, record)
     with progress_shown(verbose):
         played = _simulate_episodes(played_by, asked, simulator, episodes, source, *limits)
-        report = _simulation_report(asked, played, float(confidence))
+        report = _simulation_report(asked, played, float(confidence), max_steps)
         _LOG.info("%r", report)
     return report
 
@@ -194,7 +214,7 @@ def simulate(
 def _check_simulation(episodes: int, max_steps: int, record: int, confidence: float) -> None:
     """Raise :class:`ModelError` for numbers that are none, or out of range."""
     check_between_0_and_1("confidence", confidence, as_percentage(confidence))
-    check_whole("episodes", episodes)
+    check_whole("episodes", episodes, most=MOST_EPISODES)
     check_whole("max_steps", max_steps)
     check_whole("record", record, 0)
 
@@ -280,20 +300,24 @@ def _simulated_charges(problem: Problem, state: IntArray, gave_up: BoolArray) ->
     return np.where(gave_up, giving_up, entering)
 
 
-def _simulation_report(problem: Problem, played: _Played, confidence: float) -> SimulationReport:
+def _simulation_report(
+    problem: Problem, played: _Played, confidence: float, max_steps: int
+) -> SimulationReport:
     """The report of the episodes that a simulation played."""
     names = ["goal", *problem.model.state_labels, "dead_end"]
     ends = {name: int((played.mark == i).sum()) for i, name in enumerate(names)}
     ends["gave_up"] = int((played.mark == _GAVE_UP).sum())
     ends["unfinished"] = int((played.mark == _UNFINISHED).sum())
-    reached = played.mark == 0
+    reached, most = played.mark == 0, greatest_total(problem.model, max_steps)
+    charged = most + float(problem.model.costs.max(initial=0.0))  # failing costs a step at most
     return SimulationReport(
         episodes=len(played.mark),
         ends=ByName(ends),
         goal_probability=proportion_estimate(int(reached.sum()), len(played.mark), confidence),
-        conditional_cost=mean_estimate(played.cost[reached], confidence),
-        expected_cost=mean_estimate(played.cost + played.charge, confidence),
+        conditional_cost=mean_estimate(played.cost[reached], confidence, most),
+        expected_cost=mean_estimate(played.cost + played.charge, confidence, charged),
         success_costs=read_only(played.cost[reached]),
         mean_steps=float(played.steps.mean()),
+        max_steps=max_steps,
         paths=played.paths,
     )

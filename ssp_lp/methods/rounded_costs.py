@@ -17,7 +17,7 @@ from time import perf_counter
 
 import numpy as np
 
-from ssp_lp.analysis.total_cost.cost_law import success_costs
+from ssp_lp.analysis.total_cost.cost_law import costs_as_counted
 from ssp_lp.arrays import SAME_TOTAL, read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.failure_row import relative_gap
@@ -181,7 +181,7 @@ def _near_on_rounded_costs(problem: Problem, best: Solution) -> Near | None:
     """Where a risk's search may begin, from the policy of coarser costs."""
     match problem.semantics.measure:
         case CostQuantileOf(level) | TailMeanOf(level):
-            quantile = success_costs(best.policy, problem).quantile(level)
+            quantile = costs_as_counted(best.policy, problem).quantile(level)
             price = best.failure_price
             return Near(quantile, 0.0 if price is None else price + best.objective)
     return None
@@ -253,7 +253,7 @@ def _concluded_on_rounded(
     measure = problem.semantics.measure
     if measure is not None and measure.charge.settled is None and not is_late():
         try:
-            attained = measure.of(success_costs(best.policy, problem))  # beyond its table, too
+            attained = measure.of(costs_as_counted(best.policy, problem))  # beyond its table, too
         except STOPS as stop:
             heed(stop)
     told = best.note

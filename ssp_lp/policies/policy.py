@@ -34,6 +34,9 @@ UNDECIDED: Final = -2
 """Stands in arrays of pairs for states in which a policy never has to act."""
 
 
+MOST_EPISODES: Final = 100_000_000
+"""Played side by side: some ten gigabytes."""
+
 World = Literal["model", "other"]
 """Where episodes are played: in the policy's model, or in another world that it stands for."""
 
@@ -113,7 +116,7 @@ class Playable(ReadOnlyCopies, ABC):
         """
         from ssp_lp.policies.episodes import EpisodeBatch
 
-        check_whole("episodes", episodes)
+        check_whole("episodes", episodes, most=MOST_EPISODES)
         drawn = None if rng is None else generator_of(rng)
         return EpisodeBatch(*self.draw(episodes, drawn), drawn, world)
 

@@ -31,6 +31,8 @@ def chain_of_law(
 ) -> Chain:
     """A chain with the law of a policy's total cost: its own, or a smaller one where that is large.
 
+    The smaller one of a policy that rounds costs up has the law of the rounded costs.
+
     Args:
         model: the model.
         policy: on the model.
@@ -43,7 +45,7 @@ def chain_of_law(
     layers = policy.layers()
     if (
         layers is None
-        or (layers.count * model.n_states < least_nodes and not layers.rounds_up)
+        or layers.count * model.n_states < least_nodes
         or not _is_exact_law(model, layers)
     ):
         return policy_chain(model, policy, start)

@@ -17,7 +17,9 @@ from ssp_lp.analysis.total_cost.followed_sums import Followed, Sweep, cost_of
 from ssp_lp.analysis.total_cost.live_chain import ChainProspect, LiveChain
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError, in_short, wrong_argument
+from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
+from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
@@ -56,18 +58,49 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
     lottery, problem = on_one_model(policy, problem, "success_costs")
     start = start_distribution(problem.model, problem.start)
     used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
-    chains = [chain_of_law(problem.model, p, start) for p, _ in used]
-    return law_of_chains(chains, np.array([w for _, w in used]))
+    paid = [chain_of_law(problem.model, p, start) for p, _ in used]
+    counted = [
+        chain_as_counted(problem.model, p, start, chain)
+        for (p, _), chain in zip(used, paid, strict=True)
+    ]
+    return law_of_chains(paid, np.array([w for _, w in used]), () if counted == paid else counted)
 
 
-def law_of_chains(chains: Sequence[Chain], weights: FloatArray) -> CostLaw:
+def costs_as_counted(policy: MixedPolicy, problem: Problem) -> CostLaw:
+    """The law of :func:`success_costs` with costs as the members count them, maybe rounded up."""
+    start = start_distribution(problem.model, problem.start)
+    chains = [chain_as_counted(problem.model, member, start) for member in policy.policies]
+    return law_of_chains(chains, policy.weights)
+
+
+def chain_as_counted(
+    model: SSP, policy: Policy, start: FloatArray, chain: Chain | None = None
+) -> Chain:
+    """A chain with the law of a policy's costs as it counts them: rounded up where it does so.
+
+    Args:
+        model: the model.
+        policy: on the model.
+        start: distribution over states, [states].
+        chain: of the policy, where it is at hand.
+    """
+    if isinstance(policy, CostAwarePolicy) and policy.rounds_up:
+        return chain_of_law(model, policy, start, least_nodes=0)
+    return chain or chain_of_law(model, policy, start)
+
+
+def law_of_chains(
+    chains: Sequence[Chain], weights: FloatArray, rounded: Sequence[Chain] = ()
+) -> CostLaw:
     """The law of a lottery from its members' chains.
 
     Args:
         chains: of the members.
         weights: of the members, > 0, [members].
+        rounded: the same with costs as the members count them; none: as they are paid.
     """
-    return CostLaw(tuple(ChainProspect.of(chain) for chain in chains), weights)
+    own, up = (tuple(ChainProspect.of(chain) for chain in some) for some in (chains, rounded))
+    return CostLaw(own, weights, up)
 
 
 class Atoms(NamedTuple):
@@ -85,13 +118,14 @@ class CostLaw:
     :meth:`exponential` are linear solves on the policy's chain. The rest follows the chain through
     layers of the costs' common unit, or through the sums that occur, as far as a question needs;
     how far it has come is kept within the law for the next question, and changes no answer. Where
-    a question needs too many sums every cost is rounded up by less than a two-thousandth of the
-    mean, so that no total, quantile, excess or late arrival is understated and no utility
-    overstated.
+    a question needs too many sums every cost is rounded up, by less than a two-thousandth of the
+    mean or to finer layers of a policy that does so itself, so that no total, quantile, excess or
+    late arrival is understated and no utility overstated.
     """
 
     _prospects: tuple[ChainProspect, ...]  # of the members of the lottery
     _weights: FloatArray  # [members]
+    _rounded: tuple[ChainProspect, ...] = ()  # of costs as the members round them up, if they do
 
     @cached_property
     def goal(self) -> float:
@@ -285,7 +319,9 @@ class CostLaw:
     @cached_property
     def _followed(self) -> Followed:
         exact = self._prospects[0].chain.model.exact_costs
-        return Followed(LiveChain.of(self._prospects, self._weights), exact, self.conditional_mean)
+        live = LiveChain.of(self._prospects, self._weights)
+        rounded = LiveChain.of(self._rounded, self._weights) if self._rounded else None
+        return Followed(live, exact, self.conditional_mean, rounded)
 
     def __repr__(self) -> str:
         """One line: the goal probability and the mean."""

@@ -26,6 +26,7 @@ from ssp_lp.processes.totals.lattice import common_unit, exact_cost
 
 _FIRST_STEPS = 8  # of the dearest kind
 _MOST_SUMS = 50_000  # followed one by one, some seconds
+_MOST_SUMS_BESIDE = 5_000  # where a policy has a unit of its own: its chain is the larger
 _MOST_KINDS = 64  # of steps by cost
 _FINE = 2_000  # units in the mean of costs that are rounded
 _MOST_UNITS = 20_000  # in the dearest step
@@ -46,9 +47,9 @@ class FollowedSums:
 
     leaps = False
 
-    def __init__(self, live: LiveChain, exact_costs: Mapping[float, Fraction]) -> None:
-        """Begin at total cost 0, nothing settled."""
-        self.settled, self._followed = 0, 0
+    def __init__(self, live: LiveChain, exact_costs: Mapping[float, Fraction], most: int) -> None:
+        """Begin at total cost 0, nothing settled, to follow at most so many sums."""
+        self.settled, self._followed, self._most = 0, 0, most
         kinds, kind = np.unique(live.paid, return_inverse=True)
         self.unit = common_unit(kinds, exact_costs)
         exact = [exact_costs.get(c, exact_cost(c)) for c in kinds.tolist()]
@@ -120,10 +121,10 @@ class FollowedSums:
     def _are_few(self) -> bool:
         """Whether there is hope that the sums come to an end of what is asked."""
         if self._followed <= _EARLY:
-            return self._followed <= _MOST_SUMS and len(self._steps) <= _MOST_KINDS
+            return self._followed <= self._most and len(self._steps) <= _MOST_KINDS
         arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
         goal = float(self._live.start @ self._live.goal)
-        return self._followed <= _MOST_SUMS and arrived >= _SOME * goal
+        return self._followed <= self._most and arrived >= _SOME * goal
 
     @property
     def frontier(self) -> float:
@@ -192,12 +193,15 @@ class Followed:
     live: LiveChain
     exact_costs: Mapping[float, Fraction]  # float cost -> the fraction meant
     typical: float  # a total cost
+    rounded: LiveChain | None  # with costs rounded up to multiples of a unit worth counting in
 
     def asked(self, question: Callable[[Sweep], Answer]) -> Answer:
         """The answer to a question: exact, or of rounded costs where it needs too many sums."""
         try:
             return question(self._exact)
-        except _TooManySumsError:
+        except ModelError as error:
+            if self.rounded is None and not isinstance(error, _TooManySumsError):
+                raise
             return question(self._rounded)
 
     @cached_property
@@ -206,14 +210,20 @@ class Followed:
         try:
             return Arrivals(self.live, self.exact_costs)
         except ModelError:  # no common unit that is worth counting in
-            return FollowedSums(self.live, self.exact_costs)
+            most = _MOST_SUMS if self.rounded is None else _MOST_SUMS_BESIDE
+            return FollowedSums(self.live, self.exact_costs, most)
 
     @cached_property
     def _rounded(self) -> Arrivals:
-        """Every cost rounded up to a multiple of a small unit."""
+        """Every cost rounded up to a multiple of a small unit, the smaller of two."""
         most = max(min(_MOST_UNITS, _MOST_WAITING // len(self.live.start)), 1)
         least = float(self.live.paid.max(initial=0.0)) / most
-        return Arrivals(self.live, {}, Fraction(max(self.typical / _FINE, least)))
+        unit = Fraction(max(self.typical / _FINE, least))
+        if self.rounded is not None:
+            counted = Arrivals(self.rounded, self.exact_costs)
+            if counted.unit <= unit:
+                return counted
+        return Arrivals(self.live, {}, unit)
 
 
 def cost_of(sweep: Sweep, layer: int) -> float:

@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ssp_lp.analysis.estimate import Estimate, mean_estimate, proportion_estimate
+from ssp_lp.analysis.estimate import (
+    Estimate,
+    greatest_total,
+    mean_estimate,
+    proportion_estimate,
+)
 from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.io.gym.environment import name_of_environment, step_limit_of
@@ -24,7 +29,7 @@ from ssp_lp.io.gym.gym_episodes import (
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
-from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.policy import MOST_EPISODES, Policy
 from ssp_lp.policies.remembering import on_original
 
 if TYPE_CHECKING:
@@ -58,11 +63,12 @@ class RolloutReport(ReadOnlyCopies):
     def summary(self) -> str:
         """Two lines for a person."""
         failure, cost = self.failure_probability, self.conditional_cost
+        cut = ", cut where truncated" if self.truncated else ""
         ends = f"goal {self.goal:,}, failed {self.failed:,}, gave up {self.gave_up:,}"
         return (
             f"{self.episodes:,} episodes: {ends}, truncated {self.truncated:,}\n"
             f"  failure {failure.value:.4f} [{failure.low:.4f}, {failure.high:.4f}], cost given "
-            f"success {cost.value:.4f} [{cost.low:.4f}, {cost.high:.4f}]"
+            f"success {cost.value:.4f} [{cost.low:.4f}, {cost.high:.4f}]{cut}"
         )
 
 
@@ -103,7 +109,7 @@ def rollout(
             not know of, so that what is certified for it need not hold there.
     """
     check_between_0_and_1("confidence", confidence)
-    check_whole("episodes", episodes)
+    check_whole("episodes", episodes, most=MOST_EPISODES)
     check_whole("max_steps", MOST_STEPS if max_steps is None else max_steps)
     check_whole("seed", seed, 0)
     played, horizon = _on_environment(policy)
@@ -118,7 +124,7 @@ def rollout(
         played_out = _rollout_episodes(env, party, episodes)
     if party.cut_off and (horizon is None or limit is None or horizon > limit):
         _warn_of_rollout(env, limit, party.cut_off, episodes)
-    return _rollout_report(played_out, limit, confidence)
+    return _rollout_report(played_out, limit, confidence, greatest_total(played.model, most))
 
 
 def _on_environment(policy: Policy | MixedPolicy) -> tuple[MixedPolicy, int | None]:
@@ -163,7 +169,7 @@ def _warn_of_rollout(env: Any, limit: int | None, cut_off: int, episodes: int) -
 
 
 def _rollout_report(
-    played: list[GymEpisode], limit: int | None, confidence: float
+    played: list[GymEpisode], limit: int | None, confidence: float, most: float
 ) -> RolloutReport:
     """The report of a rollout's episodes."""
     count, episodes = Counter(one.end for one in played), len(played)
@@ -176,7 +182,7 @@ def _rollout_report(
         truncated=count["truncated"],
         goal_probability=proportion_estimate(count["goal"], episodes, confidence),
         failure_probability=proportion_estimate(episodes - count["goal"], episodes, confidence),
-        conditional_cost=mean_estimate(costs, confidence),
+        conditional_cost=mean_estimate(costs, confidence, most),
         success_costs=read_only(costs),
         mean_steps=float(np.mean([one.steps for one in played])),
         step_limit=limit,
