@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import pickle
+import subprocess
+import sys
 import time
-from typing import Any
+from contextlib import suppress
+from tempfile import TemporaryFile
+from typing import Any, BinaryIO
 
 import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import RESIDUAL
+from ssp_lp.compiled.deadline import Stop, check_time, is_late
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.linear_program import (
     LinearProgram,
@@ -18,6 +24,16 @@ from ssp_lp.linear_programming.linear_program import (
 from ssp_lp.options import BACKENDS
 
 _SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
+_LOOK = 0.05  # seconds between two looks at the time while a solver works
+_LARGE = 300_000  # entries of a program that takes a solver seconds, and another process a share
+_SERVED = """
+import os, pickle, sys
+told = os.fdopen(os.dup(1), "wb")
+os.dup2(2, 1)  # what a solver prints is no answer
+sys.path[:] = pickle.load(sys.stdin.buffer)
+from ssp_lp.linear_programming.backends import serve_backend
+serve_backend(sys.stdin.buffer, told)
+"""
 _REMEDY = "column generation needs no LP solver"
 
 
@@ -51,14 +67,18 @@ def first_accepted(
     Raises:
         ModelError: an unknown backend.
         SolverError: no answer passes.
+        Stop: the time ended before one did.
     """
     tried = []
     for name in backends_for(program, backend):
+        check_time()
         answer = run_backend(program, name, deadline - time.perf_counter())
         worst = max(program_residuals(program, answer))
         if worst <= RESIDUAL:
             return answer, worst
         tried.append(f"{name}: {answer.status}, residual {worst:.1e}, {answer.seconds:.1f} s")
+        if is_late():
+            raise Stop(told=f"no backend's answer passed its check by then: {tried[-1]}")
     failures = "; ".join(tried)
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
@@ -66,11 +86,62 @@ def first_accepted(
 def run_backend(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
     """One backend's answer, unchecked.
 
+    The call ends with the deadline of what it is part of, or with Ctrl-C, whatever the solver hears
+    of its own: a large program is solved in a process beside this one, which is ended then.
+
     Args:
         program: the program.
         backend: "highs-simplex", "highs-ipx", "clarabel" or "cvxpy".
-        time_limit: seconds.
+        time_limit: seconds, for the solver.
+
+    Raises:
+        SolverError: as of the backend.
+        Stop: the deadline has passed, with its grace.
     """
+    if program.matrix.nnz < _LARGE or not sys.executable:
+        return _backend_answer(program, backend, time_limit)
+    told: bytes | None = None
+    with TemporaryFile() as asked:
+        for part in (sys.path, (program, backend, time_limit)):
+            pickle.dump(part, asked)
+        asked.seek(0)
+        with subprocess.Popen(  # noqa: S603 (this very interpreter)
+            [sys.executable, "-c", _SERVED],
+            stdin=asked,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
+        ) as beside:
+            try:
+                while told is None:
+                    check_time()
+                    with suppress(subprocess.TimeoutExpired):
+                        told = beside.communicate(timeout=_LOOK)[0]
+            finally:
+                beside.kill()
+    if not told:
+        raise SolverError(f"{backend} ended with code {beside.returncode}; {_REMEDY}")
+    answer: LPAnswer | Exception = pickle.loads(told)  # noqa: S301 (of the process begun here)
+    if isinstance(answer, Exception):
+        raise answer
+    return answer
+
+
+def serve_backend(asked: BinaryIO, told: BinaryIO) -> None:
+    """Solve one program in a process of its own.
+
+    Args:
+        asked: the arguments of :func:`run_backend`, pickled.
+        told: where the answer is written, or what was raised.
+    """
+    try:
+        answer: LPAnswer | Exception = _backend_answer(*pickle.load(asked))  # noqa: S301
+    except Exception as error:  # it is raised where the answer is asked for
+        answer = error
+    pickle.dump(answer, told)
+
+
+def _backend_answer(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
+    """What a backend says."""
     if backend == "clarabel":  # each solver is imported only when it is asked for
         return solve_with_clarabel(program, time_limit)
     if backend == "cvxpy":
@@ -120,7 +191,7 @@ def solve_with_cvxpy(program: LinearProgram, time_limit: float) -> LPAnswer:
     """State the program row by row in cvxpy and solve it with cvxpy's default for LPs.
 
     Args:
-        time_limit: not passed on; solvers name it differently.
+        time_limit: not passed on; solvers name it differently. The call ends with it nonetheless.
 
     Raises:
         SolverError: cvxpy's solver failed.

@@ -37,21 +37,24 @@ _DEAREST = 1.0 - 1e-12  # of the least total: what its sums may have been rounde
 
 @dataclass(eq=False)
 class Incumbent:
-    """The best policy of case M. Mutable: it is there once it has been found."""
+    """The best policy of case M. Mutable: it is there once it has been found and judged."""
 
     stated: Problem
     deterministic: bool = False  # no lottery will do
+    policies: dict[bool, MixedPolicy | None] = field(default_factory=dict, init=False)
     solution: Solution | None = field(default=None, init=False)
 
-    def find(self) -> None:
+    def find(self) -> bool:
         """Find it, where it is of use and there is none yet, as far as the time allows."""
-        measured = self.stated.ratio or self.stated.semantics.measure is not None
-        if self.solution is not None or not measured:
-            return
+        if self.solution is not None or not self._is_of_use:
+            return self.solution is not None
         problem = unrolled(self.stated)
         for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
             try:
-                policy = _cheapest_policy(problem, at_least_failure=at_least_failure)
+                if at_least_failure not in self.policies:
+                    policy = _cheapest_policy(problem, at_least_failure=at_least_failure)
+                    self.policies[at_least_failure] = policy
+                policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
                     self.solution = _judged(problem, policy)
             except STOPS as stop:
@@ -59,20 +62,24 @@ class Incumbent:
             except SSPError:  # what the search itself will find, and name
                 pass
             if self.solution is not None:
-                return
+                break
+        return self.solution is not None
 
     def improving(self, other: Solution) -> Solution:
         """A search's solution that was cut short, with this one's policy or bound where better."""
-        mine = self.solution
-        if mine is None:
+        if not self._is_of_use:
             return other
-        if other.upper_bound is not None and mine.upper_bound is not None:
-            upper = min(mine.upper_bound, other.upper_bound)
-            best = max(mine, other, key=lambda solution: solution.objective)
-            return replace(best, upper_bound=max(upper, best.objective))
+        mine, bound = self.solution or other, worth_bound(unrolled(self.stated))
+        if other.upper_bound is not None:
+            best = max(other, mine, key=lambda solution: solution.objective)
+            return replace(best, upper_bound=max(min(other.upper_bound, bound), best.objective))
         best = min(other, mine, key=lambda solution: solution.objective)
-        lower = max(mine.lower_bound, other.lower_bound)
-        return replace(best, lower_bound=min(lower, best.objective))
+        return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
+
+    @property
+    def _is_of_use(self) -> bool:
+        """Whether totals are told apart."""
+        return self.stated.ratio or self.stated.semantics.measure is not None
 
 
 def _cheapest_policy(problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:

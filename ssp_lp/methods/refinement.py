@@ -13,9 +13,8 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, is_prepared
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import SolverError
 from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.options import SolveOptions
@@ -101,10 +100,6 @@ def refined_optimum(
     except STOPS as stop:
         heed(stop)
         return _safest_refined(compiled, row, stop)
-    except SolverError as error:  # a linear program that was cut short
-        if options.program is None or not is_late():
-            raise
-        return _safest_refined(compiled, row, error)
     while True:
         gaps.append(outcome.gap)
         if gaps[-1] <= options.tolerance:
@@ -152,6 +147,8 @@ def _safest_refined(
     Raises:
         Stop: there is no time for it either.
     """
+    if is_prepared():  # there is a better one already
+        raise Stop from stop
     try:
         with closing():
             least = checked_least_failure(compiled, row.budget)

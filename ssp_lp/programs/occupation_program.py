@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ssp_lp.arrays import BELOW_RATIO, BoolArray
+from ssp_lp.compiled.deadline import Stop, check_time, until
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import backends_for, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
@@ -147,7 +148,13 @@ class OccupationProgram:
         """
         tried, deadline, infeasible = [], time.perf_counter() + time_limit, False
         for name in backends_for(self.linear, backend):
-            answer = run_backend(self.linear, name, deadline - time.perf_counter())
+            try:
+                with until(deadline):
+                    check_time()
+                    answer = run_backend(self.linear, name, deadline - time.perf_counter())
+            except Stop:
+                tried.append(f"{name}: no answer within {time_limit:g} s")
+                break
             told = f"{name}: {answer.status}"
             refused = "infeasible" in answer.status.lower()
             infeasible = infeasible or refused

@@ -24,7 +24,7 @@ _LAST_LAYER = 2**62  # as good as infinitely many
 _MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
 _MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
 _WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
-_TOGETHER = 64  # layers settled between two looks at the time
+_TOGETHER = 1_000_000  # moves that may be followed between two looks at the time
 _MOSTLY = 0.5  # share of a chain's nodes from which all of its moves are followed
 _TINY = 5e-324  # the least mass there is
 _MOST_PLACES = 800  # of a dense matrix of one layer, of which some sixty powers are kept, 300 MB
@@ -113,8 +113,9 @@ class Arrivals:
         """
         while self.settled < layers:
             check_time()
-            if self._lists or (self._free is None and accelerated(self._onward.nnz * _TOGETHER)):
-                self._settle_together(min(layers - self.settled, _TOGETHER))
+            if self._lists or (self._free is None and accelerated(_TOGETHER)):
+                few = max(_TOGETHER // max(self._onward.nnz, 1), 1)
+                self._settle_together(min(layers - self.settled, few))
                 continue
             ahead = self._to_next()
             if ahead is None or self.settled + ahead >= layers:
