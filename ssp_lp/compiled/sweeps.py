@@ -5,25 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
+
+from ssp_lp.compiled.cores import one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
 
-@njit(cache=True)
-def count_inside(
-    indptr: Array, indices: Array, data: Array, states: Array, place: Array, counts: Array
-) -> None:
-    """For sweeps, entries of each member of a component that lead to other members, [members]."""
-    for i in range(states.size):
-        s, found = states[i], 0
-        for k in range(indptr[s], indptr[s + np.uint32(1)]):
-            if place[indices[k]] >= 0 and indices[k] != s and data[k] > 0.0:
-                found += 1
-        counts[i] = found
-
-
-@njit(cache=True)
+@one_or_all_cores
 def gather_inside(
     indptr: Array, indices: Array, data: Array, exits: Array, states: Array, place: Array,
     own_indptr: Array, own_indices: Array, own_data: Array, departs: Array, leaving: Array,
@@ -37,13 +26,13 @@ def gather_inside(
         exits: [states].
         states: the members, in the order in which they are swept.
         place: position of each state among them, -1 elsewhere, [states].
-        own_indptr: [members + 1].
-        own_indices: written, positions, [own entries].
-        own_data: written, divided by the probability of departing, [own entries].
+        own_indptr: the length of each member's row, [members + 1].
+        own_indices: written, positions, its own one where a move leads elsewhere, [own entries].
+        own_data: written, divided by the probability of departing, 0 there, [own entries].
         departs: written: the probability of departing, [members].
         leaving: written: the probability of leaving the component, [members].
     """
-    for i in range(states.size):
+    for i in prange(states.size):
         s, at = states[i], np.int64(own_indptr[i])
         leaves, stays = exits[s], 0.0
         for k in range(indptr[s], indptr[s + np.uint32(1)]):
@@ -59,15 +48,17 @@ def gather_inside(
         departs[i], leaving[i] = leaves + stays, leaves
         for k in range(np.int64(own_indptr[i]), at):
             own_data[k] /= departs[i]
+        for k in range(at, np.int64(own_indptr[i + 1])):
+            own_indices[k], own_data[k] = place[s], 0.0
 
 
-@njit(cache=True)
+@one_or_all_cores
 def from_beyond(
     indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
     rewards: Array, x: Array, right: Array,
 ) -> None:  # fmt: skip
     """For sweeps, rewards of the members with what they lead to outside, [members, rewards]."""
-    for i in range(states.size):
+    for i in prange(states.size):
         s = states[i]
         for j in range(rewards.shape[1]):
             right[i, j] = rewards[s, j]

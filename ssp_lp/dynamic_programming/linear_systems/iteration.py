@@ -71,7 +71,8 @@ class Iteration:
         """
         if self._swept(right, y, accuracy):
             return True
-        poor = np.abs(right + self.own @ y - y).max(axis=0) > np.abs(right).max(axis=0)
+        missed = right + self.own @ y - y
+        poor = np.greater(*(np.abs(x.T, order="C").max(axis=1) for x in (missed, right)))
         if poor.any():  # the guess misses by more than 0 does
             y[:, poor] = 0.0
             if self._swept(right, y, accuracy):

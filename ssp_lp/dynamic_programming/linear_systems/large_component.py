@@ -117,17 +117,15 @@ class LargeComponent:
             departs = leaving + np.bincount(row, weights=data, minlength=size)
             own = sp.csr_array((data / departs[row], (row, column)), shape=(size, size))
             return own, departs, leaving
-        from ssp_lp.compiled import sweeps as compiled
+        from ssp_lp.compiled.sweeps import gather_inside
 
-        arrays, members = self._arrays, unsigned(states)
-        counts = np.empty(size, dtype=np.int64)
-        compiled.count_inside(*arrays, members, self._place, counts)
-        indptr = offsets_of(counts).astype(np.int32)
+        members, begin = unsigned(states), self._chain.indptr
+        indptr = offsets_of(np.diff(begin)[states]).astype(np.int32)
         indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
         departs, leaving = np.empty(size), np.empty(size)
         for some in pieces(size, len(indices)):
-            compiled.gather_inside(
-                *arrays, exits, members[some], self._place,
+            gather_inside(len(indices))(
+                *self._arrays, exits, members[some], self._place,
                 unsigned(indptr)[some.start : some.stop + 1], unsigned(indices), data,
                 departs[some], leaving[some],
             )  # fmt: skip
@@ -147,8 +145,8 @@ class LargeComponent:
         from ssp_lp.compiled.sweeps import from_beyond
 
         right = np.empty((len(self._states), rewards.shape[1]))
-        states = unsigned(self._states)
-        from_beyond(*self._arrays, states, self._place, self._departs, rewards, x, right)
+        run, states = from_beyond(self._own.nnz), unsigned(self._states)
+        run(*self._arrays, states, self._place, self._departs, rewards, x, right)
         return right
 
     def _direct_solver(self) -> Solver:
