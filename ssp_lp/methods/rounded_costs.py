@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from time import perf_counter
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from ssp_lp.analysis.total_cost.cost_law import costs_as_counted
 from ssp_lp.arrays import SAME_TOTAL, read_only
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.failure_row import relative_gap
-from ssp_lp.compiled.deadline import STOPS, Stop, heed, is_late
+from ssp_lp.compiled.deadline import STOPS, heed, is_late
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.methods.one_row import solve_for_worth
 from ssp_lp.methods.risk.least_risk import least_risk
@@ -94,12 +93,8 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
     """
     best: Solution | None = None
     sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
-    bound, span, began = _no_worse(problem), span_of_totals(problem), perf_counter()
+    bound, span = _no_worse(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
-        spent, began = perf_counter() - began, perf_counter()
-        if best is not None and options.deadline - began < spent:
-            heed(Stop())
-            break
         rough = float(unit) / span if best is None else _SHARE * _rounded_gap(best.objective, bound)
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
@@ -258,7 +253,10 @@ def _concluded_on_rounded(
             heed(stop)
     told = best.note
     if _rounded_gap(attained, bound) > options.tolerance and not is_late():
-        told = f"costs are rounded to multiples of {float(unit):g}: more levels leave a smaller gap"
+        more = "no room for more levels"
+        if getattr(problem, "cost_levels", None) is not None:
+            more = "more levels leave a smaller gap"
+        told = f"costs are rounded to multiples of {float(unit):g}: {more}"
     return replace(
         best,
         problem=problem,

@@ -8,7 +8,6 @@ from fractions import Fraction
 import numpy as np
 
 from ssp_lp.arrays import SAME_TOTAL
-from ssp_lp.compiled.deadline import is_limited
 from ssp_lp.problem import Problem, compiled_constrained
 from ssp_lp.processes.layered.measures_of_law import WithinBound
 
@@ -16,7 +15,7 @@ _FIRST = 128  # units in the totals that matter, at first
 _FINER = 4.0  # times as many next
 _QUICK = 1e8  # units times outcomes that a sweep soon passes over
 _MOST = 8_192  # unless more are asked for
-_ROOM = 6_000_000  # states times units, if there is a time limit that ends it before
+_ROOM = 6_000_000  # states times units
 _FINEST = 65_536  # in any case
 _ROOM_FOR_DIGITS = 1.1  # by which a number of two digits may lie above another
 _WORTH_WHILE = 1.5  # times as many units: no reason to search again for fewer
@@ -37,8 +36,7 @@ def rounding_units(
     """
     asked: int | None = None if finest else getattr(problem, "cost_levels", None)
     room = min(max(_MOST, _ROOM // problem.model.n_states), _FINEST)
-    ends = finest or is_limited()
-    most = asked or (room if ends else _MOST)
+    most = asked or room
     least = _ROOM_FOR_DIGITS * span / cheapest
     is_quick = least * problem.model.n_outcomes <= _QUICK
     many = float(min(max(_FIRST, least if is_quick else 0.0), most))

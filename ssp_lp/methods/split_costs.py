@@ -282,7 +282,9 @@ def _concluded_on_split(problem: Problem, best: _Split, options: SolveOptions) -
     note = best.note
     if best.gap > options.tolerance and not is_late() and not note:
         levels = f"{best.layers:,} levels up to {best.end:.6g}"
-        note = f"totals are rounded to {levels}: more of them leave a smaller gap"
+        is_asked = getattr(problem, "cost_levels", None) is not None
+        more = "more of them leave a smaller gap" if is_asked else "no room for more of them"
+        note = f"totals are rounded to {levels}: {more}"
     price = max(best.price - best.value, 0.0)
     reason = f"costs split between {best.layers:,} layers, {best.calls} pricing calls"
     run = Run(options.method, reason, best.calls, 0.0, best.work)

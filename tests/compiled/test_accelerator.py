@@ -178,8 +178,7 @@ def test_rows_are_filled_within_their_arrays() -> None:
 
 
 @pytest.mark.parametrize("costs", [(1.0, 0.0), (1.0, 2.0**0.5), (2.0**0.5, 0.0, 1.0)])
-@pytest.mark.parametrize("budget", [0.3, 0.6])
-@pytest.mark.parametrize("back", [1.0, 0.0])
+@pytest.mark.parametrize(("budget", "back"), [(0.3, 1.0), (0.6, 1.0), (0.6, 0.0)])
 def test_all_layers_in_one_pass_are_as_layer_by_layer(
     accelerate: Switch,
     monkeypatch: pytest.MonkeyPatch,
