@@ -140,7 +140,7 @@ def segment_ids(offsets: IntArray) -> npt.NDArray[np.int32]:
 def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
     """Sum ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty segments give 0."""
     result = np.zeros(len(offsets) - 1)
-    filled = np.flatnonzero(np.diff(offsets) > 0)
+    filled = (offsets[1:] > offsets[:-1]).nonzero()[0]
     if filled.size:
         result[filled] = np.add.reduceat(values, np.asarray(offsets)[filled])
     return result
@@ -149,7 +149,7 @@ def segment_sums(values: FloatArray, offsets: IntArray) -> FloatArray:
 def segment_minima(values: FloatArray, offsets: IntArray) -> FloatArray:
     """Minimum of ``values`` over the segments ``offsets[k] : offsets[k + 1]``; empty: infinity."""
     result = np.full(len(offsets) - 1, np.inf)
-    filled = np.flatnonzero(np.diff(offsets) > 0)
+    filled = (offsets[1:] > offsets[:-1]).nonzero()[0]
     if filled.size:
         result[filled] = np.minimum.reduceat(values, np.asarray(offsets)[filled])
     return result

@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cache, cached_property
 from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
@@ -129,6 +129,17 @@ _NUMBER_OR_NONE = ("float | None", float | None)
 """Annotations of fields that hold numbers, which are floats once a problem is stated."""
 
 
+@cache
+def _number_fields(criterion: type[Formulation]) -> tuple[tuple[str, bool], ...]:
+    """The fields of a criterion that are numbers, and whether they may not be None."""
+    parts = fields(criterion)
+    return tuple(
+        (part.name, part.type in _NUMBER)
+        for part in parts
+        if part.type in _NUMBER + _NUMBER_OR_NONE
+    )
+
+
 class _Inherited(ReadOnlyCopies):
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
@@ -204,11 +215,11 @@ class Formulation(_Inherited):
                 constraint that is stated wrongly.
         """
         given = vars(self)
-        for part in fields(self):
-            if part.type in _NUMBER and not is_number(given[part.name]):
-                raise wrong_argument(part.name, "be a number", given[part.name])
-            if part.type in _NUMBER + _NUMBER_OR_NONE and part.name in given:
-                object.__setattr__(self, part.name, as_float(given[part.name]))
+        for name, is_needed in _number_fields(type(self)):  # type: ignore[arg-type]
+            if is_needed and not is_number(given[name]):
+                raise wrong_argument(name, "be a number", given[name])
+            if name in given:
+                object.__setattr__(self, name, as_float(given[name]))
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
         budget = given.get("_stated_budget", budget)

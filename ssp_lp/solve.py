@@ -152,12 +152,13 @@ def _solved_by_driver(problem: Problem, method: Method, options: SolveOptions) -
     measure = problem.semantics.measure
     if isinstance(method, Game):
         return solve_by_game(problem, options)
-    if by_rows(problem) and measure is not None and not has_rows(problem) and not options.program:
+    on_rows = by_rows(problem)
+    if on_rows and measure is not None and not has_rows(problem) and not options.program:
         return solve_on_rounded_costs(problem, options)
     left = options.deadline - time.perf_counter()
     if not options.program and (span := span_to_split(problem, left)) is not None:
         return solve_on_split_costs(problem, span, options)
-    if by_rows(problem) and (measure is None or measure.maximised):
+    if on_rows and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
     if measure is not None and measure.maximised:
         return solve_for_worth(problem, problem.compile(), options)

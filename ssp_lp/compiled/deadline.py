@@ -61,6 +61,7 @@ class Deadline:
     was_met: bool = False  # whether some loop ended because of it
     prepare: Callable[[], bool] | None = None  # finds an answer where none is in hand soon
     is_prepared: bool = False  # whether it did
+    due: float = 0.0  # when a look at it is due: an answer is to be prepared, or it is past
     _before: Token[Deadline | None] | None = None
 
     def __enter__(self) -> Deadline:
@@ -89,10 +90,9 @@ class Deadline:
         Raises:
             Stop: the deadline has passed, with its grace, or Ctrl-C came.
         """
-        if self.prepare is not None:
-            soon = min(_PREPARED, _PREPARED_SHARE * (self.at - self.began))
-            if time.perf_counter() - self.began > soon:
-                self.has_an_answer()
+        if time.perf_counter() > self.due:
+            self.has_an_answer()
+            self.due = self.at + self.grace
         if self.is_past(self.grace):
             raise Stop
 
@@ -126,7 +126,10 @@ def until(
             on for a moment without one, with a share of the time that is left.
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
-    return Deadline(at, grace, time.perf_counter(), closes=at + more, prepare=prepare)
+    now = time.perf_counter()
+    soon = min(_PREPARED, _PREPARED_SHARE * (at - now))
+    due = at + grace if prepare is None else now + soon
+    return Deadline(at, grace, now, closes=at + more, prepare=prepare, due=due)
 
 
 @contextmanager
@@ -158,11 +161,7 @@ def check_time() -> None:
         Stop: the deadline has passed, with its grace, or Ctrl-C came.
     """
     deadline = _running.get()
-    if deadline is not None and (  # asked so often that a call is too much
-        deadline.is_interrupted
-        or deadline.prepare is not None
-        or time.perf_counter() > deadline.at + deadline.grace
-    ):
+    if deadline is not None and (deadline.is_interrupted or time.perf_counter() > deadline.due):
         deadline.look()
 
 

@@ -89,7 +89,7 @@ def extreme_reach(
     if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # so small that the other cannot tell
         choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
         settled = run(choice, precise=enough)
-    asked = np.flatnonzero(np.ones(dynamics.n_states) if start is None else start)
+    asked = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
     missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
     bounded = partial(dual_bound, dynamics, other, start=start, least_loss=_PROVED)
     least = bounded(missed, choice=settled.choice).values
@@ -190,7 +190,7 @@ def attaining_pairs(found: ExtremeReach) -> BoolArray:
             tied &= chosen | (lost <= np.maximum(slack / _STEPS, found.floor * high[home]))
         return tied
     while (tied & ~chosen & (ahead < 0.0)).any():
-        kept = np.flatnonzero(tied)
+        kept = tied.nonzero()[0]
         place = np.full(len(tied), -1, dtype=np.int32)
         place[kept] = np.arange(kept.size)
         among = dynamics.restricted(kept)

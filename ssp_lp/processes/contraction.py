@@ -75,7 +75,7 @@ class Contraction:
 def _nearest_first(process: ExplicitProcess, choice: IntArray) -> IntArray:
     """States of a contraction by their distance from leaving under a policy, [states]."""
     n = process.n_states
-    leaks = np.flatnonzero((process.goal + process.failure)[choice] > 0)
+    leaks = ((process.goal + process.failure)[choice] > 0).nonzero()[0]
     entry = sp.csr_array(process.transitions[choice]).tocoo()
     possible = entry.data > 0
     source = np.concatenate([entry.row[possible], leaks])
@@ -127,7 +127,7 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     if not inside.any():
         return None
     _, node_of = np.unique(component, return_inverse=True)
-    kept = np.flatnonzero(~inside)
+    kept = (~inside).nonzero()[0]
     kept = kept[np.argsort(node_of[process.pair_state[kept]], kind="stable")]
     n_states, n_nodes = process.n_states, int(node_of.max()) + 1
     members = sp.csr_array(

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, unsigned
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, csr_of, unsigned
 from ssp_lp.dynamic_programming.bellman import PairCost
 from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
 from ssp_lp.dynamic_programming.shared_rows import SparseRows, written_out
@@ -109,7 +109,11 @@ class AccumulatedCost:
     @property
     def steps(self) -> sp.csr_array:
         """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
-        return sp.csr_array(sp.hstack([self.instant, written_out(self.later)]))
+        later, n = written_out(self.later), self.n_nodes
+        if len(self.instant.indices):
+            return sp.csr_array(sp.hstack([self.instant, later]))
+        columns = later.indices + np.asarray(n, dtype=later.indices.dtype)
+        return csr_of(later.data, columns, later.indptr, (later.shape[0], n + later.shape[1]))
 
     @cached_property
     def steps_by_kind(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
@@ -238,7 +242,9 @@ def _steps_by_cost(
     if lattice.least > 0:  # no step stays in its layer
         ahead = None if width == 2 else lattice.ahead - 1
         rows = replace(rows, ahead=ahead, width=width - 1)
-        return sp.csr_array((len(rows.pair_at), n)), shared_live_rows(rows, survival)
+        none, indptr = np.zeros(0, dtype=np.int32), np.zeros(len(rows.pair_at) + 1, dtype=np.int32)
+        instant = csr_of(np.zeros(0), none, indptr, (len(rows.pair_at), n))
+        return instant, shared_live_rows(rows, survival)
     rows = replace(rows, ahead=lattice.ahead, width=width)
     steps = live_rows(rows, survival).matrix
     return sp.csr_array(steps[:, :n]), sp.csr_array(steps[:, n:])
@@ -280,7 +286,7 @@ class ArrivalCharges:
     def arriving(self) -> IntArray:
         """Pairs by which the goal can be reached, [arriving]."""
         arrivals = self.base.arrivals
-        return np.flatnonzero(self.base.gain if arrivals is None else np.diff(arrivals.indptr))
+        return (self.base.gain if arrivals is None else np.diff(arrivals.indptr)).nonzero()[0]
 
     def of_arriving(self, some: slice) -> FloatArray:
         """Expected charge of arriving by the pairs that may, from some layers, [some, arriving]."""
@@ -289,13 +295,16 @@ class ArrivalCharges:
             return (
                 base.gain_cost[self.arriving] + self.totals[some, None] * base.gain[self.arriving]
             )
-        kinds = np.unique(arrivals.indices)
+        kinds, place = np.unique(arrivals.indices, return_inverse=True)
         if base.last_steps is not None:
             charged = self.charge.at(self.totals[some, None] + base.last_steps[kinds])
         else:
             ahead = np.arange(some.start, some.stop)[:, None] + kinds
             charged = self.charge.at(totals_of(ahead, base.exact_unit))
-        return np.ascontiguousarray((arrivals[self.arriving][:, kinds] @ charged.T).T)
+        bounds = np.append(arrivals.indptr[self.arriving], len(place)).astype(np.int64)
+        shape = len(self.arriving), len(kinds)  # other rows have no entries
+        rows = csr_of(arrivals.data, place.astype(np.int64), bounds, shape)
+        return np.ascontiguousarray((rows @ charged.T).T)
 
     @property
     def at_start(self) -> float:

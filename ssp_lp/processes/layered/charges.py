@@ -54,11 +54,11 @@ class TailValues:
     ) -> TailValues:
         """Several policies' values to be charged, one row each, seen by some other index."""
         return cls(
-            np.stack([seen(p.goal) for p in policies]),
-            np.stack([seen(p.failure) for p in policies]),
-            np.stack([seen(p.early) for p in policies]),
-            np.stack([seen(p.cost) for p in policies]),
-            np.stack([seen(p.moment) for p in policies]),
+            np.array([seen(p.goal) for p in policies]),
+            np.array([seen(p.failure) for p in policies]),
+            np.array([seen(p.early) for p in policies]),
+            np.array([seen(p.cost) for p in policies]),
+            np.array([seen(p.moment) for p in policies]),
         )
 
     def row(self, number: int) -> TailValues:
