@@ -176,15 +176,18 @@ class Quotient:
         place = self.pair_at - offsets[model.pair_state[np.maximum(self.pair_at, 0)]]
         place = np.where(self.pair_at < 0, self.pair_at, place).astype(found.dtype)
         live, several = (self.node_of >= 0).nonzero()[0], max(_TOGETHER // max(len(offsets), 1), 1)
-        nodes, own, routes = self.node_of[live], self.pair_offsets[:-1], {}
+        nodes, own = self.node_of[live], self.pair_offsets[:-1]
+        table = place[None, :0]
         if self.merged.any():  # its members' ways depend on the pair of the node alone: each once
-            for kth in range(int(np.diff(self.pair_offsets).max(initial=0))):
-                pairs = self.pull_back(np.minimum(own + kth, self.pair_offsets[1:] - 1))[live]
-                routes[kth] = np.where(pairs < 0, pairs, pairs - offsets[live])
-        table = np.array(list(routes.values()), dtype=found.dtype).reshape(-1, len(live))
+            most = int(np.diff(self.pair_offsets).max())
+            last = self.pair_offsets[1:] - 1
+            pairs = np.stack([self.pull_back(np.minimum(own + k, last)) for k in range(most)])
+            table = np.where(pairs < 0, pairs, pairs - offsets)[:, live].astype(found.dtype)
         for begin in range(0, len(choice), several):
             pairs = (first + choice[begin : begin + several])[:, nodes]
-            ways = table[pairs - own[nodes], np.arange(len(live))] if routes else place[pairs]
+            ways = place[pairs]
+            if table.size:
+                ways = table[pairs - own[nodes], np.arange(len(live))]
             found[begin : begin + several, live] = ways
         return found
 
