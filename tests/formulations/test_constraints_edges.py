@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from formulations import (
+    GUBS,
     MCMP,
     S3P,
     CostBoundedReach,
@@ -38,6 +39,7 @@ from ssp_lp import (
     solve,
     visits,
 )
+from tests.support.compiled import Switch
 
 
 def alone(policy) -> MixedPolicy:
@@ -293,18 +295,28 @@ def test_to_pay_for_ever_is_no_way_to_fail_where_that_is_limited() -> None:
             evaluate(DeterministicPolicy.from_actions(TANK, {"x": GIVE_UP}), problem)
 
 
+@pytest.mark.parametrize("fast", [False, True])
+@pytest.mark.parametrize("limits", [{}, {"c": expected_cost() <= 3.0}])
 @pytest.mark.parametrize("horizon", [None, 3])
-def test_a_start_where_nothing_is_left_to_decide(horizon: int | None) -> None:
-    start, limits = {"g": 0.5, "d": 0.5}, {"c": expected_cost() <= 3.0}
-    model = model_of({"x": {"go": [(1.0, "g", 1.0)]}, "d": {}})
+def test_a_start_where_nothing_is_left_to_decide(
+    horizon: int | None, limits: dict, fast: bool, accelerate: Switch
+) -> None:
+    """By compiled loops and by numpy; within a horizon no state is left that one may act in."""
+    accelerate(fast)
+    start = {"g": 0.5, "d": 0.5}
     beside = {"constraints": limits, "horizon": horizon}
-    for problem, value in (
-        (S3P(model, start, 0.6, **beside), 0.0),
-        (CostBoundedReach(model, start, 2, **beside), 0.5),
-    ):
-        solution = solve(problem)
-        assert solution.objective == value
-        assert (certify(solution).accepted, certify(solution).gap) == (True, 0.0)
+    for cost in (1.0, 2.0**0.5):
+        model = model_of({"x": {"go": [(1.0, "g", cost)]}, "d": {}})
+        for problem, value in (
+            (S3P(model, start, 0.6, **beside), 0.0),
+            (CostBoundedReach(model, start, 2, **beside), 0.5),
+            (CVaR(model, start, 0.5, 0.6, **beside), 0.0),
+            (CostQuantile(model, start, 0.5, 0.6, **beside), 0.0),
+            (GUBS(model, start, lambda total: 1.0 / (1.0 + total), 0.5, **beside), 0.75),
+        ):
+            solution = solve(problem)
+            assert solution.objective == value
+            assert (certify(solution).accepted, certify(solution).gap) == (True, 0.0)
 
 
 WAITING = model_of(

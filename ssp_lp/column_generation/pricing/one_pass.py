@@ -158,7 +158,7 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
     cells = base.n_nodes * process.levels.span
     if cells > _MOST_CELLS or (base.instant.nnz == 0 and base.later.nnz > _MOST_ENTRIES):
         return None
-    if not accelerated(base.later.nnz * cap):
+    if base.n_nodes == 0 or not accelerated(base.later.nnz * cap):
         return None
     arriving = process.charges.arriving
     if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
