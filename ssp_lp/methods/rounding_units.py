@@ -13,7 +13,7 @@ from ssp_lp.processes.layered.measures_of_law import WithinBound
 
 _FIRST = 128  # units in the totals that matter, at first
 _FINER = 4.0  # times as many next
-_QUICK = 1e8  # units times outcomes that a sweep soon passes over
+_QUICK = 3e8  # units times outcomes that a sweep soon passes over
 _MOST = 8_192  # unless more are asked for
 _ROOM = 6_000_000  # states times units
 _FINEST = 65_536  # in any case

@@ -86,8 +86,10 @@ def solve_on_split_costs(problem: Problem, span: float, options: SolveOptions) -
         finer = replace(options.after(best.calls), tolerance=rough)
         try:
             outcome = split_optimum(problem, unit, finer, guess, asked, reach)
-            with closing():
-                best = _improved_split(problem, best, outcome, measured=not is_first)
+            best = _bounded_by_split(best, outcome)
+            if not is_first:
+                with closing():
+                    best = _improved_split(problem, best, outcome)
         except STOPS as stop:
             if best.lottery is None:
                 raise
@@ -148,17 +150,17 @@ def proved_on_split_costs(
     return bound, allowed
 
 
-def _improved_split(
-    problem: Problem, best: _Split, outcome: RefinedOutcome, *, measured: bool
-) -> _Split:
-    """The best that is known with one unit's outcome; its policies may be evaluated truly."""
-    process, found = layers_of_split(outcome).process, outcome.found
-    calls, work = best.calls + outcome.calls, best.work + outcome.work
+def _bounded_by_split(best: _Split, outcome: RefinedOutcome) -> _Split:
+    """The best that is known with the bound that one unit gives."""
+    found, calls, work = outcome.found, best.calls + outcome.calls, best.work + outcome.work
     note = "" if found.finished else CUT_SHORT
-    known = replace(best, bound=max(best.bound, found.lower_bound), calls=calls, work=work)
-    known = replace(known, price=found.price, note=note)
-    if not measured:
-        return known
+    bound, process = max(best.bound, found.lower_bound), layers_of_split(outcome).process
+    known = replace(best, bound=bound, price=found.price, calls=calls, work=work, note=note)
+    return replace(known, layers=process.cap, end=process.cap * process.base.unit)
+
+
+def _improved_split(problem: Problem, best: _Split, outcome: RefinedOutcome) -> _Split:
+    """The best that is known with one unit's policies, evaluated truly."""
     least, points, chosen = outcome.least, list[Column](), None
     if least is None or outcome.row.budget > least.column.failure:
         points = _true_points(problem, outcome)
@@ -172,12 +174,9 @@ def _improved_split(
     goal = float(weights @ [point.goal for point in members])
     value = outcome.row.objective(float(weights @ [point.cost for point in members]), goal)
     if value >= best.value:
-        return known
+        return best
     lottery = MixedPolicy(tuple(point.policy for point in members if point.policy), weights)
-    end = process.cap * process.base.unit
-    return replace(
-        known, lottery=lottery, value=value, failure=failure, layers=process.cap, end=end
-    )
+    return replace(best, lottery=lottery, value=value, failure=failure)
 
 
 def parts_of(problem: Problem, unit: Fraction) -> int:
