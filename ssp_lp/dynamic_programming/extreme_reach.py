@@ -93,7 +93,8 @@ def extreme_reach(
     missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
     bounded = partial(dual_bound, dynamics, other, start=start, least_loss=_PROVED)
     least = bounded(missed, choice=settled.choice).values
-    if float((missed - least)[asked].max(initial=0.0)) > (_PROVED if few else _PROVED_OF_MANY):
+    unproved = float((missed - least)[asked].max(initial=0.0))
+    if unproved > (_PROVED if few else np.inf if last_digits else _PROVED_OF_MANY):
         settled = run(settled.choice, precise=True)  # a policy of longer runs may be better
         missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
         least = bounded(missed, choice=settled.choice).values
