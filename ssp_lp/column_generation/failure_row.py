@@ -29,6 +29,10 @@ class FailureRow:
         demanded = 1.0 - self.budget
         return column.goal - demanded if demanded < 0.5 else self.budget - column.failure
 
+    def leaves_only(self, least: Column) -> bool:
+        """Whether the budget exceeds what the policy of least failure takes by rounding at most."""
+        return self.spare(least) <= self.rounding
+
     def breaks(self, column: Column) -> bool:
         """Whether a policy breaks the budget by more than rounding."""
         return self.spare(column) < -self.rounding

@@ -164,7 +164,7 @@ def _safest_refined(
 def _refined_at_the_edge(outcome: RefinedOutcome, options: SolveOptions) -> RefinedOutcome:
     """Work out the least failure; where the budget is equal to it, its policy is the answer."""
     least = checked_least_failure(outcome.compiled, outcome.row.budget)
-    if outcome.row.spare(least.column) > outcome.row.rounding:
+    if not outcome.row.leaves_only(least.column):
         return replace(outcome, least=least)
     row = replace(outcome.row, budget=least.column.failure)
     later = options.after(outcome.calls)

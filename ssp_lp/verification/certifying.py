@@ -130,7 +130,8 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     if attained < budget * _SURELY:
         return certificate_of(found, bound, budget, tail=tail)
     least = compiled.least_failure()
-    if budget <= least.column.failure < 1.0:
+    row = FailureRow(budget, problem.ratio)
+    if row.leaves_only(least.column) and least.column.failure < 1.0:
         kept = failure_of(found) <= budget  # to the last digit, which tells it from others
         if not (kept and found.objective < least.objective_bound):
             bound = max(bound, least.objective_bound)
@@ -257,7 +258,7 @@ def _worth_certificate(solution: Solution, found: Evaluation) -> Certificate:
         row = FailureRow(max(budget, 0.0), problem.ratio, compiled.lowest)
         values, levels = np.asarray(values), levels_of(solution.policy.policies, len(values))
         priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
-        bound = max(priced, bound) if budget <= allowed else priced
+        bound = max(priced, bound) if row.leaves_only(least.column) else priced
         allowed = max(budget, allowed)
     failing = problem.semantics.failing_worth
     value = failing - found.objective
