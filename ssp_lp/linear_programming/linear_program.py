@@ -56,3 +56,18 @@ def program_residuals(program: LinearProgram, answer: LPAnswer) -> tuple[float, 
     figures = np.array([primal, dual, abs(value - dual_value) / (1.0 + abs(value))])
     first, second, third = np.where(np.isfinite(figures), figures, np.inf).tolist()
     return first, second, third
+
+
+def objective_doubt(program: LinearProgram, answer: LPAnswer) -> float:
+    """How much a residual may be worth in the objective, relative to that.
+
+    Where a process is left with probability 1e-6 a step, what a row misses by counts a million
+    times: violations are priced at the duals, negative reduced costs at the visits.
+    """
+    activity = program.matrix @ answer.x
+    violation = np.maximum(program.lower - activity, activity - program.upper)
+    reduced = program.cost - program.matrix.T @ answer.dual
+    priced = np.maximum(violation, 0.0) * np.abs(answer.dual)
+    gained = np.maximum(-reduced, 0.0) * np.maximum(answer.x, 0.0)
+    worth = max(float(priced.max(initial=0.0)), float(gained.max(initial=0.0)))
+    return worth / (1.0 + abs(float(program.cost @ answer.x)))

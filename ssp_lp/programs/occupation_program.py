@@ -260,7 +260,7 @@ class OccupationProgram:
             return known
         limits = {row.name: (row.coefficients, row.bound) for row in self.rows}
         reach = rows_program(replace(self.process, cost=priced), limits, ratio=False)
-        name, _ = backends_for(reach, None)
+        name = backends_for(reach, None)[0]
         dual, paid = run_backend(reach, name, np.inf).dual, 0.0
         for row in self.rows:  # whatever a solver says, prices >= 0 prove what they prove
             price = max(-float(np.nan_to_num(dual[reach.rows[row.name]][0])), 0.0)

@@ -1,0 +1,42 @@
+"""Budgets within a few units in the last place of the least failure keep the proof they had."""
+
+import numpy as np
+import pytest
+
+from formulations import MCMP, S3P, MaxProb
+from ssp_lp import SSP, certify, solve
+
+
+def drawn(seed: int, leaving: float = 1.0) -> SSP:
+    """A small model of whole costs; half of its pairs are left with a small probability only."""
+    rng = np.random.default_rng(seed)
+    states, table = int(rng.integers(3, 8)), {}
+    for state in range(states):
+        actions = {}
+        for action in range(int(rng.integers(1, 4))):
+            ends = rng.choice(states + 2, size=int(rng.integers(1, 4)), replace=False).tolist()
+            shares = rng.random(len(ends)) + 0.05
+            shares, cost = shares / shares.sum(), float(rng.integers(0, 4))
+            names = ["g" if e == states else "d" if e == states + 1 else e for e in ends]
+            moves = [(float(p), name, cost) for p, name in zip(shares, names, strict=True)]
+            if leaving < 1.0 and rng.random() < 0.5:
+                back = int(rng.integers(states))
+                moves = [(p * leaving, name, cost) for p, name, _ in moves]
+                moves.append((1.0 - leaving, back, cost))
+            actions[action] = moves
+        table[state] = actions
+    table["d"] = {}
+    return SSP.from_transitions(table, goal={"g"}, treat_actionless_as_dead_ends=True)
+
+
+@pytest.mark.parametrize("seed", [11, 12, 17, 24, 30, 57, 94, 105])
+@pytest.mark.parametrize("criterion", [S3P, MCMP])
+def test_a_budget_just_above_the_least_failure_is_proved_by_both(seed, criterion) -> None:
+    model = drawn(seed)
+    budget = 1.0 - solve(MaxProb(model, 0)).objective
+    for units in range(8):
+        solution = solve(criterion(model, 0, failure_budget=float(budget)))
+        certificate = certify(solution)
+        assert certificate.accepted
+        assert certificate.gap <= max(1e-9, 10.0 * solution.gap), units
+        budget = np.nextafter(budget, 2.0)
