@@ -32,6 +32,7 @@ class Run:
     seconds: float
     work: Work = field(default_factory=Work)  # passes over the process
     program: str = ""  # the linear program's own report, where one was solved
+    time_limit: float | None = None  # seconds of the call, and of numbers worked out later
 
     @property
     def backups(self) -> int:
@@ -70,8 +71,12 @@ class Solution(ReadOnlyCopies):
 
     @cached_property
     def evaluation(self) -> Evaluation:
-        """The policy evaluated on the model."""
-        return evaluate(self.policy, self.problem)
+        """The policy evaluated on the model, within the time limit of the call that found it.
+
+        Raises:
+            OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has all the time.
+        """
+        return evaluate(self.policy, self.problem, time_limit=self.run.time_limit)
 
     @property
     def gap(self) -> float:

@@ -104,7 +104,9 @@ def solve(
         policy=pulled_back(solution.policy, problem),
         note=note,
         status=status,
-        run=replace(solution.run, reason=reason, seconds=time.perf_counter() - began),
+        run=replace(
+            solution.run, reason=reason, seconds=time.perf_counter() - began, time_limit=time_limit
+        ),
     )
 
 

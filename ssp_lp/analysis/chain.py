@@ -17,6 +17,7 @@ from ssp_lp.arrays import (
     read_only,
     sorted_unique,
 )
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
 from ssp_lp.errors import ModelError
@@ -140,6 +141,7 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
     visited = np.zeros(0, dtype=np.bool_)
     frontier, found = sorted_unique(start_key), []
     while frontier.size:
+        check_time()
         visited = _grown_chain(visited, int(frontier[-1]))
         visited[frontier] = True
         step = _expand_chain(model, policy, frontier, ended)

@@ -20,6 +20,7 @@ from ssp_lp.analysis.quantity_values import (
 from ssp_lp.analysis.total_cost.cost_law import chain_as_counted, law_of_chains
 from ssp_lp.analysis.ways_to_fail import failing_in_words
 from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.compiled.deadline import limited
 from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
@@ -70,7 +71,9 @@ class Evaluation:
         return f"Evaluation({', '.join(parts)})"
 
 
-def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluation:
+def evaluate(
+    policy: Policy | MixedPolicy, problem: Problem = NEEDED, *, time_limit: float | None = None
+) -> Evaluation:
     """Evaluate a policy exactly, with the stopping time taken from its own chain.
 
     The paper's tau (section 2.4) is the first time at which the goal cannot be reached any more
@@ -82,6 +85,7 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
     Args:
         policy: the policy, on the problem's model.
         problem: says the start, the discount and the semantics.
+        time_limit: seconds; None: any number.
 
     Returns:
         Exact numbers, up to the rounding of linear solves. Only where a criterion asks for the law
@@ -91,8 +95,10 @@ def evaluate(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Evaluat
     Raises:
         ModelError: the policy has no decision in a state that it reaches, or gives up where the
             problem forbids it.
+        OutOfTimeError: the time limit passed before all was known.
     """
-    return evaluate_each(policy, problem)[0]
+    with limited(time_limit, "the policy was evaluated"):
+        return evaluate_each(policy, problem)[0]
 
 
 def evaluate_each(

@@ -17,7 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from ssp_lp.options import Status
+from ssp_lp.errors import OutOfTimeError
+from ssp_lp.options import Status, deadline_of
 
 _GRACE = 0.25
 """Seconds beyond the deadline for which a loop goes on: what small models need is soon done."""
@@ -130,6 +131,29 @@ def until(
     soon = min(_PREPARED, _PREPARED_SHARE * (at - now))
     due = at + grace if prepare is None else now + soon
     return Deadline(at, grace, now, closes=at + more, prepare=prepare, due=due)
+
+
+@contextmanager
+def limited(time_limit: float | None, doing: str) -> Iterator[None]:
+    """Within it loops end after some seconds; None: with whatever it is part of.
+
+    Args:
+        time_limit: seconds.
+        doing: what is not done then, in words.
+
+    Raises:
+        ModelError: a limit that is no number of seconds.
+        OutOfTimeError: the time ended before that.
+    """
+    if time_limit is None:
+        yield
+        return
+    try:
+        with until(deadline_of(time_limit, time.perf_counter())):
+            yield
+    except Stop:
+        told = f"the time limit of {time_limit:g} s ended before {doing}: allow more time"
+        raise OutOfTimeError(told) from None
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from time import perf_counter
 
 import numpy as np
 
@@ -15,13 +16,15 @@ from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, C
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.column_generation.pricing.pricing_problem import Proof
-from ssp_lp.errors import ModelError
+from ssp_lp.compiled.deadline import limited
+from ssp_lp.errors import ModelError, OutOfTimeError
+from ssp_lp.methods.incumbent import worth_bound
 from ssp_lp.methods.risk.least_risk import risk_bound
 from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
 from ssp_lp.methods.rows.proof import lagrange_bound, rows_bound
 from ssp_lp.methods.split_costs import proved_on_split_costs
 from ssp_lp.methods.split_model import span_of_steps, span_to_split
-from ssp_lp.options import CERTIFYING, Game, progress_shown
+from ssp_lp.options import CERTIFYING, Game, Status, progress_shown
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense, start_distribution
@@ -40,7 +43,9 @@ _LITTLE = 1e-13  # of the bound: less than this is not looked for beyond the cap
 _SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
 
 
-def certify(solution: Solution, *, verbose: bool = False) -> Certificate:
+def certify(
+    solution: Solution, *, verbose: bool = False, time_limit: float | None = None
+) -> Certificate:
     """Recompute both sides of a solution from its model, policy, price and value function.
 
     The objective and the failure come from an exact evaluation of the policy on the model. The
@@ -51,18 +56,30 @@ def certify(solution: Solution, *, verbose: bool = False) -> Certificate:
     Args:
         solution: a solution, of ``solve`` or put together by hand.
         verbose: show how far it has come (``ssp_lp.progress_shown``).
+        time_limit: seconds; None: any number. A bound that is not proved again by then is, of what
+            is made of totals, that of the cheapest way to the goal.
 
     Returns:
         The certificate. ``accepted`` is false where the policy breaks the budget or a limit.
 
     Raises:
         ModelError: the policy or the value function does not fit the problem.
+        OutOfTimeError: the time limit passed before the policy was evaluated, or before a bound of
+            something else was proved.
     """
-    solution = as_solved(solution, "certify")
+    solution, began = as_solved(solution, "certify"), perf_counter()
     with progress_shown(verbose):
-        found, members = evaluate_each(solution.policy, solution.problem)
+        with limited(time_limit, "the policy was evaluated"):
+            found, members = evaluate_each(solution.policy, solution.problem)
         _LOG.info("%r", found)
-        certificate = _certificate(solution, found, members)
+        try:
+            left = None if time_limit is None else max(began + time_limit - perf_counter(), 0.0)
+            with limited(left, "a bound was proved"):
+                certificate = _certificate(solution, found, members)
+        except OutOfTimeError:
+            if not _is_of_totals(solution.problem):
+                raise
+            certificate = _certificate_of_cheapest_way(solution.problem, found)
         _LOG.info("%r", certificate)
     return certificate
 
@@ -71,6 +88,7 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
     """The certificate of a policy that has been evaluated, its members too."""
     problem = solution.problem
     measure = problem.semantics.measure
+    risk = measure is not None and not measure.maximised
     if by_rows(problem) and is_on_rounded_costs(solution):
         if not np.isfinite(found.objective):
             return certificate_of(found, 0.0, 1.0, "the goal is never reached")
@@ -85,8 +103,10 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
             return certificate_of(found, 0.0, 1.0, "the goal is never reached")
         bound, allowed = proved_on_split_costs(solution, span, found.objective, CERTIFYING)
         return certificate_of(found, bound, allowed)
+    searched = solution.value_function is not None or solution.status is Status.OPTIMAL
+    if _is_of_totals(problem) and not risk and not searched:  # an answer in hand, of no search
+        return _certificate_of_cheapest_way(problem, found)
     if by_rows(problem):
-        risk = measure is not None and not measure.maximised
         proved = _risk_certificate if risk else _limits_certificate
         certificate, reason = proved(solution, found), _certified_breach(problem, found)
         return replace(certificate, accepted=False, reason=reason) if reason else certificate
@@ -98,6 +118,20 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
     if problem.failure_budget is None:
         return _least_failure_certificate(problem, found)
     return _budget_certificate(solution, found, min(map(failure_of, members)))
+
+
+def _is_of_totals(problem: Problem) -> bool:
+    """Whether the cheapest way to the goal bounds what is asked, and a budget is stated."""
+    of_totals = problem.ratio or problem.semantics.measure is not None
+    return of_totals and problem.failure_budget is not None
+
+
+def _certificate_of_cheapest_way(problem: Problem, found: Evaluation) -> Certificate:
+    """The bound that needs no search."""
+    measure = problem.semantics.measure
+    above, budget = measure is not None and measure.maximised, problem.failure_budget or 0.0
+    bound, reason = worth_bound(problem), _certified_breach(problem, found)
+    return certificate_of(found, bound, budget, reason, above=above)
 
 
 def _budget_certificate(solution: Solution, found: Evaluation, attained: float) -> Certificate:

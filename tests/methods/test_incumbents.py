@@ -10,7 +10,7 @@ import pytest
 
 from examples.solver_comparison.instances.families import corridor, grid, layered, scattered
 from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
-from ssp_lp import SSP, Status, evaluate, solve, visits
+from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
 from ssp_lp.methods import incumbent
 from ssp_lp.methods.incumbent import Incumbent, worth_bound
@@ -155,3 +155,40 @@ def test_criteria_of_case_m_have_no_other_incumbent() -> None:
     held = Incumbent(MCMP(layered(6, 5, seed=2), 0, 0.1))
     held.find()
     assert held.solution is None
+
+
+@pytest.mark.parametrize(
+    "criterion",
+    [
+        lambda model: S3P(model, 0, 0.1),
+        lambda model: S3P(model, 0, 0.1, constraints={"first": visits(0) <= 1.0}),
+        lambda model: CVaR(model, 0, 0.7, 0.1),
+        lambda model: CostBoundedReach(model, 0, 20.0),
+    ],
+)
+def test_an_incumbent_is_certified_with_or_without_time(criterion: Any) -> None:
+    """Without time for a search the cheapest way is the bound; an evaluation needs its own."""
+    problem = criterion(layered(6, 5, seed=2))
+    held = Incumbent(problem)
+    held.find()
+    assert held.solution is not None
+    solution = replace(held.solution, status=Status.TIME_LIMIT)
+    for limit in (None, 20.0):
+        certificate = certify(solution, time_limit=limit)
+        assert certificate.accepted
+        assert certificate.objective == pytest.approx(solution.objective)
+    with pytest.raises(ModelError, match="time_limit"):
+        evaluate(solution.policy, problem, time_limit=-1.0)
+
+
+def test_numbers_worked_out_later_keep_the_limit(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = CVaR(layered(6, 5, seed=2), 0, 0.9, 0.1)
+    solution = solve(problem, time_limit=60.0)
+    assert solution.run.time_limit == 60.0
+    assert solution.evaluation.objective == pytest.approx(solution.objective)
+    monkeypatch.setattr(deadline, "_GRACE", 0.0)
+    late = replace(solution, run=replace(solution.run, time_limit=0.0))
+    with pytest.raises(OutOfTimeError, match="before the policy was evaluated"):
+        _ = late.failure_probability
+    with pytest.raises(OutOfTimeError, match="before the policy was evaluated"):
+        certify(solution, time_limit=0.0)
