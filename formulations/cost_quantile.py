@@ -12,7 +12,6 @@ from ssp_lp.formulation import (
     Formulation,
     Start,
     as_percentage,
-    check_numbers,
     wrong_argument,
 )
 
@@ -82,11 +81,10 @@ class CostQuantile(Formulation):
     ratio = True  # given success
 
     def __post_init__(self) -> None:
-        check_numbers(level=self.level)
+        super().__post_init__()
         if not 0.0 < self.level < 1.0:
             hint = as_percentage(self.level)
             raise wrong_argument("level", "lie strictly between 0 and 1", self.level, hint)
-        super().__post_init__()
 
     @cached_property
     def semantics(self) -> FailureSemantics:

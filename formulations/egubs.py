@@ -13,7 +13,6 @@ from ssp_lp.formulation import (
     FailureSemantics,
     Formulation,
     Start,
-    check_numbers,
     wrong_argument,
 )
 
@@ -80,12 +79,11 @@ class EGUBS(Formulation):
     failure_budget = 1.0  # failing is not limited: the utility weighs it
 
     def __post_init__(self) -> None:
-        check_numbers(risk_factor=self.risk_factor, goal_bonus=self.goal_bonus)
+        super().__post_init__()
         if not (self.risk_factor < 0.0 and isfinite(self.risk_factor)):
             raise wrong_argument("risk_factor", "be a number below 0", self.risk_factor)
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
             raise wrong_argument("goal_bonus", "be a number >= 0", self.goal_bonus)
-        super().__post_init__()
 
     @property
     def cost_horizon(self) -> float:

@@ -13,7 +13,6 @@ from ssp_lp.formulation import (
     Formulation,
     Start,
     Utility,
-    check_numbers,
     wrong_argument,
 )
 
@@ -86,15 +85,14 @@ class GUBS(Formulation):
     failure_budget = 1.0  # failing is not limited: the utility weighs it
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         limit = self.utility_at_infinity
-        check_numbers(goal_bonus=self.goal_bonus, utility_at_infinity=limit)
         if not (self.goal_bonus >= 0.0 and isfinite(self.goal_bonus)):
             raise wrong_argument("goal_bonus", "be a number >= 0", self.goal_bonus)
         if not isfinite(limit):
             raise wrong_argument("utility_at_infinity", "be a finite number", limit)
         if not callable(self.utility):
             raise wrong_argument("utility", "be a function of the cost", self.utility)
-        super().__post_init__()
 
     @property
     def _numbers(self) -> tuple[float, float]:

@@ -10,7 +10,6 @@ from ssp_lp.formulation import (
     FailureBudget,
     Formulation,
     Start,
-    check_numbers,
     wrong_argument,
 )
 
@@ -83,8 +82,6 @@ class S3P(Formulation):
     ratio = True  # cost is counted given success
 
     def __post_init__(self) -> None:
-        if self.cost_cap is not None:
-            check_numbers(cost_cap=self.cost_cap)
+        super().__post_init__()
         if self.cost_cap is not None and not 0.0 < self.cost_cap < float("inf"):
             raise wrong_argument("cost_cap", "be a positive cost", self.cost_cap)
-        super().__post_init__()

@@ -216,10 +216,12 @@ class Formulation(_Inherited):
         """
         given = vars(self)
         for name, is_needed in _number_fields(type(self)):  # type: ignore[arg-type]
-            if is_needed and not is_number(given[name]):
-                raise wrong_argument(name, "be a number", given[name])
+            value = given.get(name)
+            if (is_needed or value is not None) and not is_number(value):
+                wanted = "be a number" if is_needed else "be a number or None"
+                raise wrong_argument(name, wanted, value)
             if name in given:
-                object.__setattr__(self, name, as_float(given[name]))
+                object.__setattr__(self, name, as_float(value))
         share = given.get("reach_fraction")
         budget = given.get("failure_budget", 1.0 if share is None else None)
         budget = given.get("_stated_budget", budget)
