@@ -159,7 +159,7 @@ def back_up_layers(
         position: the choice among each node's pairs, [layers, nodes].
         keeps: whether the choice is given, rather than written; then values do not matter.
     """
-    n, rows = offsets.size - 1, measured.shape[0] // max(offsets.size - 1, 1)
+    n, rows = offsets.size - 1, measured.shape[0] // (offsets.size - 1)
     begin = np.empty(leads.shape[1], dtype=np.int64)
     for layer in range(end - 1, first - 1, -1):
         begin[:] = (leads[0] + layer if leads.shape[0] == 1 else leads[layer]) * n
@@ -230,7 +230,7 @@ def back_up_layers_safely(
         given: values that are not to be exceeded, [layers, nodes].
         values: of all layers, those beyond the cap given, [all layers * nodes].
     """
-    n, rows = offsets.size - 1, values.size // max(offsets.size - 1, 1)
+    n, rows = offsets.size - 1, values.size // (offsets.size - 1)
     begin = np.empty(leads.shape[1], dtype=np.int64)
     picks, due = np.empty(n, dtype=np.uint64), owed - saved
     for layer in range(end - 1, first - 1, -1):
