@@ -36,6 +36,7 @@ from ssp_lp.solution import CUT_SHORT, Run, Solution
 
 _ROUGH = 1e-4  # how exactly the first model of split costs is solved
 _ROUGH_FIRST = 1e-3  # and one that only says where a price lies, with steps far below a unit
+_ENOUGH = 0.3  # of the tolerance: as exactly at least
 _SHARE = 0.1  # of the gap that splitting leaves: as exactly is the next one solved
 _SPREAD = 1e-2  # relative uncertainty of a price from a coarser unit
 _BESIDE = (1.003, 1.01, 1.03, 1.1, 1.5, 10.0, 1e3)  # times the price: policies of the other side
@@ -82,7 +83,8 @@ def solve_on_split_costs(problem: Problem, span: float, options: SolveOptions) -
     reach, units = _REACH * span, list(split_units(problem, span))
     for unit in units:
         is_first = best.lottery is not None and unit != units[-1] and parts_of(problem, unit) > 2
-        rough = _ROUGH_FIRST if is_first else min(_SHARE * best.gap, _ROUGH)
+        enough = max(_ROUGH, _ENOUGH * options.tolerance)
+        rough = _ROUGH_FIRST if is_first else min(_SHARE * best.gap, enough)
         finer = replace(options.after(best.calls), tolerance=rough)
         try:
             outcome = split_optimum(problem, unit, finer, guess, asked, reach)
