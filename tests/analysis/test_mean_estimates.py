@@ -45,7 +45,7 @@ def test_a_simulation_that_shows_no_rare_event_knows_of_it() -> None:
     for seed in range(60):
         report = simulate(policy, problem, episodes=1000, rng=seed)
         for found in (report.conditional_cost, report.expected_cost):
-            assert found.high < 25.0
+            assert found.high < 40.0
             held += found.low <= 1.2997 <= found.high
     assert held >= 117
 
