@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from math import isfinite
 
+from ssp_lp.analysis.layers.lost_goals import stopping_where_lost
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import STOPS, Deadline, Stop, closing, heed, until
 from ssp_lp.errors import Argument, ModelError, OutOfTimeError, SolverError
@@ -45,7 +46,7 @@ from ssp_lp.problem import (
     pulled_back,
     unrolled,
 )
-from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.failure_semantics import Aim, GiveUp
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities
@@ -126,6 +127,11 @@ def _solved_with_proof(
             solution = incumbent.solution
             if solution is None:
                 raise _unsolved(problem, deadline, stop) from None
+        if not has_rows(problem) and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
+            try:
+                solution = replace(solution, policy=stopping_where_lost(solution.policy))
+            except STOPS as stop:
+                heed(stop)
     if deadline.was_met:
         solution = incumbent.improving(solution)
     _check_solution(solution)

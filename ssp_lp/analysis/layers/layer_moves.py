@@ -230,18 +230,18 @@ def marks_of(
     marks[missing | (quits & forbidden)] |= WRONG
     acting = ended == 0
     for bit in (HOPEFUL, OPEN):
-        _spread_in_layer(marks, bit, staying)
+        spread_in_layer(marks, bit, staying)
     if forbids_failing:
         marks[acting & ((marks & HOPEFUL) == 0)] |= FAILS
     if paying is not None and staying is not None:
         never = acting & ((marks & OPEN) == 0)
         marks[closed_states(staying.share, staying.onward, never) & paying] |= ENDLESS
     for bit in (WRONG, ENDLESS, FAILS):
-        _spread_in_layer(marks, bit, staying)
+        spread_in_layer(marks, bit, staying)
     return marks
 
 
-def _spread_in_layer(marks: IntArray, bit: int, staying: Staying | None) -> None:
+def spread_in_layer(marks: IntArray, bit: int, staying: Staying | None) -> None:
     """Mark, in place, all states from which a marked one can be reached within the layer."""
     begins = np.flatnonzero(marks & bit)
     if staying is None or not begins.size or begins.size == marks.size:
