@@ -143,7 +143,7 @@ def check_whole(name: str, value: object, least: int = 1, most: int = _MOST_COUN
     """Raise :class:`ModelError`, naming the argument, unless it is a whole number in a range."""
     counts = isinstance(value, Integral) and not isinstance(value, bool)
     if not (counts and least <= int(cast("int", value)) <= most):
-        upto = f" and <= {most:,}" if most < _MOST_COUNTED else ""
+        upto = f" and <= {most:,}" if counts and most < _MOST_COUNTED else ""
         raise wrong_argument(name, f"be a whole number >= {least}{upto}", value)
 
 
