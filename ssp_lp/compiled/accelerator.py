@@ -7,6 +7,7 @@ Every compiled loop has a numpy twin of the same shape; results agree to roundin
 from __future__ import annotations
 
 import importlib.util
+import logging
 import os
 import signal
 import sys
@@ -25,8 +26,11 @@ SWITCH: Final = "SSP_LP_ACCELERATOR"
 _CACHED: Final = 60_000
 """Entries of a loop that are worth loading compiled loops from numba's cache: about a second."""
 
-_COLD: Final = 1_500_000
-"""Entries of a loop that are worth compiling loops for the first time: some ten seconds."""
+_COLD: Final = 8_000_000
+"""Entries of a loop that are worth compiling loops for the first time: some twenty seconds.
+
+A solve passes over them some hundred times, a second for each hundred million in numpy.
+"""
 
 _CALL: Final = 3_000
 """Entries that take as long as the calls around a short loop of numpy expressions."""
@@ -67,9 +71,18 @@ def accelerated(entries: int) -> bool:
     that goes on solving small models loads them in the end, one that solves a few never does.
     """
     if entries >= least_entries():
-        return has_accelerator()
+        return has_accelerator() and _is_announced()
     _interpreted.entries += entries + _CALL
     return False
+
+
+@cache
+def _is_announced() -> bool:
+    """Say, once, that loops are going to be compiled, where they never were before."""
+    if not _is_compiled_before():
+        told = "inner loops for the first time, some ten seconds for each kind of problem; kept"
+        logging.getLogger("ssp_lp.compiling").info(told)
+    return True
 
 
 @contextmanager

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
@@ -212,3 +214,16 @@ def test_all_layers_in_one_pass_are_as_layer_by_layer(
         assert passed.lower_bound == pytest.approx(other.lower_bound, rel=1e-9)
         assert passed.failure_probability == pytest.approx(other.failure_probability, rel=1e-12)
     assert passed.gap <= 1e-9
+
+
+def test_compiling_for_the_first_time_is_announced_once(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(accelerator, "has_accelerator", lambda: True)
+    monkeypatch.setattr(accelerator, "_is_compiled_before", lambda: False)
+    monkeypatch.setattr(accelerator, "_is_announced", cache(accelerator._is_announced.__wrapped__))
+    with caplog.at_level("INFO", "ssp_lp.compiling"):
+        assert all(accelerator.accelerated(10**9) for _ in range(3))
+    assert [message.split(",")[0] for message in caplog.messages] == [
+        "inner loops for the first time"
+    ]

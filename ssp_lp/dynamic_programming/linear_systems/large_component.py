@@ -7,6 +7,7 @@ reduced state by state without subtractions; others take sparse factors.
 from __future__ import annotations
 
 from functools import cached_property
+from weakref import proxy
 
 import numpy as np
 import scipy.sparse as sp
@@ -46,8 +47,9 @@ class LargeComponent:
         self._place[states] = np.arange(len(states), dtype=np.int32)
         self._own, self._departs, self._leaving = self._gathered(exits)
         self._direct: Solver | None = None
+        weak = proxy(self)  # in a ring of references large arrays would wait for its collection
         self._iteration = Iteration(
-            self._own, lambda: self.direct_work, is_compiled=self._is_compiled
+            self._own, lambda: weak.direct_work, is_compiled=self._is_compiled
         )
 
     @cached_property

@@ -10,6 +10,7 @@ keeps the relative accuracy of every entry whatever the condition (Grassmann, Ta
 from __future__ import annotations
 
 from functools import cached_property
+from weakref import proxy
 
 import numpy as np
 import scipy.sparse as sp
@@ -214,9 +215,11 @@ class System:
         own = sp.csr_array((data / departs[row], to_from), shape=self.matrix.shape)
         large = (found.sizes > EXACTLY_SOLVED).nonzero()[0].tolist()
 
+        weak = proxy(self)  # in a ring of references large arrays would wait for its collection
+
         def direct_work() -> float:
             """That of all large components."""
-            return sum(self._block(c).direct_work for c in large)
+            return float(sum(weak._block(c).direct_work for c in large))
 
         iteration = Iteration(own, direct_work, is_compiled=accelerated(len(own.indices)))
         return departs, order, iteration

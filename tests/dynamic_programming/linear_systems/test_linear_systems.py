@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 from fractions import Fraction
+from weakref import ref
 
 import numpy as np
 import pytest
@@ -284,3 +286,21 @@ def test_one_pass_without_cycles_chooses_and_knows_its_errors(
     monkeypatch.setattr(accelerator, "least_entries", lambda: 1 << 62)
     _, least = least_backwards(dynamics, rewards @ priced, held)
     assert np.allclose(settled[1].values @ priced, least, rtol=1e-14)
+
+
+def test_the_equations_of_a_policy_are_let_go_at_once(compiled: bool) -> None:
+    """With them the arrays of a large component: nothing waits for rings of references."""
+    rng, n = np.random.default_rng(0), 2_000
+    steps = sp.random_array((n, n), density=4 / n, rng=rng, format="csr") + sp.eye_array(n, k=1)
+    left = 1.0 / (np.asarray(steps.sum(axis=1)).ravel() + 0.1)
+    chain = System(sp.csr_array(sp.diags_array(left) @ steps), 0.1 * left)
+    gc.disable()
+    try:
+        chain.solve(np.ones(n))
+        chain.solve_transposed(np.ones(n))
+        blocks = [ref(block) for block in chain._large.values()]
+        del chain
+        assert blocks
+        assert [block() for block in blocks] == [None] * len(blocks)
+    finally:
+        gc.enable()
