@@ -36,14 +36,15 @@ def exact_cost(cost: float | Fraction) -> Fraction:
 def last_layer(bound: float | Fraction, unit: Fraction) -> int:
     """The last layer of a lattice whose cost is at most a finite bound; negative: there is none.
 
-    A float means its shortest decimal (three steps of 0.1 are within 0.3), or the whole number of
-    layers of which it is the nearest float (2/3, where the unit is 1/3).
+    A float means its shortest decimal, to the last digit (three steps of 0.1 are within 0.3), or
+    the whole number of layers of which it is the nearest float (2/3, where the unit is 1/3).
     """
     if not isinstance(bound, Rational):
         nearest = round(Fraction(float(bound)) / unit)
         if float(nearest * unit) == float(bound):
             return nearest
-    return int(exact_cost(bound) // unit)
+        bound = Fraction(repr(float(bound)))
+    return int(Fraction(bound) // unit)
 
 
 def layers_within(total: float | Fraction, unit: Fraction) -> int:
