@@ -135,7 +135,7 @@ class OnePass:
             The layers, what the compiled pass reads of them, and arrays with room for their numbers
             in front of those of the layers that they lead to.
         """
-        process, ahead = self.process, list(beyond)
+        process, ahead, whole = self.process, list(beyond), list[FloatArray]()
         base, cap, levels = process.base, process.cap, process.levels
         indptr, _, nodes, data = base.steps_by_kind
         steps = unsigned(base.pair_offsets), indptr, self.kinds, nodes, data
@@ -147,7 +147,12 @@ class OnePass:
             leads = self.leads if len(self.leads) == 1 else self.leads[some] - some.start
             charge = self.charge if len(self.charge) == 1 else self.charge[some]
             paid = levels.totals[some], charge, self.slot, self.growth, 0, many
-            rooms = [np.concatenate([np.zeros((many, *a.shape[1:])), a]) for a in ahead]
+            if not whole:  # one after the other in the same memory; blocks differ by one layer
+                size = many + 1 + max(levels.span, len(beyond[0]))
+                whole = [np.zeros((size, *a.shape[1:])) for a in beyond]
+            rooms = [room[: many + len(a)] for room, a in zip(whole, ahead, strict=True)]
+            for room, known in zip(rooms, ahead, strict=True):
+                room[many:] = known
             yield some, (self.order, turns, *steps, leads, *paid), rooms
             ahead = [room[: levels.span] for room in rooms]
 
