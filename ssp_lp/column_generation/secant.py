@@ -135,7 +135,9 @@ class Secant:
         weight, best = self.weight, self.objective
         columns: tuple[Column, ...] = (self.inside,)
         weights = np.ones(1)
-        if self.outside is not None and weight > 0.0:
+        if self.outside is not None and weight == 1.0:
+            columns = (self.outside,)
+        elif self.outside is not None and weight > 0.0:
             columns, weights = (self.inside, self.outside), np.array([1.0 - weight, weight])
         price = max(price, best) if row.ratio else price
         slack = row.ratio and price <= best  # then prove it just below it: Row.lower_bound

@@ -304,3 +304,4 @@ def test_a_budget_that_a_policy_meets_to_the_last_digit_needs_no_lottery(method)
     asked = {"give_up": "anywhere", "charge_failing_step": False, "discount": 0.5}
     solution = solve(MCMP(model, "a", failure_budget=11 / 12, **asked), method)
     assert (solution.objective, solution.gap) == (0.0, 0.0)
+    assert solution.policy.weights.tolist() == [1.0]
