@@ -29,7 +29,7 @@ _CLOSING = 0.65
 _LEAST = 0.1  # seconds for each of them in any case
 _PREPARED = 1.0  # seconds of a search after which an answer is to be in hand
 _PREPARED_SHARE = 0.1  # of the time limit, where that is less
-_PREPARING = 0.5  # share of the time left that it may take
+_PREPARING = 0.9  # share of the time left that it may take
 _CLOSING_SHARE = 0.1  # of what was spent before, where it was Ctrl-C that stopped the search
 _PIECE = 1_000_000  # entries of a compiled loop between two looks: some hundredths of a second
 

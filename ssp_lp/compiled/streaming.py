@@ -73,9 +73,10 @@ def stream_layers(
             for k in range(indptr[node], indptr[node + 1]):
                 to = row * size + indices[k]
                 to = to if to < waiting.size else to - waiting.size
-                if waiting[to] == 0.0:
+                share = data[k] * mass
+                if waiting[to] == 0.0 and share > 0.0:  # what is too small for a number is nothing
                     links[to], heads[to // size] = heads[to // size], to
-                waiting[to] += data[k] * mass
+                waiting[to] += share
     return followed
 
 

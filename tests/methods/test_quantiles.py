@@ -95,3 +95,17 @@ def test_layers_settled_together_or_one_by_one_are_the_same_law(accelerate: Any)
         atoms.append(success_costs(policy, problem).upto(200.0))
     np.testing.assert_array_equal(atoms[0].costs, atoms[1].costs)
     np.testing.assert_allclose(*(each.probabilities for each in atoms), rtol=1e-14)
+
+
+def test_masses_too_small_for_a_number_end_in_nothing(accelerate: Any) -> None:
+    """Steps of 1e-200 twice over: no list of places is met again."""
+    accelerate(True)
+    model = SSP.from_transitions(
+        {
+            "a": {"go": [(1e-200, "b", 1.0), (0.5, "a", 1.0), (0.5, "G", 1.0)]},
+            "b": {"go": [(1e-200, "a", 1.0), (1e-200, "b", 1.0), (1.0, "G", 1.0)]},
+        },
+        goal={"G"},
+    )
+    problem = CostQuantile(model, "a", 0.9)
+    assert success_costs(solve(problem).policy, problem).quantile(0.9) == 4.0
