@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
@@ -144,6 +145,28 @@ class LayerMoves:
         source, outcome, kind = self._taken(np.where(mass > 0.0, pairs, -1), slots >= 0)
         place = slots[kind], self.model.successors[outcome]
         np.add.at(waiting, place, mass[source] * self.model.probabilities[outcome])
+
+    def met(self, begins: IntArray) -> tuple[list[npt.NDArray[np.uint8]], BoolArray]:
+        """Where the policy may be in each layer, from some states on with nothing paid.
+
+        Returns:
+            The bits of the states, [layers], and where it may arrive beyond them, [slots, states].
+        """
+        room, n = self.room, self.model.n_states
+        arriving, everywhere = np.zeros((room, n), dtype=np.bool_), np.arange(n)
+        bits: list[npt.NDArray[np.uint8]] = []
+        arriving[0, begins] = True
+        for layer in range(self.layers.count):
+            slots = self.slots(layer)
+            here: IntArray = np.flatnonzero(arriving[layer % room])
+            arriving[layer % room] = False
+            if (slots < 0).any():
+                here = self.within(self.pairs(layer, everywhere), slots, here)
+            self.reach(self.pairs(layer, here), slots, arriving)
+            is_met = np.zeros(n, dtype=np.bool_)
+            is_met[here] = True
+            bits.append(np.packbits(is_met))
+        return bits, arriving
 
     def within(self, pairs: IntArray, slots: IntArray, begins: IntArray) -> IntArray:
         """States to which moves that stay lead from some, these included, increasing.

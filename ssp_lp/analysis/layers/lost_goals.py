@@ -11,28 +11,32 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.analysis.layers.layer_moves import HOPEFUL, LayerMoves, spread_in_layer
-from ssp_lp.arrays import IntArray
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, CostLayers, Policy
 
 
-def stopping_where_lost(policy: MixedPolicy) -> MixedPolicy:
+def stopping_where_lost(policy: MixedPolicy, start: FloatArray) -> MixedPolicy:
     """The same policy, but that members that remember their cost give up once the goal is lost.
+
+    Args:
+        policy: the policy.
+        start: where episodes begin, [states]; what they do not come to is left as it is.
 
     Raises:
         Stop: the time ended.
     """
-    return replace(policy, policies=tuple(_stopping(member) for member in policy.policies))
+    return replace(policy, policies=tuple(_stopping(member, start) for member in policy.policies))
 
 
-def _stopping(policy: Policy) -> Policy:
+def _stopping(policy: Policy, start: FloatArray) -> Policy:
     """A member that gives up where it has lost the goal; others are left as they are."""
     layers = policy.layers()
     if not isinstance(policy, CostAwarePolicy) or layers is None:
         return policy
     moves = LayerMoves(policy.model, layers)
     tails, marks = _stopping_tails(moves, layers)
-    return replace(policy, decision=_stopping_layers(moves, layers, marks), tails=tails)
+    return replace(policy, decision=_stopping_layers(moves, layers, marks, start), tails=tails)
 
 
 def _stopping_tails(moves: LayerMoves, layers: CostLayers) -> tuple[IntArray, IntArray]:
@@ -48,24 +52,29 @@ def _stopping_tails(moves: LayerMoves, layers: CostLayers) -> tuple[IntArray, In
     return tails, marks
 
 
-def _stopping_layers(moves: LayerMoves, layers: CostLayers, tail_marks: IntArray) -> IntArray:
+def _stopping_layers(
+    moves: LayerMoves, layers: CostLayers, tail_marks: IntArray, start: FloatArray
+) -> IntArray:
     """The decisions of each layer that stop, [layers, states].
 
     Args:
         moves: of the policy.
         layers: of the policy.
         tail_marks: where the goal is not lost under a tail, [tails, states].
+        start: where episodes begin, [states].
     """
     room, n, count = moves.room, moves.model.n_states, layers.count
-    everywhere, decision, unpriced = np.arange(n), layers.decision.copy(), np.zeros((0, 2), int)
+    decision, unpriced = layers.decision.copy(), np.zeros((0, 2), int)
+    reached, _ = moves.met(np.flatnonzero(start))
     worth, met = np.zeros((room, n, 1)), np.empty((room, n), dtype=np.uint8)
     for layer in range(count, count + room):
-        met[layer % room] = tail_marks[layers.tail_at(layer), everywhere]
+        met[layer % room] = tail_marks[layers.tail_at(layer), np.arange(n)]
     for layer in reversed(range(count)):
-        pairs, slots = moves.pairs(layer, everywhere), moves.slots(layer)
+        here = np.flatnonzero(np.unpackbits(reached[layer], count=n))
+        pairs, slots = moves.pairs(layer, here), moves.slots(layer)
         _, marks = moves.expect(pairs, slots, worth, met, unpriced, np.zeros((0, len(slots))))
-        marks[moves.model.goal_mask] = HOPEFUL
-        spread_in_layer(marks, HOPEFUL, moves.staying(everywhere, pairs, slots))
-        decision[layer, (pairs >= 0) & ((marks & HOPEFUL) == 0)] = GIVE_UP_CODE
-        met[layer % room] = marks
+        marks[moves.model.goal_mask[here]] = HOPEFUL
+        spread_in_layer(marks, HOPEFUL, moves.staying(here, pairs, slots))
+        decision[layer, here[(pairs >= 0) & ((marks & HOPEFUL) == 0)]] = GIVE_UP_CODE
+        met[layer % room, here] = marks
     return decision

@@ -77,9 +77,12 @@ def bound_layers(
     is_kept = values.size <= _KEPT_VALUES
     kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
     begun, sizes = np.zeros(process.cap), np.zeros(process.cap)  # of the start, by layer
+    entries = np.flatnonzero(base.start)
+    shares = base.start[entries]
     if whole is not None:
         for some, bounds in whole.lowest(owed, saved, values, floor, beyond):
-            begun[some], sizes[some] = bounds @ base.start, np.abs(bounds) @ base.start
+            begun[some] = bounds[:, entries] @ shares
+            sizes[some] = np.abs(bounds[:, entries]) @ shares
             if is_kept:
                 kept[some] = bounds
         return _proof_of_layers(process, price, failing, begun, sizes, kept)
@@ -96,7 +99,8 @@ def bound_layers(
             lowest = lowest if asked else np.minimum(lowest, given)
         else:
             lowest, inner = bound_free_steps(base, summed(layer), window.flat, given, inner, floor)
-        begun[layer], sizes[layer] = lowest @ base.start, np.abs(lowest) @ base.start
+        begun[layer] = lowest[entries] @ shares
+        sizes[layer] = np.abs(lowest[entries]) @ shares
         if is_kept:
             kept[layer] = lowest
         window.push(lowest)
