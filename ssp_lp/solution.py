@@ -21,6 +21,8 @@ from ssp_lp.policies.remembering import on_original
 from ssp_lp.problem import Problem, has_rows, on_one_model
 from ssp_lp.processes.failure_semantics import Aim
 
+_LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call
+
 
 @dataclass(frozen=True)
 class Run:
@@ -71,12 +73,14 @@ class Solution(ReadOnlyCopies):
 
     @cached_property
     def evaluation(self) -> Evaluation:
-        """The policy evaluated on the model, within the time limit of the call that found it.
+        """The policy evaluated on the model, within the time limit of its call, or a second.
 
         Raises:
             OutOfTimeError: it takes longer; ``evaluate(policy, problem)`` has all the time.
         """
-        return evaluate(self.policy, self.problem, time_limit=self.run.time_limit)
+        limit = self.run.time_limit
+        limit = None if limit is None else max(limit, _LEAST_LIMIT)
+        return evaluate(self.policy, self.problem, time_limit=limit)
 
     @property
     def gap(self) -> float:

@@ -17,6 +17,8 @@ import ssp_lp.compiled.accelerator as accelerator
 from formulations import MCMP
 from ssp_lp import SSP, solve
 
+signal.signal(signal.SIGINT, signal.default_int_handler)  # what runs in the background ignores it
+
 class AtModule:
     def find_spec(self, name, path=None, target=None):
         if name == sys.argv[1]:  # about to be loaded

@@ -6,7 +6,7 @@ from examples.paper_walkthrough import cross_check
 
 
 def test_the_example_says_that_the_methods_agree(capsys):
-    cross_check.main(["--segments", "8", "--headings", "8", "--budget", "0.4"])
+    cross_check.main(["--segments", "5", "--headings", "5", "--budget", "0.9"])
     printed = capsys.readouterr().out
     assert printed.count("3 methods agree") == 2
     pairs = re.findall(r"alpha\* = ([\d.]+), from c\* and the price ([\d.]+)", printed)

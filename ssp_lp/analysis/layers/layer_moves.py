@@ -219,7 +219,7 @@ class LayerMoves:
         kept = self.model.probabilities[outcome] > 0.0
         if self.classes.size:
             kept &= wanted[self.classes[outcome]]
-        elif not wanted[0]:
+        elif not wanted.all():
             kept[:] = False
         source, outcome = source[kept], outcome[kept]
         return source, outcome, self.classes[outcome] if self.classes.size else 0 * outcome
