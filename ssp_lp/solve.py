@@ -46,7 +46,7 @@ from ssp_lp.problem import (
     pulled_back,
     unrolled,
 )
-from ssp_lp.processes.failure_semantics import Aim, GiveUp, start_distribution
+from ssp_lp.processes.failure_semantics import Aim, GiveUp
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities
@@ -129,8 +129,7 @@ def _solved_with_proof(
                 raise _unsolved(problem, deadline, stop) from None
         if not has_rows(problem) and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
             try:
-                start = start_distribution(solution.policy.model, unrolled(problem).start)
-                solution = replace(solution, policy=stopping_where_lost(solution.policy, start))
+                solution = replace(solution, policy=stopping_where_lost(solution.policy))
             except STOPS as stop:
                 heed(stop)
     if deadline.was_met:

@@ -152,6 +152,33 @@ def stream_arrivals(
                     arriving[slots[kind], successors[outcome]] = True
 
 
+@njit(cache=True)
+def stream_meetings(
+    pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
+    slots: Array, marked: Array, met: Array,
+) -> None:  # fmt: skip
+    """Whether pairs may lead to what is marked in later layers, up to the first such outcome.
+
+    Args:
+        pairs: of each state that is asked for, negative where none is taken, [k].
+        offsets: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
+        marked: [slots, states].
+        met: written where it is so, [k].
+    """
+    for s in range(pairs.size):
+        if pairs[s] >= 0:
+            for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
+                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                is_later = slots[kind] >= 0 and probabilities[outcome] > 0.0
+                if is_later and marked[slots[kind], successors[outcome]]:
+                    met[s] = True
+                    break
+
+
 @one_or_all_cores
 def stream_totals(
     pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,

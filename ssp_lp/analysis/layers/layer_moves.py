@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
@@ -123,6 +122,19 @@ class LayerMoves:
         np.bitwise_or.at(found, source, marks.reshape(-1)[place])
         return sums, found
 
+    def meets(self, pairs: IntArray, slots: IntArray, marked: BoolArray) -> BoolArray:
+        """Whether pairs, [k], may lead to what is marked in later layers, [slots, states]."""
+        check_time()
+        met = np.zeros(len(pairs), dtype=np.bool_)
+        if accelerated(self.model.n_outcomes):
+            from ssp_lp.compiled.streaming import stream_meetings
+
+            stream_meetings(pairs, *self._outcomes, slots, marked, met)
+            return met
+        source, outcome, kind = self._taken(pairs, slots >= 0)
+        met[source[marked[slots[kind], self.model.successors[outcome]]]] = True
+        return met
+
     def reach(self, pairs: IntArray, slots: IntArray, arriving: BoolArray) -> None:
         """Mark where pairs, [k], may lead in later layers, in place, [slots, states]."""
         check_time()
@@ -145,28 +157,6 @@ class LayerMoves:
         source, outcome, kind = self._taken(np.where(mass > 0.0, pairs, -1), slots >= 0)
         place = slots[kind], self.model.successors[outcome]
         np.add.at(waiting, place, mass[source] * self.model.probabilities[outcome])
-
-    def met(self, begins: IntArray) -> tuple[list[npt.NDArray[np.uint8]], BoolArray]:
-        """Where the policy may be in each layer, from some states on with nothing paid.
-
-        Returns:
-            The bits of the states, [layers], and where it may arrive beyond them, [slots, states].
-        """
-        room, n = self.room, self.model.n_states
-        arriving, everywhere = np.zeros((room, n), dtype=np.bool_), np.arange(n)
-        bits: list[npt.NDArray[np.uint8]] = []
-        arriving[0, begins] = True
-        for layer in range(self.layers.count):
-            slots = self.slots(layer)
-            here: IntArray = np.flatnonzero(arriving[layer % room])
-            arriving[layer % room] = False
-            if (slots < 0).any():
-                here = self.within(self.pairs(layer, everywhere), slots, here)
-            self.reach(self.pairs(layer, here), slots, arriving)
-            is_met = np.zeros(n, dtype=np.bool_)
-            is_met[here] = True
-            bits.append(np.packbits(is_met))
-        return bits, arriving
 
     def within(self, pairs: IntArray, slots: IntArray, begins: IntArray) -> IntArray:
         """States to which moves that stay lead from some, these included, increasing.

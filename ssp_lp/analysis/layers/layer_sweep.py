@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -71,7 +72,7 @@ class LayerSweep:
         for layer in reversed(range(moves.layers.count)):
             over = 1.0 - layer / moves.layers.count
             _LOG.debug("layer %d of %d", layer, moves.layers.count, extra={"share": over})
-            here = np.flatnonzero(np.unpackbits(met[layer]))
+            here = _listed_in_layer(np.unpackbits(met[layer]))
             pairs, slots = moves.pairs(layer, here), moves.slots(layer)
             sums, found = moves.expect(pairs, slots, worth, marks, *self._priced)
             staying = moves.staying(here, pairs, slots)
@@ -88,13 +89,23 @@ class LayerSweep:
             there on, the totals, [slots, states, columns], and the marks, [slots, states].
         """
         moves, room, n = self.moves, self.moves.room, self.moves.model.n_states
-        met, arriving = moves.met(begins)
+        arriving, met, everywhere = np.zeros((room, n), dtype=np.bool_), [], np.arange(n)
+        arriving[0, begins] = True
+        for layer in range(moves.layers.count):
+            here, slots = _listed_in_layer(arriving[layer % room]), moves.slots(layer)
+            arriving[layer % room] = False
+            if (slots < 0).any():
+                here = moves.within(moves.pairs(layer, everywhere), slots, here)
+            moves.reach(moves.pairs(layer, here), slots, arriving)
+            is_met = np.zeros(n, dtype=np.bool_)
+            is_met[here] = True
+            met.append(np.packbits(is_met))
         worth, marks = np.empty((room, n, len(self.columns))), np.empty((room, n), dtype=np.uint8)
         count = moves.layers.count
         chosen = {slot % room: moves.layers.tail_at(slot) for slot in range(count, count + room)}
         for number in range(len(moves.layers.tails)):
             lands = [arriving[slot] & (tail == number) for slot, tail in chosen.items()]
-            begins = np.flatnonzero(np.logical_or.reduce(lands))
+            begins = _listed_in_layer(np.logical_or.reduce(lands))
             if begins.size:
                 here, totals, found = self._tail(number, begins)
                 for slot, tail in chosen.items():
@@ -256,3 +267,8 @@ def _chain_in_sweep(
     quits = (pairs[nodes] == GIVE_UP_CODE).astype(np.float64)
     left = rows @ (~inside).astype(np.float64) + staying.onward[nodes] + quits
     return nodes, rows, System(own, (1.0 - survival) + survival * left)
+
+
+def _listed_in_layer(chosen: npt.NDArray[Any]) -> IntArray:
+    """The states that are marked, increasing."""
+    return np.flatnonzero(chosen)

@@ -11,32 +11,28 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.analysis.layers.layer_moves import HOPEFUL, LayerMoves, spread_in_layer
-from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.arrays import IntArray
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, CostLayers, Policy
 
 
-def stopping_where_lost(policy: MixedPolicy, start: FloatArray) -> MixedPolicy:
+def stopping_where_lost(policy: MixedPolicy) -> MixedPolicy:
     """The same policy, but that members that remember their cost give up once the goal is lost.
-
-    Args:
-        policy: the policy.
-        start: where episodes begin, [states]; what they do not come to is left as it is.
 
     Raises:
         Stop: the time ended.
     """
-    return replace(policy, policies=tuple(_stopping(member, start) for member in policy.policies))
+    return replace(policy, policies=tuple(_stopping(member) for member in policy.policies))
 
 
-def _stopping(policy: Policy, start: FloatArray) -> Policy:
+def _stopping(policy: Policy) -> Policy:
     """A member that gives up where it has lost the goal; others are left as they are."""
     layers = policy.layers()
     if not isinstance(policy, CostAwarePolicy) or layers is None:
         return policy
     moves = LayerMoves(policy.model, layers)
     tails, marks = _stopping_tails(moves, layers)
-    return replace(policy, decision=_stopping_layers(moves, layers, marks, start), tails=tails)
+    return replace(policy, decision=_stopping_layers(moves, layers, marks), tails=tails)
 
 
 def _stopping_tails(moves: LayerMoves, layers: CostLayers) -> tuple[IntArray, IntArray]:
@@ -52,29 +48,24 @@ def _stopping_tails(moves: LayerMoves, layers: CostLayers) -> tuple[IntArray, In
     return tails, marks
 
 
-def _stopping_layers(
-    moves: LayerMoves, layers: CostLayers, tail_marks: IntArray, start: FloatArray
-) -> IntArray:
+def _stopping_layers(moves: LayerMoves, layers: CostLayers, tail_marks: IntArray) -> IntArray:
     """The decisions of each layer that stop, [layers, states].
 
     Args:
         moves: of the policy.
         layers: of the policy.
         tail_marks: where the goal is not lost under a tail, [tails, states].
-        start: where episodes begin, [states].
     """
     room, n, count = moves.room, moves.model.n_states, layers.count
-    decision, unpriced = layers.decision.copy(), np.zeros((0, 2), int)
-    reached, _ = moves.met(np.flatnonzero(start))
-    worth, met = np.zeros((room, n, 1)), np.empty((room, n), dtype=np.uint8)
+    everywhere, decision = np.arange(n), layers.decision.copy()
+    hopeful = np.empty((room, n), dtype=np.bool_)
     for layer in range(count, count + room):
-        met[layer % room] = tail_marks[layers.tail_at(layer), np.arange(n)]
+        hopeful[layer % room] = tail_marks[layers.tail_at(layer), everywhere] > 0
     for layer in reversed(range(count)):
-        here = np.flatnonzero(np.unpackbits(reached[layer], count=n))
-        pairs, slots = moves.pairs(layer, here), moves.slots(layer)
-        _, marks = moves.expect(pairs, slots, worth, met, unpriced, np.zeros((0, len(slots))))
-        marks[moves.model.goal_mask[here]] = HOPEFUL
-        spread_in_layer(marks, HOPEFUL, moves.staying(here, pairs, slots))
-        decision[layer, here[(pairs >= 0) & ((marks & HOPEFUL) == 0)]] = GIVE_UP_CODE
-        met[layer % room, here] = marks
+        pairs, slots = moves.pairs(layer, everywhere), moves.slots(layer)
+        meets = moves.meets(pairs, slots, hopeful) | moves.model.goal_mask
+        marks = np.where(meets, HOPEFUL, 0)
+        spread_in_layer(marks, HOPEFUL, moves.staying(everywhere, pairs, slots))
+        decision[layer, (pairs >= 0) & (marks == 0)] = GIVE_UP_CODE
+        hopeful[layer % room] = marks > 0
     return decision
