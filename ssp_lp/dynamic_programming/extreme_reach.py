@@ -174,10 +174,15 @@ def _swept_towards(dynamics: Dynamics, wanted: FloatArray) -> IntArray:
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
     """Pairs by which nothing is lost, however often they come round, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
-    (high, lost), low = found.totals.values.T, found.totals.low[:, 0]
-    arrays = dynamics.transitions, dynamics.exits, np.ascontiguousarray(both[:, 0])
+    high, lost = found.totals.values.T
     home = dynamics.pair_state
-    ahead, _ = precise_advantages(home, *arrays, np.ascontiguousarray(high), low)
+    gain, loss = (
+        precise_advantages(
+            home, dynamics.transitions, dynamics.exits, *map(np.ascontiguousarray, parts)
+        )[0]
+        for parts in zip(both.T, found.totals.values.T, found.totals.low.T, strict=True)
+    )
+    ahead = np.where((high < lost)[home], gain, -loss)  # each is exact where it is small
     size = np.minimum(high, lost)[home]  # the smaller of both is known to that relative accuracy
     slack = np.maximum(MAXIMISER * size, found.floor * high[home])
     slack = np.where(slack > 0.0, slack, MAXIMISER * lost[home])

@@ -207,3 +207,29 @@ def test_the_other_verbs_take_every_criterion():
         assert agreement.agrees, agreement.summary()
         played = simulate(solution.policy, problem, episodes=200, rng=rng)
         assert played.episodes == 200
+
+
+@each_method
+def test_policies_that_fail_alike_and_rarely_are_told_apart_by_cost(method: str) -> None:
+    """Every policy without "turn" fails with 1e-9 exactly; goal probabilities near 1 round more."""
+    near, far = 999_999e-15, 999e-12
+    model = model_of(
+        {
+            "x": {
+                "dear": [(1.0 - near - 1e-6, "g", 2.0), (near, "d", 2.0), (1e-6, "y", 0.0)],
+                "cheap": [(0.25, "x", 0.0), (0.75, "y", 1.0)],
+            },
+            "y": {
+                "go": [(far, "d", 1.0), (1.0 - far - 1e-3, "g", 0.0), (1e-3, "x", 5.0)],
+                "turn": [(0.25, "x", 1.0), (0.75, "d", 2.0)],
+            },
+            "d": {},
+        }
+    )
+    start = {"x": 0.5, "y": 0.5}
+    solution = solve(S3P(model, start), method=method)
+    assert solution.failure_probability == pytest.approx(1e-9, rel=1e-6)
+    assert solution.objective == pytest.approx(0.506006006006006, rel=1e-9)
+    assert certify(solution).accepted
+    within = solve(MCMP(model, start, 1.1e-9, give_up="dead_ends"), method=method)
+    assert within.objective <= 0.5060060071
