@@ -187,6 +187,7 @@ def test_numbers_worked_out_later_keep_the_limit(monkeypatch: pytest.MonkeyPatch
     assert solution.run.time_limit == 60.0
     assert solution.evaluation.objective == pytest.approx(solution.objective)
     monkeypatch.setattr(deadline, "_GRACE", 0.0)
+    monkeypatch.setattr("ssp_lp.solution._LEAST_LIMIT", 0.0)
     late = replace(solution, run=replace(solution.run, time_limit=0.0))
     with pytest.raises(OutOfTimeError, match="before the policy was evaluated"):
         _ = late.failure_probability
