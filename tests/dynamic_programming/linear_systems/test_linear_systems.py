@@ -205,9 +205,8 @@ def test_bounds_of_advantages_hold_in_fractions(compiled: bool, seed: int) -> No
 def scattered_chain(n: int, *, leak: float = 0.01) -> System:
     """A chain of 4 moves to anywhere from each state: its factors fill in, iterations converge."""
     rng = np.random.default_rng(n)
-    rows, columns = np.repeat(np.arange(n), 4), rng.integers(0, n, 4 * n)
-    steps = sp.csr_array((rng.random(4 * n) + 0.1, (rows, columns)), shape=(n, n))
-    steps.setdiag(0.0)
+    rows, ahead = np.repeat(np.arange(n), 4), rng.integers(1, n, 4 * n)  # never to itself
+    steps = sp.csr_array((rng.random(4 * n) + 0.1, (rows, (rows + ahead) % n)), shape=(n, n))
     steps = sp.csr_array(steps.multiply(((1.0 - leak) / steps.sum(axis=1))[:, None]))
     return System(steps, np.full(n, leak))
 
@@ -291,7 +290,8 @@ def test_one_pass_without_cycles_chooses_and_knows_its_errors(
 def test_the_equations_of_a_policy_are_let_go_at_once(compiled: bool) -> None:
     """With them the arrays of a large component: nothing waits for rings of references."""
     rng, n = np.random.default_rng(0), 2_000
-    steps = sp.random_array((n, n), density=4 / n, rng=rng, format="csr") + sp.eye_array(n, k=1)
+    rows, columns = np.repeat(np.arange(n), 4), rng.integers(0, n, 4 * n)
+    steps = sp.csr_array((rng.random(4 * n), (rows, columns)), shape=(n, n)) + sp.eye_array(n, k=1)
     left = 1.0 / (np.asarray(steps.sum(axis=1)).ravel() + 0.1)
     chain = System(sp.csr_array(sp.diags_array(left) @ steps), 0.1 * left)
     gc.disable()
