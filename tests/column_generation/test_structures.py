@@ -12,6 +12,7 @@ from ssp_lp import SSP, SolverError, certify, evaluate, solve
 from ssp_lp.column_generation.failure_row import least_of
 from ssp_lp.compiled import accelerator
 from ssp_lp.formulation import CostLimit
+from tests.support.compiled import Switch
 
 SIZES = {
     "layered": (30, 20), "scattered": (1_500,), "grid": (40,), "river": (20, 60),
@@ -251,3 +252,19 @@ def test_who_gains_nothing_by_giving_up_goes_on(
     monkeypatch.setattr(accelerator, "least_entries", lambda: 0 if compiled else 1 << 62)
     model = SSP.from_transitions({"a": {"go": [(1.0, "g", 0.0)]}}, goal={"g"})
     assert solve(MCMP(model, "a", 1.0, give_up="anywhere")).failure_probability == 0.0
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_free_wait_under_a_discount_keeps_the_bound(fast: bool, accelerate: Switch) -> None:
+    """It leaks by the discount alone: steps within a layer are no run of the model's."""
+    accelerate(fast)
+    model = model_of(
+        {
+            "a": {"on": [(1.0, "b", 1.0)], "wait": [(1.0, "a", 1.0)]},
+            "b": {"on": [(1.0, "g", 1.0)], "back": [(1.0, "a", 1.0)]},
+            "c": {"on": [(1.0, "a", 1.0)], "wait": [(1.0, "c", 0.0)]},
+        }
+    )
+    solution = solve(S3P(model, "a", 1.0, discount=0.9))
+    assert solution.objective == pytest.approx(2.0 / 0.9, rel=1e-9)
+    assert max(solution.gap, certify(solution).gap) <= 1e-8
