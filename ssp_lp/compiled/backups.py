@@ -15,6 +15,9 @@ from ssp_lp.compiled.cores import one_or_all_cores
 
 Array = np.ndarray[Any, Any]
 
+_LOWERINGS = 16
+"""Turns in which bounds within a layer follow each other's rounding: more than halving it takes."""
+
 
 @one_or_all_cores
 def back_up(
@@ -219,8 +222,9 @@ def back_up_layers_safely(
 ) -> None:  # fmt: skip
     """Lower bounds of the least values of all layers; rounding counts against every pair.
 
-    Where free steps go round, what a layer's values exceed their backup by, times the steps that
-    any policy takes within it, is taken off them: then they are a sub-solution.
+    Where free steps go round, values are lowered to their backups, each by its own rounding. What
+    they exceed these by after some turns, times the steps that any policy takes within a layer, is
+    taken off all of them: then they are a sub-solution.
 
     Args:
         order: as in ``back_up_layers``, like all that is not listed here.
@@ -261,30 +265,36 @@ def back_up_layers_safely(
             for s in range(n):
                 values[row + s] = min(values[row + s], given[layer, s])
         excess, size_of_all = 0.0, 0.0
-        for i in range(n):
-            s = order[i]
-            least = np.inf
-            for pair in range(offsets[s], offsets[s + 1]):
-                total, size = 0.0, 0.0
-                for k in range(indptr[pair], indptr[pair + 1]):
-                    term = data[k] * values[begin[kinds[k]] + nodes[k]]
-                    total += term
-                    size += abs(term)
-                stage = charged[slot[pair]] + owed[pair] - saved[pair]
-                whole = abs(charged[slot[pair]]) + owed[pair] + saved[pair]
-                if factor != 0.0:
-                    stage += factor * growth[pair]
-                    whole += factor * growth[pair]
-                total, size = stage + total, whole + size
-                if size != owed[pair]:
-                    terms = float(indptr[pair + 1] - indptr[pair]) + 4.0
-                    total -= (terms * epsilon) * size
-                least = min(least, total)
-            if most > 1:
-                excess = max(excess, values[row + s] - least)
-                size_of_all = max(size_of_all, abs(values[row + s]))
-            else:
-                values[row + s] = min(least, given[layer, s])
+        for turn in range(_LOWERINGS + 1 if most > 1 else 1):
+            excess = 0.0
+            for i in range(n):
+                s = order[i]
+                least = np.inf
+                for pair in range(offsets[s], offsets[s + 1]):
+                    total, size = 0.0, 0.0
+                    for k in range(indptr[pair], indptr[pair + 1]):
+                        term = data[k] * values[begin[kinds[k]] + nodes[k]]
+                        total += term
+                        size += abs(term)
+                    stage = charged[slot[pair]] + owed[pair] - saved[pair]
+                    whole = abs(charged[slot[pair]]) + owed[pair] + saved[pair]
+                    if factor != 0.0:
+                        stage += factor * growth[pair]
+                        whole += factor * growth[pair]
+                    total, size = stage + total, whole + size
+                    if size != owed[pair]:
+                        terms = float(indptr[pair + 1] - indptr[pair]) + 4.0
+                        total -= (terms * epsilon) * size
+                    least = min(least, total)
+                if most > 1:
+                    excess = max(excess, values[row + s] - least)
+                    if turn < _LOWERINGS:
+                        values[row + s] = min(values[row + s], least)
+                    size_of_all = max(size_of_all, abs(values[row + s]))
+                else:
+                    values[row + s] = min(least, given[layer, s])
+            if excess == 0.0:
+                break
         if excess > 0.0:
             excess += 8.0 * epsilon * (size_of_all + excess)
             for s in range(n):

@@ -254,17 +254,32 @@ def test_who_gains_nothing_by_giving_up_goes_on(
     assert solve(MCMP(model, "a", 1.0, give_up="anywhere")).failure_probability == 0.0
 
 
+WAITING = {
+    "a": {"on": [(1.0, "b", 1.0)], "wait": [(1.0, "a", 1.0)]},
+    "b": {"on": [(1.0, "g", 1.0)], "back": [(1.0, "a", 1.0)]},
+    "c": {"on": [(1.0, "a", 1.0)], "wait": [(1.0, "c", 0.0)]},
+}
+ROUND = {
+    "a": {
+        "go": [(0.5, "b", 0.0), (0.5, "g", 1.0)],
+        "pit": [(1.0, "p", 0.0)],
+        "dear": [(1.0, "g", 3.0)],
+    },
+    "b": {"go": [(0.5, "a", 0.0), (0.25, "g", 2.0), (0.25, "p", 1.0)]},
+    "p": {},
+}
+
+
 @pytest.mark.parametrize("fast", [False, True])
-def test_a_free_wait_under_a_discount_keeps_the_bound(fast: bool, accelerate: Switch) -> None:
-    """It leaks by the discount alone: steps within a layer are no run of the model's."""
+@pytest.mark.parametrize(
+    ("table", "gamma", "best"), [(WAITING, 0.9, 2.0 / 0.9), (ROUND, None, 1.2)]
+)
+def test_free_steps_that_go_round_keep_the_bound(
+    table: dict, gamma: float | None, best: float, fast: bool, accelerate: Switch
+) -> None:
+    """Nothing is taken off where giving up is worth nothing exactly, at a budget of 1, too."""
     accelerate(fast)
-    model = model_of(
-        {
-            "a": {"on": [(1.0, "b", 1.0)], "wait": [(1.0, "a", 1.0)]},
-            "b": {"on": [(1.0, "g", 1.0)], "back": [(1.0, "a", 1.0)]},
-            "c": {"on": [(1.0, "a", 1.0)], "wait": [(1.0, "c", 0.0)]},
-        }
-    )
-    solution = solve(S3P(model, "a", 1.0, discount=0.9))
-    assert solution.objective == pytest.approx(2.0 / 0.9, rel=1e-9)
-    assert max(solution.gap, certify(solution).gap) <= 1e-8
+    for budget in (1.0, 0.9):
+        solution = solve(S3P(model_of(table), "a", budget, discount=gamma))
+        assert solution.objective == pytest.approx(best, rel=1e-9)
+        assert max(solution.gap, certify(solution).gap) <= 1e-8

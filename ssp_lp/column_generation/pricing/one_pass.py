@@ -170,7 +170,7 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
         return None
     order, goes_round = _order_of_pass(base)
     within = base.steps_within if goes_round else None
-    if goes_round and (within is None or within.max() > _MOST_WITHIN or base.survival < 1.0):
+    if goes_round and (within is None or within.max() > _MOST_WITHIN):
         return None
     used, kinds = np.unique(base.steps_by_kind[1], return_inverse=True)
     kinds = kinds.astype(np.uint8 if len(used) <= 256 else np.uint32)
