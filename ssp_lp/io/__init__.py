@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from ssp_lp.io.any_format import write_any as write_any
     from ssp_lp.io.controller import Controller as Controller
     from ssp_lp.io.controller_files import write_controller as write_controller
-    from ssp_lp.io.dot import write_dot as write_dot
     from ssp_lp.io.gym.from_gymnasium import (
         GymnasiumWorld as GymnasiumWorld,
     )
@@ -27,12 +26,15 @@ if TYPE_CHECKING:
     from ssp_lp.io.matrices import from_matrices as from_matrices
     from ssp_lp.io.model_archive import load_model as load_model
     from ssp_lp.io.model_archive import save_model as save_model
-    from ssp_lp.io.model_files.drn_reader import read_drn as read_drn
-    from ssp_lp.io.model_files.drn_writer import write_drn as write_drn
-    from ssp_lp.io.model_files.prism_reader import read_prism as read_prism
-    from ssp_lp.io.model_files.prism_writer import write_prism as write_prism
+    from ssp_lp.io.model_files.drn import read_drn as read_drn
+    from ssp_lp.io.model_files.drn import write_drn as write_drn
+    from ssp_lp.io.model_files.prism import read_prism as read_prism
+    from ssp_lp.io.model_files.prism import write_prism as write_prism
     from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
     from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
+    from ssp_lp.io.policy_chains import induced_chain as induced_chain
+    from ssp_lp.io.policy_chains import write_dot as write_dot
+    from ssp_lp.io.policy_chains import write_scheduler as write_scheduler
     from ssp_lp.io.policy_files import load_policy as load_policy
     from ssp_lp.io.policy_files import save_policy as save_policy
     from ssp_lp.io.policy_tables import policy_table as policy_table
@@ -43,36 +45,28 @@ if TYPE_CHECKING:
     from ssp_lp.io.solution_files import (
         save_solution as save_solution,
     )
-    from ssp_lp.io.storm.from_storm import from_stormpy as from_stormpy
-    from ssp_lp.io.storm.induced_chain import induced_chain as induced_chain
-    from ssp_lp.io.storm.programs import read_with_storm as read_with_storm
-    from ssp_lp.io.storm.schedulers import write_scheduler as write_scheduler
-    from ssp_lp.io.storm.to_storm import to_stormpy as to_stormpy
-    from ssp_lp.io.storm.to_storm import write_umb as write_umb
+    from ssp_lp.io.storm_models import from_stormpy as from_stormpy
+    from ssp_lp.io.storm_models import read_with_storm as read_with_storm
+    from ssp_lp.io.storm_models import to_stormpy as to_stormpy
+    from ssp_lp.io.storm_models import write_umb as write_umb
 
 _MODULES = {
     "any_format": "read_any write_any",
     "controller": "Controller",
     "controller_files": "write_controller",
-    "dot": "write_dot",
     "gym.from_gymnasium": "GymnasiumWorld from_gymnasium",
     "gym.rollout": "RolloutReport StepLimitWarning rollout",
     "matrices": "from_matrices",
     "model_archive": "load_model save_model",
-    "model_files.drn_reader": "read_drn",
-    "model_files.drn_writer": "write_drn",
-    "model_files.prism_reader": "read_prism",
-    "model_files.prism_writer": "write_prism",
+    "model_files.drn": "read_drn write_drn",
+    "model_files.prism": "read_prism write_prism",
     "model_files.raw_model": "ModelFile",
     "model_fingerprint": "fingerprint",
+    "policy_chains": "induced_chain write_dot write_scheduler",
     "policy_files": "load_policy save_policy",
-    "solution_files": "load_solution save_solution",
-    "storm.from_storm": "from_stormpy",
-    "storm.induced_chain": "induced_chain",
-    "storm.programs": "read_with_storm",
-    "storm.schedulers": "write_scheduler",
-    "storm.to_storm": "to_stormpy write_umb",
     "policy_tables": "policy_table to_frame",
+    "solution_files": "load_solution save_solution",
+    "storm_models": "from_stormpy read_with_storm to_stormpy write_umb",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
 

@@ -9,15 +9,12 @@ from typing import Any
 
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.model_archive import load_model, save_model
-from ssp_lp.io.model_files.drn_reader import read_drn
-from ssp_lp.io.model_files.drn_writer import write_drn
-from ssp_lp.io.model_files.exported import write_text
+from ssp_lp.io.model_files.drn import read_drn, write_drn
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
-from ssp_lp.io.model_files.prism_reader import read_prism
-from ssp_lp.io.model_files.prism_writer import write_prism
+from ssp_lp.io.model_files.prism import read_prism, write_prism
 from ssp_lp.io.model_files.raw_model import ModelFile
-from ssp_lp.io.storm.programs import Constants, read_with_storm
-from ssp_lp.io.storm.to_storm import write_umb
+from ssp_lp.io.model_files.text_file import write_text
+from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 
