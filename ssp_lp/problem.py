@@ -8,6 +8,7 @@ from typing import Any, Protocol, cast, overload
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
+from ssp_lp.compiled.deadline import is_within_call, limited
 from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import check_product
@@ -157,6 +158,10 @@ class _WithReachFraction(Protocol):
         ...
 
 
+_READING = 10.0  # seconds that the budget of a share may take where it is only read
+_FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as it is given)"
+
+
 class _Shared(float):
     """A budget that a share made: handed on to a copy of its problem, it states nothing."""
 
@@ -165,7 +170,8 @@ class FailureBudget:
     """The field ``failure_budget`` of a problem that may be given ``reach_fraction`` instead.
 
     The budget is then ``1 - reach_fraction * greatest goal probability``, worked out when it is
-    first asked for: stating a problem solves nothing.
+    first asked for: stating a problem solves nothing. ``solve`` does so within its own time limit;
+    whoever only reads it waits for some seconds at most, and gets an OutOfTimeError after that.
     """
 
     def __set__(self, problem: _WithReachFraction, value: float | None) -> None:
@@ -188,7 +194,8 @@ class FailureBudget:
         if (asked := unrolled(stated)) is not stated:
             return asked.failure_budget  # kept in one place, whoever asks
         if "_budget" not in known:
-            known["_budget"] = _Shared(budget_of_share(asked.model, asked.start, share))
+            with limited(None if is_within_call() else _READING, _FOLLOWS):
+                known["_budget"] = _Shared(budget_of_share(asked.model, asked.start, share))
         found: float = known["_budget"]
         return found
 

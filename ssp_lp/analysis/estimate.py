@@ -39,13 +39,14 @@ def proportion_estimate(hits: int, trials: int, confidence: float) -> Estimate:
 
 
 def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimate:
-    """Estimate a mean cost by an empirical Bernstein interval; nan for an empty sample.
+    """Estimate a mean cost by an interval that holds for any law of costs; nan for no sample.
 
     Where an episode pays for ever, the mean is infinite, and so are both ends.
 
     It holds for rare dear events that the sample need not show, of which normal intervals and the
-    bootstrap know nothing: the upper end counts what costs up to ``most`` may add. The lower end
-    counts what costs from 0 on may take away.
+    bootstrap know nothing: the upper end is the empirical Bernstein bound, which counts what costs
+    up to ``most`` may add. The lower end asks for no greatest cost: it is the integral of the
+    sample's survival function less what that may exceed the law's by.
 
     Args:
         sample: of costs in [0, most], each drawn alike.
@@ -53,7 +54,8 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
         most: the greatest cost that can occur.
 
     Reference:
-        Maurer and Pontil, COLT 2009, theorem 4.
+        Maurer and Pontil, COLT 2009, theorem 4; Anderson, Confidence limits for the expected value
+        of an arbitrary bounded random variable, 1969, with Massart's constant (1990).
     """
     if sample.size == 0:
         return Estimate(float("nan"), float("nan"), float("nan"), confidence)
@@ -63,8 +65,10 @@ def mean_estimate(sample: FloatArray, confidence: float, most: float) -> Estimat
     log = float(np.log(4.0 / (1.0 - confidence)))
     spread = float(np.sqrt(2.0 * log / sample.size) * sample.std(ddof=1))
     unseen = 7.0 * log / (3.0 * (sample.size - 1))  # times the range: what the spread may miss
-    low, high = mean - spread - unseen * mean, mean + spread + unseen * most
-    return Estimate(mean, max(low, 0.0), min(high, most), confidence)
+    exceed = float(np.sqrt(np.log(2.0 / (1.0 - confidence)) / (2.0 * sample.size)))
+    above = np.arange(sample.size, 0, -1) / sample.size  # share of the sample, from each cost on
+    low = float(np.diff(np.sort(sample), prepend=0.0) @ np.maximum(above - exceed, 0.0))
+    return Estimate(mean, low, min(mean + spread + unseen * most, most), confidence)
 
 
 def greatest_total(model: SSP, steps: int) -> float:

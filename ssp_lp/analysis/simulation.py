@@ -175,10 +175,10 @@ def simulate(
     An episode ends at a goal, in a dead-end, when the policy gives up, or unfinished after
     ``max_steps``. A mixed policy draws one member for each episode.
 
-    Intervals of probabilities are Clopper and Pearson's, those of mean costs empirical Bernstein
-    ones (``mean_estimate``), which hold for rare dear events too: they are as wide as the dearest
-    episode of ``max_steps`` steps asks for, in a world of one's own at the model's costs. Where
-    episodes are unfinished costs are those of what was played, as the report's ``note`` says.
+    Intervals of probabilities are Clopper and Pearson's, those of mean costs hold for rare dear
+    events too (``mean_estimate``): upwards, by empirical Bernstein, as far as the dearest episode
+    of ``max_steps`` steps asks for, in a world of one's own at the model's costs. Where episodes
+    are unfinished costs are those of what was played, as the report's ``note`` says.
 
     Args:
         policy: the policy, on the problem's model.

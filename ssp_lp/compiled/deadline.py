@@ -214,6 +214,11 @@ def is_late() -> bool:
     return deadline is not None and deadline.is_past()
 
 
+def is_within_call() -> bool:
+    """Whether this is part of a call that ends when it should."""
+    return _running.get() is not None
+
+
 def is_limited() -> bool:
     """Whether the call was given a time limit."""
     deadline = _running.get()

@@ -56,7 +56,8 @@ class Incumbent:
                     self.policies[at_least_failure] = policy
                 policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
-                    self.solution = _judged(problem, policy)
+                    room = LEAST_BUDGET if at_least_failure else 0.0
+                    self.solution = _judged(problem, policy, room)
             except STOPS as stop:
                 heed(stop)
             except SSPError:  # what the search itself will find, and name
@@ -103,12 +104,19 @@ def _cheapest_policy(problem: Problem, *, at_least_failure: bool) -> MixedPolicy
     return None if budget >= 1.0 else refined_optimum(compiled, budget, _ROUGH).lottery
 
 
-def _judged(problem: Problem, policy: MixedPolicy) -> Solution | None:
-    """What a policy is worth in a problem's own terms; None where it breaks a limit, or fails."""
+def _judged(problem: Problem, policy: MixedPolicy, room: float) -> Solution | None:
+    """What a policy is worth in a problem's own terms; None where it breaks a limit, or fails.
+
+    Args:
+        problem: the problem.
+        policy: the policy.
+        room: beyond the budget, of what fails least; for others there is rounding alone.
+    """
     found, budget = evaluate(policy, problem), problem.failure_budget
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
-    if not np.isfinite(found.objective) or (budget is not None and failure > budget + LEAST_BUDGET):
+    allowed = 1.0 if budget is None else max(budget * (1.0 + ATTAINABLE), budget + room)
+    if not np.isfinite(found.objective) or failure > allowed:
         return None
     for condition in conditions_of(problem):
         spent = found.secondary_costs[condition.name]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from bisect import bisect_right
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from contextlib import suppress
 from fractions import Fraction
 from typing import Any, cast
 
@@ -194,10 +195,10 @@ def _built_outcome(
 
 def _built_number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
     """A number of an outcome from which a model is built."""
-    try:
-        return float(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        given = in_short(value)
-        raise ModelError(
-            f"action {action!r} of state {state!r} has a {what} that is no number: {given}"
-        ) from error
+    if not isinstance(value, (str, bytes)):
+        with suppress(TypeError, ValueError, OverflowError):
+            return float(value)
+    given = in_short(value)
+    raise ModelError(
+        f"action {action!r} of state {state!r} has a {what} that is no number: {given}"
+    )

@@ -9,9 +9,12 @@ from time import perf_counter
 import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
-from ssp_lp.arrays import BELOW_RATIO, RELATIVE_GAP, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+    CompiledProblem,
+    LeastFailure,
+)
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
@@ -145,7 +148,7 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
     Raises:
         ModelError: the solution carries no price and value function, or one that does not fit.
     """
-    problem, budget = solution.problem, solution.problem.failure_budget or 0.0
+    problem, budget = solution.problem, max(solution.problem.failure_budget or 0.0, 0.0)
     price, values = solution.failure_price, solution.value_function
     if price is None or values is None:
         raise ModelError("a certificate needs the failure price and its value function")
@@ -156,21 +159,25 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
         return certificate_of(found, 0.0, budget, reason)
     kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
     levels = levels_of(solution.policy.policies, len(values))
-    compiled = problem.compile().matching(np.asarray(values), levels)
-    bound, tail = _certified_lower_bound(compiled, problem, kappa, price == 0.0, solution)
+    compiled, least = problem.compile().matching(np.asarray(values), levels), None
+    row = FailureRow(budget, problem.ratio, compiled.lowest)
+    if attained >= budget * _SURELY:
+        least = compiled.least_failure()
+        row = replace(row, budget=_allowed(budget, least))
+    bound, tail = _certified_lower_bound(compiled, row, kappa, price == 0.0, solution)
     if tail > _LITTLE:  # it may be less beyond the cap with better policies there
         compiled = compiled.for_program()
-        bound, tail = _certified_lower_bound(compiled, problem, kappa, price == 0.0, solution)
-    if attained < budget * _SURELY:
-        return certificate_of(found, bound, budget, tail=tail)
-    least = compiled.least_failure()
-    row = FailureRow(budget, problem.ratio)
-    if row.leaves_only(least.column) and least.column.failure < 1.0:
+        bound, tail = _certified_lower_bound(compiled, row, kappa, price == 0.0, solution)
+    if least is not None and row.leaves_only(least.column) and least.column.failure < 1.0:
         kept = failure_of(found) <= budget  # to the last digit, which tells it from others
         if not (kept and found.objective < least.objective_bound):
             bound = max(bound, least.objective_bound)
-    allowed = max(budget, least.column.failure)
-    return certificate_of(found, bound, allowed, tail=tail)
+    return certificate_of(found, bound, row.budget, tail=tail)
+
+
+def _allowed(budget: float, least: LeastFailure) -> float:
+    """The failure that a budget allows: the least, where that lies above it by rounding only."""
+    return max(budget, min(least.column.failure, budget + LEAST_BUDGET))
 
 
 def _certified_breach(problem: Problem, found: Evaluation) -> str:
@@ -252,11 +259,10 @@ def _certified_rows_bound(
 
 
 def _certified_lower_bound(
-    compiled: CompiledProblem, problem: Problem, price: float, slack: bool, solution: Solution
+    compiled: CompiledProblem, row: FailureRow, price: float, slack: bool, solution: Solution
 ) -> tuple[float, float]:
     """Lower bound of the objective, and the relative gap that truncation leaves in it."""
-    row = FailureRow(max(problem.failure_budget or 0.0, 0.0), problem.ratio, compiled.lowest)
-    slack = slack and problem.ratio
+    slack = slack and row.ratio
     price = price * BELOW_RATIO if slack else price
     proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
     bound = row.lower_bound(proof)
@@ -289,11 +295,11 @@ def _worth_certificate(solution: Solution, found: Evaluation) -> Certificate:
             raise ModelError("a certificate needs the failure price and its value function")
         if not (np.isfinite(price) and price >= 0.0):
             reason, price = "the price is not a number >= 0", 0.0
-        row = FailureRow(max(budget, 0.0), problem.ratio, compiled.lowest)
+        allowed = _allowed(max(budget, 0.0), least)
+        row = FailureRow(allowed, problem.ratio, compiled.lowest)
         values, levels = np.asarray(values), levels_of(solution.policy.policies, len(values))
         priced = row.lower_bound(compiled.matching(values, levels).pricing().check(price, values))
         bound = max(priced, bound) if row.leaves_only(least.column) else priced
-        allowed = max(budget, allowed)
     failing = problem.semantics.failing_worth
     value = failing - found.objective
     is_rounding = ObjectiveSense(failing).settled_bound(value, bound) == value

@@ -33,6 +33,15 @@ def test_they_cover_the_mean_as_often_as_they_say(name: str, size: int) -> None:
     assert held / 400 >= 0.95 - 4.0 * np.sqrt(0.95 * 0.05 / 400)
 
 
+def test_the_lower_end_asks_for_no_greatest_cost() -> None:
+    """It is the mean of the sample without so much of its upper tail as chance may have added."""
+    sample = np.random.default_rng(5).exponential(3.0, 2000)
+    found = [mean_estimate(sample, 0.95, most) for most in (100.0, 1e9)]
+    assert found[0].low == found[1].low > 2.5
+    without = np.sort(sample)[: -int(np.ceil(2000 * np.sqrt(np.log(40.0) / 4000.0)))]
+    assert 0.99 * without.sum() / 2000 <= found[0].low <= without.sum() / 2000 + sample.max() * 0.04
+
+
 def toll() -> SSP:
     """One step, that is dear once in three thousand times."""
     cross = [(0.9997, "home", 1.0), (0.0003, "home", 1000.0)]

@@ -15,6 +15,7 @@ from ssp_lp import (
     LinearProgramming,
     MixedPolicy,
     ModelError,
+    OutOfTimeError,
     certify,
     cross_check,
     evaluate,
@@ -23,6 +24,7 @@ from ssp_lp import (
     trace_frontier,
 )
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
+from ssp_lp.compiled.deadline import check_time, is_limited
 from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp
 from ssp_lp.processes.failure_semantics import start_distribution as distribution_of
 
@@ -177,6 +179,25 @@ def test_stating_a_share_solves_nothing_and_asks_once():
     assert vars(problem)["_budget"] == problem.failure_budget
     assert solve(problem).objective == pytest.approx(79 / 49, rel=1e-9)
     assert MCMP.failure_budget is None
+
+
+def test_reading_a_budget_of_a_share_ends_soon(monkeypatch):
+    """``solve`` works it out for as long as it is given; an attribute starts no unlimited work."""
+    limited = []
+
+    def endless(*given):
+        limited.append(is_limited())
+        while limited[-1]:
+            check_time()
+        return 0.02
+
+    monkeypatch.setattr("ssp_lp.problem.budget_of_share", endless)
+    monkeypatch.setattr("ssp_lp.problem._READING", 1e-3)
+    problem = MCMP(model_of(TWO_MOVES), "x", reach_fraction=0.98)
+    with pytest.raises(OutOfTimeError, match="failure_budget followed from reach_fraction"):
+        _ = problem.failure_budget
+    assert solve(problem).failure_probability <= 0.02 * (1.0 + 1e-12)
+    assert limited == [True, False]
 
 
 def test_words_for_people():

@@ -193,3 +193,18 @@ def test_numbers_worked_out_later_keep_the_limit(monkeypatch: pytest.MonkeyPatch
         _ = late.failure_probability
     with pytest.raises(OutOfTimeError, match="before the policy was evaluated"):
         certify(solution, time_limit=0.0)
+
+
+def test_rounding_of_a_budget_is_measured_by_the_budget() -> None:
+    """A policy that fails with 5e-11 keeps to no budget of 1e-12; one of least failure may."""
+    moves = {"road": [(1.0 - 5e-11, "home", 1.0), (5e-11, "pit", 1.0)], "wait": [(1.0, "y", 9.0)]}
+    model = SSP.from_transitions(
+        {"y": {"on": [(1.0, "home", 1.0)]}, "x": moves, "pit": {}},
+        goal={"home"},
+        treat_actionless_as_dead_ends=True,
+    )
+    problem = S3P(model, "x", failure_budget=1e-12)
+    policy = solve(S3P(model, "x", failure_budget=1.0)).policy
+    assert evaluate(policy, problem).failure_probability == pytest.approx(5e-11)
+    assert incumbent._judged(problem, policy, 0.0) is None
+    assert incumbent._judged(problem, policy, 1e-10) is not None

@@ -80,6 +80,7 @@ def test_arrays_are_read_only() -> None:
         ([(1.0, "elsewhere", 1.0)], "'elsewhere'"),
         ([(1.0, "g")], "triple"),
         ([(1.0, "g", "free")], "no number"),
+        ([("0.5", "g", 1.0), (0.5, "x", 1.0)], "has a probability that is no number: '0.5'"),
         ([], "no outcomes"),
     ],
 )

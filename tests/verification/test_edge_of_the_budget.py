@@ -1,5 +1,7 @@
 """Budgets within a few units in the last place of the least failure keep the proof they had."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -40,3 +42,41 @@ def test_a_budget_just_above_the_least_failure_is_proved_by_both(seed, criterion
         assert certificate.accepted
         assert certificate.gap <= max(1e-9, 10.0 * solution.gap), units
         budget = np.nextafter(budget, 2.0)
+
+
+def rare(seed: int) -> SSP:
+    """A small model whose probabilities are 1 down to 1e-10, and costs whole."""
+    rng = np.random.default_rng(seed)
+    states, table = int(rng.integers(1, 6)), {}
+    for state in range(states):
+        actions = {}
+        for action in range(int(rng.integers(1, 4))):
+            ends = rng.choice(states + 2, size=int(rng.integers(1, 4)), replace=False).tolist()
+            shares = 10.0 ** -rng.integers(0, 11, size=len(ends))
+            shares, cost = shares / shares.sum(), float(rng.integers(1, 4))
+            names = ["g" if e == states else "d" if e == states + 1 else e for e in ends]
+            moves = zip(shares.tolist(), names, strict=True)
+            actions[action] = [(share, name, cost) for share, name in moves]
+        table[state] = actions
+    table["d"] = {}
+    return SSP.from_transitions(table, goal={"g"}, treat_actionless_as_dead_ends=True)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_budget_below_a_rare_least_failure_by_rounding_is_accepted(seed) -> None:
+    """A budget that counts as the least failure is that one, in the proof as in the search."""
+    model = rare(seed)
+    least = solve(MCMP(model, 0, failure_budget=None)).failure_probability
+    for below in (9e-11, 1e-12, 1e-8 * least, 1e-12 * least):
+        if least - below >= 0.0 and below <= 9e-11:
+            certificate = certify(solve(MCMP(model, 0, failure_budget=least - below)))
+            assert certificate.accepted, certificate
+
+
+def test_a_policy_that_breaks_a_budget_no_policy_keeps_is_refused() -> None:
+    solution = solve(MCMP(drawn(11), 0, failure_budget=None))
+    assert solution.failure_probability > 0.01
+    least = solve(MCMP(drawn(11), 0, failure_budget=solution.failure_probability))
+    problem = MCMP(least.problem.model, 0, failure_budget=0.5 * solution.failure_probability)
+    certificate = certify(replace(least, problem=problem))
+    assert "above the budget" in certificate.reason

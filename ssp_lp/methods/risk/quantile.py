@@ -24,7 +24,7 @@ from ssp_lp.processes.layered.charges import LateCharge
 from ssp_lp.solution import Run, Solution
 
 _ROUGH = 1e-2  # how exactly a share is worked out that need only lie on one side of another
-_NEWTON = 6  # steps, after which the bounds in question are halved besides
+_NEWTON = 6  # steps, after which the bounds in question are halved, or doubled while none is kept
 _ABOVE = 1e-9  # relative: by which a price of failure lies above a share, where both are equal
 
 
@@ -68,8 +68,8 @@ def least_quantile(
             last = high if kept else 2 * number + 1
             refuted = max(refuted, _last_refuted(question, trial, level, refuted, last))
             low, number = max(low, refuted), max(low, refuted) + 1
-            if kept is not None and tried > _NEWTON:
-                number = (low + high) // 2
+            if tried > _NEWTON:
+                number = (low + high) // 2 if kept is not None else last
         if kept is not None and not is_late():  # of all that keep to the bound: most often
             best = question.attempt(LateCharge(places.total(high)), options, kappa)
             calls, kept = calls + best.calls, min(kept, best, key=lambda trial: trial.value)
