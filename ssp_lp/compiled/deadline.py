@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from contextvars import ContextVar, Token
 from dataclasses import dataclass
 from itertools import pairwise
+from math import isfinite
 from typing import Any, Final
 
 import numpy as np
@@ -29,6 +30,7 @@ _CLOSING = 0.65
 _LEAST = 0.1  # seconds for each of them in any case
 _PREPARED = 1.0  # seconds of a search after which an answer is to be in hand
 _PREPARED_SHARE = 0.1  # of the time limit, where that is less
+_PREPARED_UNLIMITED = 10.0  # the same where only Ctrl-C ends the search
 _PREPARING = 0.9  # share of the time left that it may take
 _CLOSING_SHARE = 0.1  # of what was spent before, where it was Ctrl-C that stopped the search
 _PIECE = 1_000_000  # entries of a compiled loop between two looks: some hundredths of a second
@@ -128,7 +130,7 @@ def until(
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
     now = time.perf_counter()
-    soon = min(_PREPARED, _PREPARED_SHARE * (at - now))
+    soon = min(_PREPARED, _PREPARED_SHARE * (at - now)) if isfinite(at) else _PREPARED_UNLIMITED
     due = at + grace if prepare is None else now + soon
     return Deadline(at, grace, now, closes=at + more, prepare=prepare, due=due)
 
@@ -193,12 +195,13 @@ def has_answer(*, by_itself: bool = False) -> None:
     """See to it that there is an answer before a search that may take long.
 
     Args:
-        by_itself: the search has one: none need be prepared.
+        by_itself: the search has one: none need be prepared. Where only Ctrl-C ends it, one is
+            looked for as in every search, after some seconds.
     """
     deadline = _running.get()
     if deadline is not None and by_itself:
         deadline.prepare = None
-    elif deadline is not None:
+    elif deadline is not None and isfinite(deadline.at):
         deadline.has_an_answer()
 
 

@@ -152,31 +152,38 @@ def stream_arrivals(
                     arriving[slots[kind], successors[outcome]] = True
 
 
-@njit(cache=True)
-def stream_meetings(
-    pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
-    slots: Array, marked: Array, met: Array,
+@one_or_all_cores
+def stream_hope(
+    decision: Array, acting: Array, pair_offsets: Array,
+    offsets: Array, successors: Array, probabilities: Array, classes: Array,
+    leads: Array, hopeful: Array,
 ) -> None:  # fmt: skip
-    """Whether pairs may lead to what is marked in later layers, up to the first such outcome.
+    """Mark where decisions may lead to what is marked in later layers, from the last layer on.
 
     Args:
-        pairs: of each state that is asked for, negative where none is taken, [k].
+        decision: position in the state's pairs, negative where none is taken, [layers, states].
+        acting: states at which episodes go on, [states].
+        pair_offsets: [states + 1].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
         classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
-        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
-        marked: [slots, states].
-        met: written where it is so, [k].
+        leads: layers that each class of steps passes, [classes].
+        hopeful: written, [layers and those behind them, states].
     """
-    for s in range(pairs.size):
-        if pairs[s] >= 0:
-            for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
-                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                is_later = slots[kind] >= 0 and probabilities[outcome] > 0.0
-                if is_later and marked[slots[kind], successors[outcome]]:
-                    met[s] = True
-                    break
+    n_layers, n = decision.shape
+    for back in range(n_layers):
+        layer = n_layers - 1 - back
+        for s in prange(n):
+            if decision[layer, s] >= 0 and acting[s] and not hopeful[layer, s]:
+                pair = pair_offsets[s] + decision[layer, s]
+                for outcome in range(offsets[pair], offsets[pair + 1]):
+                    kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                    later = layer + leads[kind]
+                    is_later = leads[kind] > 0 and probabilities[outcome] > 0.0
+                    if is_later and hopeful[later, successors[outcome]]:
+                        hopeful[layer, s] = True
+                        break
 
 
 @one_or_all_cores

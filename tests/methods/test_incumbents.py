@@ -139,12 +139,12 @@ def test_ctrl_c_while_an_answer_is_looked_for_ends_the_call(
     problem = CVaR(layered(6, 5, seed=2), 0, 0.7, 0.1)
     monkeypatch.setattr(incumbent, "_cheapest_policy", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        solve(problem)
+        solve(problem, time_limit=60.0)
 
 
 def test_what_a_search_finds_is_kept_where_it_is_better(monkeypatch: pytest.MonkeyPatch) -> None:
     """Looked for at once, the incumbent changes no answer of a search that ends by itself."""
-    monkeypatch.setattr(deadline, "_PREPARED", 0.0)
+    monkeypatch.setattr(deadline, "_PREPARED_UNLIMITED", 0.0)
     problem = S3P(layered(6, 5, seed=2), 0, 0.1)
     plain = solve(problem)
     assert plain.status is Status.OPTIMAL

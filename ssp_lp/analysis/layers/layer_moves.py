@@ -122,18 +122,27 @@ class LayerMoves:
         np.bitwise_or.at(found, source, marks.reshape(-1)[place])
         return sums, found
 
-    def meets(self, pairs: IntArray, slots: IntArray, marked: BoolArray) -> BoolArray:
-        """Whether pairs, [k], may lead to what is marked in later layers, [slots, states]."""
-        check_time()
-        met = np.zeros(len(pairs), dtype=np.bool_)
-        if accelerated(self.model.n_outcomes):
-            from ssp_lp.compiled.streaming import stream_meetings
+    def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
+        """Mark where decisions of layers may lead to what is marked in later ones, in place.
 
-            stream_meetings(pairs, *self._outcomes, slots, marked, met)
-            return met
-        source, outcome, kind = self._taken(pairs, slots >= 0)
-        met[source[marked[slots[kind], self.model.successors[outcome]]]] = True
-        return met
+        Args:
+            begin: the first of the layers, which pass equally many with each class of steps.
+            end: behind the last of them; they are taken from the last one on.
+            hopeful: what is marked, and becomes so, [layers and those behind them, states].
+        """
+        check_time()
+        model, leads, decision = self.model, self.layers.leads(begin), self.layers.decision
+        if accelerated(model.n_outcomes * (end - begin)):
+            from ssp_lp.compiled.streaming import stream_hope
+
+            own = decision[begin:end], self.acting, model.pair_offsets
+            stream_hope(decision[begin:end].size)(*own, *self._outcomes, leads, hopeful[begin:])
+            return
+        everywhere = np.arange(model.n_states)
+        for layer in reversed(range(begin, end)):
+            source, outcome, kind = self._taken(self.pairs(layer, everywhere), leads > 0)
+            met = hopeful[layer + leads[kind], model.successors[outcome]]
+            hopeful[layer, source[met]] = True
 
     def reach(self, pairs: IntArray, slots: IntArray, arriving: BoolArray) -> None:
         """Mark where pairs, [k], may lead in later layers, in place, [slots, states]."""

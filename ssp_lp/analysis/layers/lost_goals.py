@@ -11,9 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.analysis.layers.layer_moves import HOPEFUL, LayerMoves, spread_in_layer
-from ssp_lp.arrays import IntArray
+from ssp_lp.model.graph.reachability import approach_pairs, goal_pairs
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
-from ssp_lp.policies.policy import GIVE_UP_CODE, CostLayers, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, Policy
+
+_AT_ONCE = 1_000_000  # decisions between two looks at the time
 
 
 def stopping_where_lost(policy: MixedPolicy) -> MixedPolicy:
@@ -30,42 +32,32 @@ def _stopping(policy: Policy) -> Policy:
     layers = policy.layers()
     if not isinstance(policy, CostAwarePolicy) or layers is None:
         return policy
-    moves = LayerMoves(policy.model, layers)
-    tails, marks = _stopping_tails(moves, layers)
-    return replace(policy, decision=_stopping_layers(moves, layers, marks), tails=tails)
-
-
-def _stopping_tails(moves: LayerMoves, layers: CostLayers) -> tuple[IntArray, IntArray]:
-    """The tails that stop, and where the goal is not lost under them, [tails, states] both."""
-    everywhere, tails = np.arange(moves.model.n_states), layers.tails.copy()
-    marks = np.zeros(tails.shape, dtype=np.uint8)
-    stay = np.full(len(layers.costs), -1)
-    for number, mark in enumerate(marks):
-        pairs = moves.tail(number, everywhere)
-        mark[moves.model.goal_mask] = HOPEFUL
-        spread_in_layer(mark, HOPEFUL, moves.staying(everywhere, pairs, stay))
-        tails[number, (pairs >= 0) & (mark == 0)] = GIVE_UP_CODE
-    return tails, marks
-
-
-def _stopping_layers(moves: LayerMoves, layers: CostLayers, tail_marks: IntArray) -> IntArray:
-    """The decisions of each layer that stop, [layers, states].
-
-    Args:
-        moves: of the policy.
-        layers: of the policy.
-        tail_marks: where the goal is not lost under a tail, [tails, states].
-    """
-    room, n, count = moves.room, moves.model.n_states, layers.count
-    everywhere, decision = np.arange(n), layers.decision.copy()
-    hopeful = np.empty((room, n), dtype=np.bool_)
-    for layer in range(count, count + room):
-        hopeful[layer % room] = tail_marks[layers.tail_at(layer), everywhere] > 0
-    for layer in reversed(range(count)):
-        pairs, slots = moves.pairs(layer, everywhere), moves.slots(layer)
-        meets = moves.meets(pairs, slots, hopeful) | moves.model.goal_mask
-        marks = np.where(meets, HOPEFUL, 0)
-        spread_in_layer(marks, HOPEFUL, moves.staying(everywhere, pairs, slots))
-        decision[layer, (pairs >= 0) & (marks == 0)] = GIVE_UP_CODE
-        hopeful[layer % room] = marks > 0
-    return decision
+    model, moves, count = policy.model, LayerMoves(policy.model, layers), layers.count
+    tails, decision, everywhere = (
+        layers.tails.copy(),
+        layers.decision.copy(),
+        np.arange(model.n_states),
+    )
+    beyond = np.empty(tails.shape, dtype=np.bool_)  # where a tail has not lost the goal
+    for number, tail in enumerate(layers.tails):
+        followed = np.zeros(model.n_pairs, dtype=np.bool_)
+        followed[tail[tail >= 0]] = True
+        nearer = approach_pairs(model, goal_pairs(model), followed)
+        beyond[number] = model.goal_mask | (nearer >= 0)
+    hopeful = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
+    hopeful[:count] = model.goal_mask
+    for layer in range(count, len(hopeful)):
+        hopeful[layer] = beyond[layers.tail_at(layer), everywhere]
+    pays = layers.unit is not None and bool((layers.leads(0) > 0).all())
+    several = max(_AT_ONCE // max(model.n_states, 1), 1) if pays else 1
+    for end in range(count, 0, -several):
+        begin = max(end - several, 0)
+        moves.meet(begin, end, hopeful)
+        if not pays and (slots := moves.slots(begin)).min() < 0:
+            marks = np.where(hopeful[begin], HOPEFUL, 0)
+            staying = moves.staying(everywhere, moves.pairs(begin, everywhere), slots)
+            spread_in_layer(marks, HOPEFUL, staying)
+            hopeful[begin] = marks > 0
+    decision[moves.acting & (decision >= 0) & ~hopeful[:count]] = GIVE_UP_CODE
+    tails[moves.acting & (tails >= 0) & ~beyond] = GIVE_UP_CODE
+    return replace(policy, decision=decision, tails=tails)
