@@ -14,6 +14,7 @@ from ssp_lp.compiled.cores import one_or_all_cores
 from ssp_lp.compiled.elimination import solve_by_elimination
 
 Array = np.ndarray[Any, Any]
+_LOWERINGS = 8  # of a value by what it still lacks: after two of them nothing does, as a rule
 _SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
 
 
@@ -122,6 +123,38 @@ def shortfalls_safely(
             ahead = safe_advantage(row, s, indptr, indices, data, exits, cost[row], values, epsilon)
             worst = max(worst, -ahead) if ahead == ahead else np.inf
         result[s] = worst
+
+
+@njit(cache=True)
+def lower_in_order(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
+    cost: Array, epsilon: float, values: Array,
+) -> None:  # fmt: skip
+    """Lower values of a process without cycles, in place, until none exceeds its backup.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [pairs].
+        order: states, ends first, [states].
+        cost: [pairs].
+        epsilon: of the machine.
+        values: [states].
+    """
+    for s in order:
+        for row in range(offsets[s], offsets[s + np.uint32(1)]):
+            departs = exits[row]
+            for k in range(indptr[row], indptr[row + np.uint32(1)]):
+                departs += data[k] if indices[k] != s else 0.0
+            for _ in range(_LOWERINGS):
+                lack = -safe_advantage(
+                    row, s, indptr, indices, data, exits, cost[row], values, epsilon
+                )
+                if not (lack > 0.0 and departs > 0.0):
+                    break
+                values[s] -= max(lack / departs, epsilon * abs(values[s]))
 
 
 @njit(cache=True)

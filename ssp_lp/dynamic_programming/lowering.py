@@ -9,10 +9,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, segment_minima
+from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, segment_minima, unsigned
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards, least_backwards
+from ssp_lp.dynamic_programming.backward_induction import (
+    is_compiled_backwards,
+    is_solved_backwards,
+    least_backwards,
+)
 from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, safe_minima, unsigned_parts
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.linear_systems.advantages import safe_advantages
@@ -59,10 +63,20 @@ def lowered_at_once(
     """Values lowered by what the worst near-optimal policy gathers; None where that costs much.
 
     A step gathers a few times the greatest lack, less what its pair is worse than the best: of
-    least such totals w, ``v + w`` lacks nothing.
+    least such totals w, ``v + w`` lacks nothing. Without cycles each value is lowered to its backup
+    in turn, ends first, which is the least that will do.
     """
     if not is_solved_backwards(dynamics):
         return None
+    if is_compiled_backwards(dynamics) and dynamics.components.largest <= 1:
+        from ssp_lp.compiled.precision import lower_in_order
+
+        parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
+        order, lowered = unsigned(dynamics.components.order), values.copy()
+        lower_in_order(*parts, dynamics.exits, order, pair_cost, MACHINE_EPSILON, lowered)
+        lowered = np.maximum(lowered, floor)
+        if (lowered >= values - _LOST_AT_ONCE * np.abs(values)).all():
+            return None if shortfall(dynamics, pair_cost, lowered).any() else lowered
     ahead = safe_advantages(
         dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, values
     )

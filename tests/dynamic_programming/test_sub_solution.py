@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dual_bound import dual_bound, sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.lowering import shortfall
 
@@ -39,3 +42,37 @@ def test_what_passes_is_a_lower_bound(seed: int) -> None:
     lowered = sub_solution(dynamics, cost, guess)
     assert (lowered <= optimum * (1.0 + 1e-14) + 1e-14).all()
     assert lowered == pytest.approx(optimum, rel=1e-5, abs=1e-6)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_chain_of_waits_is_bounded_to_its_last_digits(
+    compiled: bool, accelerate: Callable[[bool], None]
+) -> None:
+    """Each of 400 states waits with probability 1 - p at cost c, or with 1 - q at cost d.
+
+    A row and its exits are the truth: the value is the sum of the least of c / p and d / q.
+    """
+    accelerate(compiled)
+    rng, n = np.random.default_rng(3), 400
+    on, cost = rng.uniform(0.01, 1.0, (n, 2)), rng.uniform(0.1, 10.0, (n, 2))
+    rows = np.repeat(np.arange(2 * n), 2)
+    columns = np.stack([np.repeat(np.arange(n), 2), np.repeat(np.arange(n) - 1, 2)], axis=1)
+    data = np.stack([1.0 - on.ravel(), on.ravel()], axis=1)
+    inside = columns.ravel() >= 0
+    entries = data.ravel()[inside], (rows[inside], columns.ravel()[inside])
+    exits = np.where(columns[:, 1] < 0, on.ravel(), 0.0)
+    dynamics = Dynamics(2 * np.arange(n + 1), sp.csr_array(entries, shape=(2 * n, n)), exits)
+    exact = [
+        [Fraction(c) / Fraction(p) for c, p in zip(*s, strict=True)]
+        for s in zip(cost, on, strict=True)
+    ]
+    optimum = np.cumsum(np.array([min(each) for each in exact]))
+    choice = 2 * np.arange(n) + np.array([each[1] < each[0] for each in exact])
+    for noise in (0.0, 1e-15, 1e-14):
+        values = optimum.astype(np.float64) * (1.0 + noise * rng.standard_normal(n))
+        bound = dual_bound(dynamics, cost.ravel(), values, choice=choice)
+        proved = [
+            Fraction(v) + Fraction(low) for v, low in zip(bound.values, bound.low, strict=True)
+        ]
+        assert all(b <= v for b, v in zip(proved, optimum, strict=True))
+        assert all(b >= v * (1 - Fraction(1, 10**11)) for b, v in zip(proved, optimum, strict=True))
