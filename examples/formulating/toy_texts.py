@@ -2,8 +2,8 @@
 
     python examples/formulating/toy_texts.py
 
-The lake and the taxi keep their own limits on steps, the cliff has none and is given one. Sixteen
-environments are played side by side. What is certified lies in the interval of what is played.
+The lake and the taxi keep their own limits on steps, the cliff has none and is given one. What is
+certified lies in the interval of what is played.
 """
 
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
@@ -21,27 +21,26 @@ END_OF_CLIFF = 47
 
 def frozen_lake(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
     """Across the ice within 100 steps, drowning or late in at most 40 % of the episodes."""
-    world = from_gymnasium(gym.make("FrozenLake-v1", map_name="8x8"))
+    env = gym.make("FrozenLake-v1", map_name="8x8")
+    world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.4))
-    envs = gym.make_vec("FrozenLake-v1", num_envs=16, map_name="8x8")
-    return solution, rollout(envs, solution.policy, episodes=episodes, seed=0)
+    return solution, rollout(env, solution.policy, episodes=episodes, seed=0)
 
 
 def cliff_walking(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
     """Along the slippery cliff, given 100 steps; late in at most 10 % of the episodes."""
-    options = {"id": "CliffWalkingSlippery-v1", "max_episode_steps": 100}
-    world = from_gymnasium(gym.make(**options), goal=lambda state: state == END_OF_CLIFF)
+    env = gym.make("CliffWalkingSlippery-v1", max_episode_steps=100)
+    world = from_gymnasium(env, goal=lambda state: state == END_OF_CLIFF)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.1))
-    envs = gym.make_vec(**options, num_envs=16)
-    return solution, rollout(envs, solution.policy, episodes=episodes, seed=0)
+    return solution, rollout(env, solution.policy, episodes=episodes, seed=0)
 
 
 def taxi(episodes: int = EPISODES) -> tuple[Solution, RolloutReport]:
     """Passengers driven within 200 steps, as cheaply as it goes with one in twenty let down."""
-    world = from_gymnasium(gym.make("Taxi-v4"))
+    env = gym.make("Taxi-v4")
+    world = from_gymnasium(env)
     solution = solve(MCMP(world.model, world.start, failure_budget=0.05))
-    envs = gym.make_vec("Taxi-v4", num_envs=16)
-    return solution, rollout(envs, solution.policy, episodes=episodes, seed=0)
+    return solution, rollout(env, solution.policy, episodes=episodes, seed=0)
 
 
 TASKS: dict[str, Callable[[int], tuple[Solution, RolloutReport]]] = {

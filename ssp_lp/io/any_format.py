@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ssp_lp.errors import Argument, ModelError
-from ssp_lp.io.model_archive import load_model, save_model
+from ssp_lp.io.archives import load_model, save_model
 from ssp_lp.io.model_files.drn import read_drn, write_drn
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
 from ssp_lp.io.model_files.prism import read_prism, write_prism

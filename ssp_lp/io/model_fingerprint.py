@@ -1,15 +1,20 @@
-"""A fingerprint of what a model says: equal models have equal ones, in every process."""
+"""A fingerprint of what a model says, alike in every process, and labels as JSON has them."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Hashable, Iterator, Sequence
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from fractions import Fraction
 from hashlib import sha256
+from math import isfinite
+from typing import Any
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.io.json_labels import are_numbers_in_turn, stated_value
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.kept import kept
@@ -88,3 +93,70 @@ def _fingerprint_labels(labels: Sequence[Hashable]) -> object:
     if are_numbers_in_turn(labels):
         return len(labels)
     return [stated_value(label) for label in labels]
+
+
+def label_value(label: Hashable) -> Any:
+    """A label as a JSON value: strings, numbers, True, False and None as they are, tuples as lists.
+
+    Raises:
+        ModelError: it is, or holds, anything else, or a number that is not finite.
+    """
+    plain = label.item() if isinstance(label, np.generic) else label
+    match plain:
+        case Enum():
+            pass
+        case None | bool() | str():
+            return plain
+        case int():
+            return int(plain)
+        case float() if isfinite(plain):
+            return plain
+        case tuple():
+            return [label_value(part) for part in plain]
+    raise ModelError(
+        f"the label {label!r} cannot be written: str, int, float, bool, None and tuples of them can"
+    )
+
+
+def label_of(value: Any) -> Hashable:
+    """The label that a value in JSON was: lists as tuples.
+
+    Raises:
+        ModelError: an object, which no label becomes.
+    """
+    if isinstance(value, list):
+        return tuple(label_of(part) for part in value)
+    if isinstance(value, dict):
+        raise ModelError(f"{str(value)[:60]!r} is no name of a state or an action")
+    found: Hashable = value
+    return found
+
+
+def stated_value(label: Hashable) -> Any:
+    """As :func:`label_value`, and what else can be stated the same way in every process.
+
+    Sets, fractions, members of enumerations and dataclasses become objects that name them.
+
+    Raises:
+        ModelError: it is, or holds, anything else.
+    """
+    match label:
+        case Enum():
+            return {"member": f"{type(label).__qualname__}.{label.name}"}
+        case Fraction():
+            return {"fraction": str(label)}
+        case frozenset():
+            return {"set": sorted((stated_value(part) for part in label), key=repr)}
+        case tuple():
+            return [stated_value(part) for part in label]
+    if is_dataclass(label) and not isinstance(label, type):
+        parts = {part.name: stated_value(getattr(label, part.name)) for part in fields(label)}
+        return {"class": type(label).__qualname__, "fields": parts}
+    return label_value(label)
+
+
+def are_numbers_in_turn(labels: Sequence[Hashable]) -> bool:
+    """Whether the labels need no JSON: the whole numbers 0, 1, ..."""
+    if isinstance(labels, range):
+        return labels == range(len(labels))
+    return all(label == k for k, label in enumerate(labels))

@@ -31,7 +31,7 @@ from played import (
 )
 from ssp_lp import SSP, MixedPolicy, ModelError, evaluate, product, solve
 from ssp_lp.io import fingerprint, load_policy, save_policy
-from ssp_lp.io.policy_files import SAVED_CLASSES
+from ssp_lp.io.archives import _CLASSES
 from ssp_lp.policies.policy import Policy
 
 NAMES = sorted(policies(hall()))
@@ -159,7 +159,7 @@ def test_every_class_of_policies_can_be_saved() -> None:
     for module in pkgutil.iter_modules(ssp_lp.policies.__path__):
         found = vars(importlib.import_module(f"ssp_lp.policies.{module.name}")).values()
         classes = {made for made in found if isinstance(made, type) and issubclass(made, Policy)}
-        assert classes - {Policy} <= SAVED_CLASSES
+        assert classes - {Policy} <= set(_CLASSES.values())
 
 
 def test_the_same_policy_gives_the_same_file_and_parts_are_kept_once(tmp_path: Path) -> None:

@@ -1,28 +1,59 @@
-"""Models from Gymnasium's tabular environments: toy-text, and whatever else has a table ``P``."""
+"""Gymnasium's tabular environments as models, and policies played back in them."""
 
 from __future__ import annotations
 
 import logging
+import warnings
+from collections import Counter
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import chain
 from math import fsum
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import SINGLE_PRECISION_SUM, BoolArray, FloatArray, IntArray, offsets_of
-from ssp_lp.errors import Argument, ModelError, wrong_argument
-from ssp_lp.io.gym.environment import name_of_environment, step_limit_of
+from ssp_lp.analysis.estimate import (
+    Estimate,
+    greatest_total,
+    mean_estimate,
+    proportion_estimate,
+)
+from ssp_lp.arrays import (
+    SINGLE_PRECISION_SUM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ReadOnlyCopies,
+    offsets_of,
+    read_only,
+)
+from ssp_lp.errors import (
+    Argument,
+    ModelError,
+    check_between_0_and_1,
+    check_whole,
+    in_short,
+    optional_module,
+    wrong_argument,
+)
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.ssp import SSP
 from ssp_lp.model.within_steps import HorizonSSP, within_steps
+from ssp_lp.policies.mixed import MixedPolicy, as_lottery
+from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, UNDECIDED, Policy, check_costs
+from ssp_lp.policies.remembering import on_original
 
 if TYPE_CHECKING:
     import gymnasium
+
+MOST_STEPS = 10_000
+"""Steps after which an episode is cut off where nothing else does, as in ``simulate``."""
 
 END = "end"
 """Where an environment also goes on from a state that it may end in, the end is ("end", state)."""
@@ -103,9 +134,11 @@ def from_gymnasium(
         >>> world.model, world.start, world.horizon
         (HorizonSSP(1,568 states, 4,288 pairs, 12,864 outcomes, 95 goals), {(0, 0): 1.0}, 100)
     """
-    limit = step_limit_of(env)
-    table, begin = _table_of(env), _start_of_environment(env, start)
-    model = _model_of_environment(table, begin, goal, _cost_function(cost))
+    limit = _step_limit_of(env)
+    table, begin = _table_of(env), _start_of(env, start)
+    if not callable(cost) and cost not in _COSTS:
+        raise wrong_argument("cost", "be 'step', 'reward' or a function", cost)
+    model = _model_of_table(table, begin, goal, cost if callable(cost) else _COSTS[cost])
     logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
         raise wrong_argument("horizon", "be 'env', a number of steps or None", horizon)
@@ -116,8 +149,31 @@ def from_gymnasium(
     return GymnasiumWorld(unrolled, unrolled.start(begin), limit, steps)
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
+def _step_limit_of(env: gymnasium.Env[Any, Any]) -> int | None:
+    """The steps after which the environment's ``TimeLimit`` cuts an episode off; None: never.
+
+    Raises:
+        MissingDependencyError: gymnasium is not installed.
+        ModelError: it is no environment.
+    """
+    base, wrappers = (optional_module(name, "gym") for name in ("gymnasium", "gymnasium.wrappers"))
+    if not hasattr(env, "unwrapped"):
+        told = "an environment is needed, such as gymnasium.make('FrozenLake-v1'), not "
+        raise ModelError(f"{told}{in_short(env)}")
+    limits, layer = [], env
+    while isinstance(layer, base.Wrapper):
+        if isinstance(layer, wrappers.TimeLimit):
+            limits.append(int(layer._max_episode_steps))
+        layer = layer.env
+    return min(limits, default=None)
+
+
+def _name_of(env: Any) -> str:
+    """What Gymnasium calls an environment, or what its class is called."""
+    return str(env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
+
+
+class _Table(NamedTuple):
     """An environment's table: its states, then those that only outcomes name."""
 
     states: list[Hashable]  # [states]
@@ -139,12 +195,12 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
     """
     listed = getattr(env.unwrapped, "P", None)
     if listed is None:
-        name = name_of_environment(env)
+        name = _name_of(env)
         raise ModelError(f"{name} is not tabular: it has no table of transitions, env.unwrapped.P")
     # no lists of lists: their collector would take longer than all the rest
     names, tables = _keys(listed), list(_values(listed))
-    index = {gym_value(name): k for k, name in enumerate(names)}
-    actions = list(map(gym_value, chain.from_iterable(map(_keys, tables))))
+    index = {_plain(name): k for k, name in enumerate(names)}
+    actions = list(map(_plain, chain.from_iterable(map(_keys, tables))))
     outcomes = list(chain.from_iterable(map(_values, tables)))
     pair_state = np.repeat(np.arange(len(tables)), list(map(len, tables)))
     pair = np.repeat(np.arange(len(outcomes)), list(map(len, outcomes)))
@@ -162,7 +218,7 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
             f"probabilities sum to {total[k]:.9g}"
         )
     for state in dict.fromkeys(targets):
-        index.setdefault(gym_value(state), len(index))
+        index.setdefault(_plain(state), len(index))
     occurs = probability != 0.0
     return _Table(
         states=list(index),
@@ -187,12 +243,12 @@ def _values(listed: Any) -> Any:
     return listed.values() if isinstance(listed, Mapping) else listed
 
 
-def gym_value(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     """A number of numpy's as one of Python's; anything else as it is."""
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _start_of_environment(
+def _start_of(
     env: gymnasium.Env[Any, Any], start: Hashable | Mapping[Hashable, float] | None
 ) -> dict[Hashable, float]:
     """The states in which the environment's episodes begin, with their probabilities."""
@@ -203,22 +259,11 @@ def _start_of_environment(
             raise ModelError(told, Argument("start"))
         start = dict(zip(_keys(shares), map(float, _values(shares)), strict=True))
     if not isinstance(start, Mapping):
-        return {gym_value(start): 1.0}
+        return {_plain(start): 1.0}
     total = fsum(start.values())
     if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
         raise ModelError(f"the start's probabilities sum to {total:.9g}")
-    return {
-        gym_value(state): float(share) / total for state, share in start.items() if share != 0.0
-    }
-
-
-def _cost_function(cost: str | CostFunction) -> CostFunction:
-    """What a step of the environment costs, by its name or as given."""
-    if callable(cost):
-        return cost
-    if cost not in _COSTS:
-        raise wrong_argument("cost", "be 'step', 'reward' or a function", cost)
-    return _COSTS[cost]
+    return {_plain(state): float(share) / total for state, share in start.items() if share != 0.0}
 
 
 def _step_cost(state: Any, action: Any, next_state: Any, reward: float) -> float:
@@ -232,7 +277,7 @@ def _reward_cost(state: Any, action: Any, next_state: Any, reward: float) -> flo
 _COSTS: dict[str, CostFunction] = {"step": _step_cost, "reward": _reward_cost}
 
 
-def _model_of_environment(
+def _model_of_table(
     table: _Table,
     begin: Mapping[Hashable, float],
     goal: Callable[[Any], bool] | None,
@@ -340,3 +385,187 @@ def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
         told = f"no step into one of the environment's ends {ends} is rewarded: "
         raise ModelError(told, *_SAY_GOALS)
     return np.asarray(goals)
+
+
+class StepLimitWarning(UserWarning):
+    """The environment cut episodes off by a step limit that the policy's model does not have."""
+
+
+@dataclass(frozen=True, eq=False)
+class RolloutReport(ReadOnlyCopies):
+    """What happened in the episodes."""
+
+    episodes: int
+    goal: int  # reached it
+    failed: int  # ended elsewhere, or where the goal is out of reach
+    gave_up: int  # the policy gave up, as where too few steps are left
+    truncated: int  # cut off by a limit on the steps
+    goal_probability: Estimate
+    failure_probability: Estimate  # whatever the reason
+    conditional_cost: Estimate  # mean cost of the episodes that reached the goal
+    success_costs: FloatArray  # [goal] their costs
+    mean_steps: float
+    step_limit: int | None  # the environment's own
+
+    def summary(self) -> str:
+        """Two lines for a person."""
+        failure, cost = self.failure_probability, self.conditional_cost
+        cut = ", cut where truncated" if self.truncated else ""
+        ends = f"goal {self.goal:,}, failed {self.failed:,}, gave up {self.gave_up:,}"
+        return (
+            f"{self.episodes:,} episodes: {ends}, truncated {self.truncated:,}\n"
+            f"  failure {failure.value:.4f} [{failure.low:.4f}, {failure.high:.4f}], cost given "
+            f"success {cost.value:.4f} [{cost.low:.4f}, {cost.high:.4f}]{cut}"
+        )
+
+
+@explained
+def rollout(
+    env: gymnasium.Env[Any, Any],
+    policy: Policy | MixedPolicy,
+    *,
+    episodes: int,
+    seed: int,
+    max_steps: int | None = None,
+    confidence: float = 0.95,
+) -> RolloutReport:
+    """Play a policy in the environment, step by step, and count how the episodes end.
+
+    A lottery draws one member for each episode. An episode ends at a goal or a dead-end of the
+    model, when the policy gives up, or when it is cut off: by the environment, by the horizon that
+    the policy was made for, or after ``max_steps``.
+
+    Args:
+        env: the environment; it is reset before each episode, and not closed.
+        policy: of a problem on ``from_gymnasium(env).model``, or on a product with that model.
+        episodes: how many to play.
+        seed: of the environment and of the policy's draws.
+        max_steps: steps after which an episode is cut off; None: 10,000.
+        confidence: of the intervals.
+
+    Raises:
+        MissingDependencyError: gymnasium is not installed.
+        ModelError: wrong arguments, another policy, or an environment that leaves its table.
+
+    Warns:
+        StepLimitWarning: the environment cut off episodes by a step limit that the policy does
+            not know of, so that what is certified for it need not hold there.
+    """
+    check_between_0_and_1("confidence", confidence)
+    check_whole("episodes", episodes, most=MOST_EPISODES)
+    check_whole("max_steps", MOST_STEPS if max_steps is None else max_steps)
+    check_whole("seed", seed, 0)
+    lottery = as_lottery(policy)
+    while isinstance(lottery.model, ProductSSP):
+        lottery = on_original(lottery)
+    model = lottery.model
+    if not isinstance(model, EnvironmentSSP):
+        raise ModelError("the policy's model is of no environment: make it by from_gymnasium(env)")
+    limit, known = _step_limit_of(env), [member.step_limit for member in lottery.policies]
+    horizon = None if None in known else min(cast("list[int]", known))
+    most = min(m for m in (max_steps or MOST_STEPS, horizon) if m is not None)
+    theirs, ours = np.random.SeedSequence(seed).spawn(2)  # one stream would couple their draws
+    env.reset(seed=int(theirs.generate_state(1)[0]))
+    player = _Player(lottery, np.random.default_rng(ours))
+    played = [_play_episode(env, player, most) for _ in range(episodes)]
+    count, cut_off = Counter(one.end for one in played), sum(one.is_cut_off for one in played)
+    if cut_off and (horizon is None or limit is None or horizon > limit):
+        told = "a wrapper of its own" if limit is None else f"TimeLimit, max_episode_steps={limit}"
+        warnings.warn(
+            f"{_name_of(env)} cut off {cut_off:,} of {episodes:,} episodes ({told}), which the "
+            "policy does not know of: a model with a horizon counts steps",
+            StepLimitWarning,
+            stacklevel=3,  # beyond the rollout and what explains its errors
+        )
+    costs = np.array([one.cost for one in played if one.end == "goal"])
+    return RolloutReport(
+        episodes=episodes,
+        goal=count["goal"],
+        failed=count["failed"],
+        gave_up=count["gave_up"],
+        truncated=count["truncated"],
+        goal_probability=proportion_estimate(count["goal"], episodes, confidence),
+        failure_probability=proportion_estimate(episodes - count["goal"], episodes, confidence),
+        conditional_cost=mean_estimate(costs, confidence, greatest_total(model, most)),
+        success_costs=read_only(costs),
+        mean_steps=float(np.mean([one.steps for one in played])),
+        step_limit=limit,
+    )
+
+
+class _Episode(NamedTuple):
+    """How an episode of a rollout ended."""
+
+    end: str  # a count of the report
+    cost: float
+    steps: int
+    is_cut_off: bool = False  # by the environment
+
+
+class _Player:
+    """The members of a lottery, whose decisions and memories are asked for once, then kept."""
+
+    def __init__(self, lottery: MixedPolicy, rng: np.random.Generator) -> None:
+        """Play a lottery on an environment's model."""
+        self.model, self.lottery, self.rng = cast(EnvironmentSSP, lottery.model), lottery, rng
+        self.over = dead_ends(lottery.model) | lottery.model.goal_mask  # [states]
+        self._branches, self.remember = cache(self._asked), cache(self._remembered)
+
+    def decide(self, member: Policy, state: int, memory: int) -> int:
+        """A pair, or GIVE_UP_CODE."""
+        pairs, cumulative = self._branches(member, state, memory)
+        drawn = 0
+        if len(pairs) > 1:
+            level = self.rng.random() * cumulative[-1]
+            drawn = min(int(np.searchsorted(cumulative, level, side="right")), len(pairs) - 1)
+        return pairs[drawn]
+
+    def _asked(self, member: Policy, state: int, memory: int) -> tuple[list[int], FloatArray]:
+        """The decisions of a member with their running probabilities."""
+        branches = member.branches(np.array([state]), np.array([memory]))
+        if UNDECIDED in branches.pair:
+            raise ModelError(f"the policy has no decision in state {self.model.states[state]!r}")
+        return branches.pair.tolist(), np.cumsum(branches.probability)
+
+    def _remembered(self, member: Policy, *step: float) -> int:
+        """The memory after a step: from a memory, by a pair, to a state, at a cost."""
+        memory, pair, state, cost = (np.array([part]) for part in step)
+        return int(member.remember(memory, pair, state, cost)[0])
+
+
+def _play_episode(env: gymnasium.Env[Any, Any], player: _Player, most: int) -> _Episode:
+    """Play one episode of at most so many steps.
+
+    Raises:
+        ModelError: the environment leaves its table, or a step costs what no step may.
+    """
+    model, over, lottery = player.model, player.over, player.lottery
+    member = lottery.policies[int(player.rng.choice(len(lottery.policies), p=lottery.weights))]
+    shown, cost, steps = _plain(env.reset()[0]), 0.0, 0
+    state = model.index_of(shown)
+    memory = int(member.start_memory(np.array([state]))[0]) if not over[state] else 0
+    while not over[state]:
+        pair = player.decide(member, state, memory)
+        if pair == GIVE_UP_CODE:
+            return _Episode("gave_up", cost, steps)
+        action, before = model.action_of(pair), shown
+        seen, reward, terminated, truncated, _ = env.step(action)
+        shown = _plain(seen)
+        state = model.index_of(model.label(shown, bool(terminated)))
+        if state not in model.successors[slice(*model.outcome_offsets[pair : pair + 2].tolist())]:
+            raise ModelError(
+                f"{model.describe_pair(pair)} led to {model.states[state]!r}, which the "
+                "environment's table does not list: env.unwrapped.P does not tell all"
+            )
+        if terminated and not over[state]:
+            raise ModelError(
+                f"the environment terminated in {model.states[state]!r} against its table"
+            )
+        paid = float(model.step_cost(before, action, shown, float(reward)))
+        check_costs(paid)
+        cost, steps = cost + paid, steps + 1
+        if not over[state]:
+            if truncated or steps == most:
+                return _Episode("truncated", cost, steps, bool(truncated))
+            memory = player.remember(member, memory, pair, state, paid)
+    return _Episode("goal" if model.goal_mask[state] else "failed", cost, steps)

@@ -1,0 +1,560 @@
+"""The library's own files (.npz): models, policies and solutions as arrays, without pickle.
+
+Each is an archive of numpy arrays with a header in JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, fields, replace
+from fractions import Fraction
+from io import BytesIO
+from math import isclose, prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.arrays import read_only
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.errors import Argument, ModelError
+from ssp_lp.io.model_files.text_file import FilePath
+from ssp_lp.io.model_fingerprint import fingerprint, label_of, label_value, pair_print
+from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.checked_arrays import check_offsets
+from ssp_lp.model.ssp import check_model
+from ssp_lp.model.within_steps import HorizonSSP, unroll_steps
+from ssp_lp.options import Status
+from ssp_lp.policies import (
+    CostAwarePolicy,
+    DeterministicPolicy,
+    MixedPolicy,
+    StochasticPolicy,
+    TimedPolicy,
+)
+from ssp_lp.policies.joint_memory import JointMemory
+from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.remembering import RememberingPolicy
+from ssp_lp.problem import Problem, conditions_of, unrolled
+from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.solution import Run, Solution, as_solved
+
+Array = npt.NDArray[Any]
+AnyPolicy = Policy | MixedPolicy
+
+_VERSION = 1
+"""Of what each kind of file looks like."""
+
+
+_HEADER = "header"
+_MOST_PACKED = 1100
+"""Bytes that one packed byte can become, a little above the 1032 of the packing method."""
+
+_BROKEN = (
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    EOFError,
+    OSError,
+    KeyError,
+    ValueError,
+    RuntimeError,  # RecursionError, too
+)
+"""What reading a damaged archive may raise: an offset before its beginning is an OSError."""
+
+
+def _write_archive(
+    path: FilePath, kind: str, header: Mapping[str, Any], arrays: Mapping[str, Array]
+) -> None:
+    """Write a compressed archive; the same content gives the same bytes.
+
+    Args:
+        path: where to; no ending is added to it.
+        kind: what the file is, "policy".
+        header: values that JSON knows.
+        arrays: by name.
+    """
+    whole = {"format": f"ssp-lp {kind}", "version": _VERSION, **header}
+    told = json.dumps(whole, default=np.generic.item)
+    with Path(path).open("wb") as file:
+        named: dict[str, Any] = {_HEADER: np.frombuffer(told.encode(), dtype=np.uint8), **arrays}
+        np.savez_compressed(file, **named)
+
+
+def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
+    """The header and the arrays of an archive; nothing in it is executed.
+
+    Raises:
+        ModelError: naming the file: it is none, broken, or of a later version than this library
+            knows.
+        OSError: the file cannot be opened.
+    """
+    with Path(path).open("rb") as stream:
+        try:
+            with zipfile.ZipFile(stream) as archive:
+                arrays = {
+                    entry.filename.removesuffix(".npy"): _archived_array(archive, entry)
+                    for entry in archive.infolist()
+                }
+            header = json.loads(arrays.pop(_HEADER, np.frombuffer(b"null", np.uint8)).tobytes())
+        except _BROKEN as error:
+            raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
+    found = header.get("format", "") if isinstance(header, dict) else None
+    if found != f"ssp-lp {kind}":
+        what = "it was not written by ssp-lp" if found is None else f"it says {str(found)[:60]!r}"
+        raise ModelError(f"{path} is no ssp-lp {kind} file: {what}")
+    told = header.get("version")
+    if type(told) is not int or not 1 <= told <= _VERSION:
+        newer = type(told) is int and told > _VERSION
+        remedy = "install a newer ssp-lp" if newer else f"write the {kind} anew with this one"
+        raise ModelError(
+            f"{path} has version {told!r}, this ssp-lp reads up to {_VERSION}: {remedy}"
+        )
+    return header, arrays
+
+
+@contextmanager
+def _damage_named(path: FilePath) -> Iterator[None]:
+    """Raise :class:`ModelError`, naming the archive, for what only a damaged one can say."""
+    try:
+        yield
+    except ModelError as error:
+        raise ModelError(f"{path}: ", *error.args) from error
+    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
+        raise ModelError(f"{path} is damaged: {error!r}") from error
+
+
+def _archived_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
+    """One array, in the machine's own byte order; its size is bounded by that of the file."""
+    name = entry.filename.removesuffix(".npy")
+    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ModelError(f"the array {name} is packed by another method")
+    if entry.file_size > _MOST_PACKED * (entry.compress_size + 1):
+        raise ModelError(f"the array {name} cannot be as large as it says")
+    stream = BytesIO(archive.read(entry))
+    try:
+        version = np.lib.format.read_magic(stream)
+        read = {(1, 0): np.lib.format.read_array_header_1_0}[version]
+        shape, by_columns, kind = read(stream)
+    except (ValueError, KeyError, SyntaxError, TypeError, RecursionError) as error:
+        raise ModelError(f"the array {name} is no array") from error
+    rest = stream.getbuffer()[stream.tell() :]
+    if kind.hasobject or min(shape, default=0) < 0 or prod(shape) * kind.itemsize != len(rest):
+        raise ModelError(f"the array {name} has another type or size than it should")
+    found = np.frombuffer(rest, dtype=kind).reshape(shape, order="F" if by_columns else "C")
+    return found.astype(kind.newbyteorder("="), copy=False)
+
+
+_ARRAYS = {
+    "pair_action": np.dtype("<i8"),
+    "pair_offsets": np.dtype("<i8"),
+    "outcome_offsets": np.dtype("<i8"),
+    "successors": np.dtype("<i4"),
+    "probabilities": np.dtype("<f8"),
+    "costs": np.dtype("<f8"),
+    "goal_states": np.dtype("<i8"),
+    "label_offsets": np.dtype("<i8"),
+    "label_members": np.dtype("<i8"),
+}
+"""The arrays of a model's file, each one-dimensional."""
+
+_FRACTION = re.compile(r"\d{1,4000}(/\d{1,4000})?", re.ASCII)
+
+
+@explained
+def save_model(model: SSP, path: FilePath) -> None:
+    """Write a model with all that it says, to be read by :func:`load_model`.
+
+    Args:
+        model: the model; its states and actions are called by strings, numbers, truth values, and
+            tuples of those.
+        path: the file, written as it is named (``.npz`` is usual).
+
+    Raises:
+        ModelError: a state or an action is called by something else.
+    """
+    check_model(model, "save_model")
+    uniform = model.costs.strides == (0,) and model.costs.size > 0
+    members = list(model.state_labels.values())
+    header = {
+        "states": _names_in_archive(model.states),
+        "actions": _names_in_archive(model.action_names),
+        "state_labels": list(model.state_labels),
+        "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
+    }
+    found = {name: getattr(model, name) for name in _ARRAYS if hasattr(model, name)} | {
+        "costs": model.costs[:1] if uniform else model.costs,
+        "goal_states": np.flatnonzero(model.goal_mask),
+        "label_offsets": np.cumsum([0, *(len(at) for at in members)]),
+        "label_members": np.concatenate([np.zeros(0, dtype=np.int64), *members]),
+    }
+    arrays = {name: found[name].astype(kind) for name, kind in _ARRAYS.items()}
+    _write_archive(path, "model", header, arrays)
+
+
+def _names_in_archive(names: Sequence[Hashable]) -> list[Any] | None:
+    """Names as JSON has them; None where they are their positions."""
+    if isinstance(names, range):
+        return None
+    return [name if isinstance(name, float) else label_value(name) for name in names]
+
+
+@explained
+def load_model(path: FilePath) -> SSP:
+    """Read a model that :func:`save_model` wrote; nothing in the file is run.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The same model.
+
+    Raises:
+        ModelError: naming the file: it is none of this format, of a newer version, or what it says
+            makes no model.
+        OSError: the file cannot be opened.
+    """
+    header, arrays = _read_archive(path, "model")
+    with _damage_named(path):
+        return _model_in_archive(header, arrays)
+
+
+def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> SSP:
+    """The model that an archive's texts and arrays state, checked."""
+    for name, kind in _ARRAYS.items():
+        if name not in arrays:
+            raise ModelError(f"the array {name} is missing")
+        if arrays[name].ndim != 1 or arrays[name].dtype != kind:
+            raise ModelError(f"the array {name} has another type or size than it should")
+    n_states = arrays["pair_offsets"].size - 1
+    states = _labels_in_archive(texts, "states", max(n_states, 0))
+    actions = _labels_in_archive(texts, "actions", None)
+    if not isinstance(actions, range):
+        chosen = arrays["pair_action"]
+        if ((chosen < 0) | (chosen >= len(actions))).any():
+            raise ModelError("pair_action names actions that are not there")
+        actions = [actions[k] for k in chosen.tolist()]
+    costs = arrays["costs"]
+    model = SSP.from_arrays(
+        pair_offsets=arrays["pair_offsets"],
+        outcome_offsets=arrays["outcome_offsets"],
+        successors=arrays["successors"],
+        probabilities=arrays["probabilities"],
+        costs=costs[0] if costs.size == 1 else costs,
+        goal_states=arrays["goal_states"],
+        states=None if isinstance(states, range) else states,
+        actions=None if isinstance(actions, range) else actions,
+        state_labels=_state_labels_in_archive(texts, arrays, states),
+        exact_costs=_exact_costs_in_archive(texts),
+        treat_actionless_as_dead_ends=True,
+    )
+    return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
+
+
+def _labels_in_archive(texts: Mapping[str, Any], name: str, size: int | None) -> Sequence[Hashable]:
+    """Names of states or actions in an archive; a range where they are their positions."""
+    given = texts.get(name, ())
+    if given is None:
+        return range(size or 0)
+    if not isinstance(given, list) or (size is not None and len(given) != size):
+        raise ModelError(f"the names of {name} are not one for each")
+    return [label_of(part) for part in given]
+
+
+def _state_labels_in_archive(
+    texts: Mapping[str, Any], arrays: Mapping[str, Array], states: Sequence[Hashable]
+) -> Mapping[str, Sequence[Hashable]]:
+    """Members of each state label in a model's archive, by name."""
+    offsets, members = arrays["label_offsets"], arrays["label_members"]
+    check_offsets("label_offsets", offsets, members.size)
+    if ((members < 0) | (members >= len(states))).any():
+        raise ModelError("the labels of states have members that are no states")
+    several = np.split(members, offsets[1:-1])[: offsets.size - 1]
+    pairs = zip(texts["state_labels"], several, strict=True)
+    return {name: [states[k] for k in some.tolist()] for name, some in pairs}
+
+
+def _exact_costs_in_archive(texts: Mapping[str, Any]) -> Mapping[float, Fraction]:
+    """Costs that were given as fractions; digits are counted before they are read."""
+    exact: dict[float, Fraction] = {}
+    for number, text in texts["exact_costs"]:
+        if not _FRACTION.fullmatch(text):
+            raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
+        exact[float(number)] = Fraction(text)
+    return exact
+
+
+@explained
+def save_policy(policy: AnyPolicy, path: FilePath) -> None:
+    """Write a policy to a file: compressed arrays with a header in JSON, no pickle.
+
+    The file holds the model's :func:`fingerprint`, not the model: :func:`load_policy` is given it.
+
+    Args:
+        policy: deterministic, stochastic, cost-aware, by cost levels, timed, a lottery, or one that
+            carries the memory of a product.
+        path: of the file, ``policy.npz``; no ending is added to it.
+
+    Raises:
+        ModelError: the policy is of another class, or the model has labels that cannot be stated.
+    """
+    records = _PolicyRecords()
+    _write_archive(path, "policy", records.header(policy), records.arrays)
+
+
+@explained
+def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
+    """Read a policy beside the model that it was made for, such as one built anew.
+
+    It plays the same episodes as the one that was saved, given the same generator.
+
+    Args:
+        path: a file of :func:`save_policy`.
+        model: the model; for a policy that carries the memory of a product, the product. One that
+            counts the steps of a horizon has its product built anew.
+        check: False: the model may differ (other probabilities, costs or names), so long as every
+            state has as many actions as before.
+
+    Raises:
+        ModelError: the file is none of a policy, or the model is another one.
+    """
+    check_model(model, "load_policy")
+    header, arrays = _read_archive(path, "policy")
+    with _damage_named(path):
+        horizon = header.get("horizon")
+        if horizon is not None and not isinstance(model, HorizonSSP):
+            begin = arrays[horizon["begin"]]
+            if begin.max(initial=0) < model.n_states:  # else it is another model: its pairs differ
+                model = unroll_steps(model, horizon["steps"], begin.tolist())
+        return _policy_in(header, arrays, model, check=check)
+
+
+def _policy_in(
+    header: Mapping[str, Any], arrays: Mapping[str, Array], model: SSP, *, check: bool
+) -> AnyPolicy:
+    """The policy that a header tells of; see :func:`load_policy`.
+
+    Raises:
+        ModelError: the model is another one.
+    """
+    records = header["policies"]
+    kept, remedy = f"the file was made for {header['sizes']}", ""
+    if horizon := header.get("horizon"):
+        remedy = f"; its policy counts {horizon['steps']:,} steps: give it that horizon"
+    elif any(record["kind"] == "remembering" for record in records):
+        remedy = "; its policy carries a memory: load it beside product(model, memory)"
+    if pair_print(model) != header["pairs"]:
+        raise ModelError(f"{kept}, which has other pairs than {model!r}{remedy}")
+    if check and fingerprint(model) != header["model"]:
+        raise ModelError(
+            f"{kept} with fingerprint {header['model'][:12]}..., this model has "
+            f"{fingerprint(model)[:12]}...: build the same model, or give ",
+            Argument("check", False),
+            f" if it differs on purpose{remedy}",
+        )
+    made: list[AnyPolicy] = []
+
+    def meant(value: Any) -> Any:
+        """A field: a name of an array, the number of a policy or of several, or what it says."""
+        if isinstance(value, str):
+            return arrays[value]
+        if isinstance(value, list):
+            return tuple(made[k] for k in value)
+        return made[value] if type(value) is int else value
+
+    for record in records:
+        kind = _CLASSES[record.pop("kind")]
+        parts = {name: meant(value) for name, value in record.items()}
+        on_model = any(part.name == "model" for part in fields(kind))
+        made.append(kind(**parts, **({"model": model} if on_model else {})))
+    return made[-1]
+
+
+_CLASSES: dict[str, type[Any]] = {
+    "deterministic": DeterministicPolicy,
+    "stochastic": StochasticPolicy,
+    "cost aware": CostAwarePolicy,
+    "timed": TimedPolicy,
+    "mixed": MixedPolicy,
+    "remembering": RememberingPolicy,
+    "joint memory": JointMemory,
+}
+"""The classes of policies that a file can hold: all of ``ssp_lp/policies``."""
+
+_NAME_OF = {kind: name for name, kind in _CLASSES.items()}
+
+
+class _PolicyRecords:
+    """The records of a policy and of all that it is made of; parts stand before the whole."""
+
+    def __init__(self) -> None:
+        """Begin with none."""
+        self.arrays: dict[str, Array] = {}
+        self._records: list[dict[str, Any]] = []
+        self._models: list[SSP] = []  # those that the parts live on
+        self._known: dict[int, int] = {}  # id of a policy -> its record
+        self._named: dict[Any, str] = {}  # content of an array -> its name
+
+    def header(self, policy: AnyPolicy) -> dict[str, Any]:
+        """What the header of a file says of a policy, and of the model that it lives on.
+
+        Raises:
+            ModelError: the policy cannot be saved, or lives on several models.
+        """
+        self._add(policy)
+        if len(self._models) != 1:
+            raise ModelError("the parts of the policy live on several models: save each by itself")
+        model, horizon = self._models[0], None
+        if isinstance(model, HorizonSSP):
+            begin = np.flatnonzero(model.positions[:, 0] >= 0)
+            horizon = {"steps": model.steps, "begin": self.add_array(begin)}
+        known = {"model": fingerprint(model), "pairs": pair_print(model), "sizes": repr(model)}
+        return {**known, "policies": self._records, "horizon": horizon}
+
+    def add_array(self, array: Array) -> str:
+        """The name under which an array is found again; equal ones are kept once."""
+        key = array.dtype.str, array.shape, array.tobytes()
+        name = self._named.setdefault(key, f"array{len(self._named)}")
+        self.arrays[name] = array
+        return name
+
+    def _add(self, policy: AnyPolicy) -> int:
+        """The number of a policy's record; a policy that occurs twice has one.
+
+        Raises:
+            ModelError: it, or a part of it, is of a class that no file can hold.
+        """
+        if id(policy) in self._known:
+            return self._known[id(policy)]
+        name = _NAME_OF.get(type(policy))
+        if name is None:
+            raise ModelError(f"a {type(policy).__name__} cannot be saved: its class is not known")
+        record: dict[str, Any] = {"kind": name}
+        for part in fields(_CLASSES[name]):
+            value = getattr(policy, part.name)
+            if not isinstance(value, SSP):
+                record[part.name] = self._stated(value)
+            elif not any(value is model for model in self._models):
+                self._models.append(value)
+        self._records.append(record)
+        self._known[id(policy)] = len(self._records) - 1
+        return self._known[id(policy)]
+
+    def _stated(self, value: Any) -> Any:
+        """A field of a policy as JSON has it."""
+        if isinstance(value, np.ndarray):
+            return self.add_array(value)
+        if isinstance(value, (Policy, MixedPolicy)):
+            return self._add(value)
+        if isinstance(value, tuple):
+            return [self._add(inner) for inner in value]
+        return value if value is None or isinstance(value, bool) else float(value)
+
+
+_NUMBERS = (
+    "objective",
+    "lower_bound",
+    "failure_price",
+    "budget_used",
+    "note",
+    "upper_bound",
+)
+
+_ROUNDING = 1e-9
+"""Relative; a budget that is a share of the greatest goal probability is worked out afresh."""
+
+
+@explained
+def save_solution(solution: Solution, path: FilePath) -> None:
+    """Write a solution to a file: its policy, numbers, prices, value function and run.
+
+    The model and the problem are not in it: :func:`load_solution` is given the problem.
+
+    Args:
+        solution: of ``solve``, or put together by hand.
+        path: of the file, ``solution.npz``; no ending is added to it.
+
+    Raises:
+        ModelError: its policy is of a class that cannot be saved.
+    """
+    as_solved(solution, "save_solution")
+    problem, records, values = solution.problem, _PolicyRecords(), solution.value_function
+    header = records.header(solution.policy)
+    header["problem"] = _solution_words(problem)
+    header["start"] = records.add_array(start_distribution(problem.model, problem.start))
+    header["numbers"] = {name: getattr(solution, name) for name in _NUMBERS}
+    header["prices"] = {name: float(price) for name, price in solution.prices.items()}
+    header["value_function"] = None if values is None else records.add_array(np.asarray(values))
+    header["run"], header["status"] = asdict(solution.run), solution.status.name
+    _write_archive(path, "solution", header, records.arrays)
+
+
+@explained
+def load_solution(path: FilePath, problem: Problem) -> Solution:
+    """Read a solution beside its problem, stated again; ``certify`` says of it what it said before.
+
+    Args:
+        path: a file of :func:`save_solution`.
+        problem: the problem, on the same model.
+
+    Raises:
+        ModelError: the file is none of a solution, the model is another one, or the problem has
+            another criterion, start, budget, discount, penalty, or other limits.
+    """
+    model = unrolled(problem).model
+    header, arrays = _read_archive(path, "solution")
+    with _damage_named(path):
+        policy = _policy_in(header, arrays, model, check=True)
+        _check_problem(problem, header["problem"], arrays[header["start"]])
+        if not isinstance(policy, MixedPolicy):
+            raise TypeError("no lottery")
+        run, values = header["run"], header["value_function"]
+        return Solution(
+            problem=problem,
+            policy=policy,
+            value_function=None if values is None else arrays[values],
+            run=Run(**{**run, "work": Work(**run["work"])}),
+            prices=header["prices"],
+            status=Status[header["status"]],
+            **header["numbers"],
+        )
+
+
+def _solution_words(problem: Problem) -> dict[str, Any]:
+    """What in a solution's file tells a problem from others on the same model."""
+    semantics, measure = problem.semantics, problem.semantics.measure
+    return {
+        "criterion": type(problem).__name__,
+        "failure_budget": None if problem.failure_budget is None else float(problem.failure_budget),
+        "discount": None if problem.discount is None else float(problem.discount),
+        "penalty": float(semantics.penalty),
+        "give_up": str(semantics.give_up),
+        "measure": None if measure is None else measure.words,
+        "limits": {
+            condition.name: [float(row.bound) for row in condition.rows]
+            for condition in conditions_of(problem)
+        },
+    }
+
+
+def _check_problem(problem: Problem, kept: Mapping[str, Any], start: np.ndarray[Any, Any]) -> None:
+    """Raise :class:`ModelError` unless the file's solution belongs to the problem."""
+    for name, stated in _solution_words(problem).items():
+        saved = kept[name]
+        same = saved == stated
+        if isinstance(saved, float) and isinstance(stated, float):
+            same = isclose(saved, stated, rel_tol=_ROUNDING, abs_tol=_ROUNDING)
+        if not same:
+            raise ModelError(
+                f"the file answers a problem with {name} = {saved!r}, this one has {stated!r}"
+            )
+    if not np.array_equal(start_distribution(problem.model, problem.start), start):
+        raise ModelError("the file answers a problem with another start")

@@ -1,1 +1,0 @@
-"""Models of the environments of others, and policies back in them."""
