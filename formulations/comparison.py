@@ -25,7 +25,7 @@ from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
 from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.html_table import html_table
+from ssp_lp.model.tables import Summarised, html_table, text_table
 from ssp_lp.problem import as_stated
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]
@@ -61,7 +61,7 @@ class CriterionRow:
 
 
 @dataclass(frozen=True, repr=False)
-class CriteriaComparison:
+class CriteriaComparison(Summarised):
     """One row per criterion, in the order in which they were asked."""
 
     rows: tuple[CriterionRow, ...]
@@ -84,10 +84,6 @@ class CriteriaComparison:
         told = f", {unmet} that no policy meets" if unmet else ""
         return f"CriteriaComparison({len(self.rows)} criteria{told})"
 
-    def __str__(self) -> str:
-        """The table."""
-        return self.summary()
-
     def _repr_html_(self) -> str:
         """The table, for notebooks."""
         return html_table("Criteria", self._cells(), _HEAD, self._notes())
@@ -105,13 +101,7 @@ class CriteriaComparison:
 
     def summary(self) -> str:
         """The rows as an aligned table; what has no number says why."""
-        table = [_HEAD, *self._cells()]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join([cells[0].ljust(widths[0]), *map(str.rjust, cells[1:], widths[1:])])
-            for cells in table
-        ]
-        return "\n".join([*lines, *self._notes()])
+        return "\n".join([*text_table([_HEAD, *self._cells()]), *self._notes()])
 
 
 @explained

@@ -13,8 +13,8 @@ from ssp_lp.arrays import FloatArray, ReadOnlyCopies
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
-from ssp_lp.model.html_table import html_table
 from ssp_lp.model.naming import ByName
+from ssp_lp.model.tables import html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.remembering import on_original

@@ -40,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run_command(asked: Namespace) -> int:
     """Run the command that was asked for; its exit code."""
-    from formulations.command_line.answers import with_options
+    from formulations.command_line.commands import with_options
     from ssp_lp import progress_shown
     from ssp_lp.errors import InfeasibleError, MissingDependencyError, SolverError, SSPError
 

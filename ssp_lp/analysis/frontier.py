@@ -14,7 +14,7 @@ from ssp_lp.column_generation.failure_row import FailureRow, least_of
 from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError, optional_module
-from ssp_lp.model.html_table import html_table
+from ssp_lp.model.tables import html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import Problem, check_numbers, pulled_back
@@ -207,7 +207,7 @@ class Frontier:
 
     def plot(self, budget: float | None = None, *, ax: Axes | None = None, **style: Any) -> Axes:
         """Draw the frontier: :func:`ssp_lp.plotting.plot_frontier`."""
-        from ssp_lp.plotting.frontier_plot import plot_frontier
+        from ssp_lp.plotting.curves import plot_frontier
 
         return plot_frontier(self, budget, ax=ax, **style)
 

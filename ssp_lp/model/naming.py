@@ -11,7 +11,7 @@ import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray, ReadOnlyCopies
 from ssp_lp.errors import ModelError, did_you_mean
-from ssp_lp.model.html_table import html_table
+from ssp_lp.model.tables import html_table
 
 _Value = TypeVar("_Value")
 

@@ -24,7 +24,7 @@ from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import backends_for, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.html_table import html_text
+from ssp_lp.model.tables import html_text
 from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess

@@ -3,25 +3,319 @@
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
-from ssp_lp.errors import ModelError, check_between_0_and_1
-from ssp_lp.model.html_table import html_text
-from ssp_lp.options import progress_shown
+from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
+from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
+from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
+from ssp_lp.game.setting import checked_setting
+from ssp_lp.model.tables import Summarised, text_table
+from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem
-from ssp_lp.verification.method_comparison import MethodComparison
-from ssp_lp.verification.method_result import METHODS, Member, MethodResult, result_by
+from ssp_lp.solution import Solution
+from ssp_lp.solve import solve
+from ssp_lp.verification.certificate import failure_of
+
+METHODS = ("lp", "columns", "game")
+
+MOST_COLUMNS = 60_000
+"""Largest program that is solved from nothing. The paper's robot has 24,000 columns in case M,
+seconds for an interior point; case S has one to two millions, which take it many minutes."""
+
+
+@dataclass(frozen=True)
+class Member:
+    """A deterministic member of a method's lottery, evaluated on the model."""
+
+    weight: float
+    cost: float  # J_obj: case M E[r_tau], case S E[cost; goal]; discounted where the problem is
+    failure: float  # J_cond: what the budget limits
+
+
+@dataclass(frozen=True)
+class MethodResult:
+    """What one method says. A method that gave no answer has a note and no numbers."""
+
+    name: str
+    note: str = ""
+    failed: bool = False  # it was asked and gave no answer
+    infeasible: InfeasibleError | None = None  # what it raised, where no policy keeps the budget
+    objective: float | None = None  # c*
+    lower_bound: float | None = None
+    gap: float | None = None
+    adversary_weight: float | None = None  # alpha*
+    failure_price: float | None = None
+    evaluated: float | None = None  # objective of the policy, evaluated on the model
+    failure_probability: float | None = None
+    discounted_failure: float | None = None
+    expected_cost: float | None = None
+    conditional_cost: float | None = None
+    members: tuple[Member, ...] = ()
+    seconds: float | None = None
+
+    @property
+    def answered(self) -> bool:
+        """Whether there is an answer to compare."""
+        return self.objective is not None
+
+    @property
+    def least_failure(self) -> float | None:
+        """The least failure, as limited by the budget, of a method that says infeasible."""
+        error = self.infeasible
+        if error is None:
+            return None
+        surrogate = error.least_discounted_failure
+        return error.least_failure if surrogate is None else surrogate
+
+    @property
+    def spent(self) -> float | None:
+        """The failure that the budget limits: discounted under a discount, else the real one."""
+        surrogate = self.discounted_failure
+        return self.failure_probability if surrogate is None else surrogate
+
+
+def result_of(name: str, solution: Solution) -> MethodResult:
+    """The row of a solution, its policy and each member evaluated on the model."""
+    found, each = evaluate_each(solution.policy, solution.problem)
+    return MethodResult(
+        name=name,
+        note="; ".join(part for part in (solution.note, solution.run.program) if part),
+        objective=solution.objective,
+        lower_bound=solution.lower_bound,
+        gap=solution.gap,
+        adversary_weight=solution.adversary_weight,
+        failure_price=solution.failure_price,
+        evaluated=found.objective,
+        failure_probability=found.failure_probability,
+        discounted_failure=found.discounted_failure,
+        expected_cost=found.expected_cost,
+        conditional_cost=found.conditional_cost,
+        members=_members_of_result(solution, each),
+        seconds=solution.seconds,
+    )
+
+
+def result_by(
+    name: str, problem: Problem, lp_backend: str | None = None, time_limit: float | None = None
+) -> MethodResult:
+    """Ask one method, unless it cannot be asked.
+
+    Args:
+        name: "lp", "columns" or "game".
+        problem: the problem.
+        lp_backend: the solver of the linear program, whatever its size; None: chosen by size.
+        time_limit: seconds for this method.
+    """
+    method, reason = parse_method(name), ""
+    if name == LinearProgramming.name:
+        backend, reason = _program_backend(problem, lp_backend)
+        method = LinearProgramming(backend)
+    elif name == "game":
+        reason = _game_reason(problem)
+    if reason:
+        return MethodResult(name, note=f"not asked: {reason}")
+    began = time.perf_counter()
+    try:
+        solution = solve(problem, method, time_limit=time_limit)
+    except InfeasibleError as error:
+        result = MethodResult(name, note=f"infeasible: {error}", failed=True, infeasible=error)
+    except (SolverError, ModelError) as error:
+        if isinstance(error, ModelError) and name != "game":
+            raise  # the model is at fault, not the size of this method's table
+        result = MethodResult(name, note=f"failed: {error}", failed=True)
+    else:
+        result = result_of(name, solution)
+    return replace(result, seconds=time.perf_counter() - began)
+
+
+def _members_of_result(solution: Solution, each: list[Evaluation]) -> tuple[Member, ...]:
+    """Each member of a lottery by itself."""
+    members = []
+    for found, weight in zip(each, solution.policy.weights, strict=True):
+        failure, cost = failure_of(found), found.objective
+        if solution.problem.ratio:
+            cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
+        members.append(Member(float(weight), cost, failure))
+    return tuple(members)
+
+
+def _game_reason(problem: Problem) -> str:
+    """Why the game cannot be asked; empty if it can."""
+    try:
+        checked_setting(problem)
+    except ModelError as error:
+        return str(error)
+    compiled = problem.compile()
+    if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
+        return "the game chooses its own cap M: leave cost_cap out"
+    return ""
+
+
+def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, str]:
+    """The backend for a problem's program, and why the program is not solved at all."""
+    if problem.failure_budget is None:
+        return None, "at least failure there is one method, the two stages of column generation"
+    if asked is not None:
+        return asked, ""
+    columns = _columns_of_method(problem)
+    if columns <= MOST_COLUMNS:
+        return None, ""
+    return None, f"{columns:,} columns are too many to solve from nothing"
+
+
+def _columns_of_method(problem: Problem) -> int:
+    """Columns of the first program that the LP method would solve."""
+    compiled = problem.compile().for_program()
+    if isinstance(compiled, CompiledAccumulatedCost):
+        return compiled.process.cap * len(compiled.base.quotient.pair_at)
+    return compiled.explicit().n_pairs
+
+
+_NOTHING = 1e-12
+"""Costs are compared relative to their size, but never to less than this share of the costliest
+step: below it lies the rounding of sums of such steps."""
+
+_EDGE = 1e-9
+"""A budget this near to the least failure may be feasible for one method and not for another."""
+
+Findings = dict[str, str]
+"""What is held against a method, by its name."""
+
+
+@dataclass(frozen=True)
+class MethodComparison:
+    """Compares methods that lead to one problem's answer."""
+
+    budget: float | None
+    costliest: float  # step of the model
+    tolerance: float  # relative, of costs
+    weight_tolerance: float  # of alpha*
+
+    def distance(self, one: float | None, other: float | None) -> float:
+        """Relative distance of two costs; infinite if one of them is no number."""
+        if one is None or other is None or one != one or other != other:
+            return float("inf")
+        if one == other:
+            return 0.0
+        return abs(one - other) / max(abs(one), abs(other), _NOTHING * self.costliest)
+
+    def overrun(self, method: MethodResult) -> float:
+        """By how much a method's policy breaks the budget; 0 if it keeps to it.
+
+        Every method counts a budget within LEAST_BUDGET below the least failure as equal to it.
+        """
+        spent = method.spent
+        if self.budget is None or spent is None or spent <= self.budget + LEAST_BUDGET:
+            return 0.0
+        return spent - self.budget
+
+    def unsound(self, methods: Sequence[MethodResult]) -> Findings:
+        """Roads that are wrong by themselves, whatever others say."""
+        found: Findings = {}
+        for method in methods:
+            if self.overrun(method) > 0.0:
+                found[method.name] = f"its policy breaks the budget by {self.overrun(method):.1e}"
+            elif self.distance(method.objective, method.evaluated) > self.tolerance:
+                stated, attained = f"{method.objective:.12g}", f"{method.evaluated:.12g}"
+                found[method.name] = f"it states c* = {stated}, but its policy attains {attained}"
+        return found
+
+    def outvoted(self, methods: Sequence[MethodResult]) -> Findings:
+        """Roads whose c* lies outside the majority's; all of them where no two agree."""
+        near: dict[str, set[str]] = {method.name: {method.name} for method in methods}
+        for one, other in combinations(methods, 2):
+            if self.distance(one.objective, other.objective) <= self.tolerance:
+                near[one.name].add(other.name)
+                near[other.name].add(one.name)
+        majority = max(near.values(), key=len, default=set())
+        if len(majority) == len(methods):
+            return {}
+        if len(majority) < 2:
+            return {method.name: "no other method has its c*" for method in methods}
+        others = ", ".join(sorted(majority))
+        return {
+            r.name: f"its c* is not that of {others}" for r in methods if r.name not in majority
+        }
+
+    def refuted(self, methods: Sequence[MethodResult]) -> Findings:
+        """Roads whose certified lower bound exceeds what a policy within the budget attains."""
+        found: Findings = {}
+        for method in methods:
+            for other in methods:
+                low, attained = method.lower_bound, other.evaluated
+                if low is None or attained is None or low <= attained:
+                    continue
+                if self.distance(low, attained) > self.tolerance:
+                    found[method.name] = (
+                        f"its lower bound {low:.12g} exceeds the {attained:.12g} that the policy "
+                        f"of {other.name} attains: one of the two is wrong"
+                    )
+        return found
+
+    def refusing(self, methods: Sequence[MethodResult]) -> Findings:
+        """Roads that call infeasible what another method's policy attains.
+
+        Nearer to the least failure than 1e-9 this is rounding: the row has its note, no more.
+        """
+        if not any(method.answered for method in methods) or self.budget is None:
+            return {}
+        return {
+            method.name: f"it says that no policy fails less than {least:.12g}"
+            for method in methods
+            if (least := method.least_failure) is not None and least - self.budget > _EDGE
+        }
+
+    def unproved(self, methods: Sequence[MethodResult]) -> Findings:
+        """Roads with an alpha* of their own at a price that their bound does not prove."""
+        weights = [w for method in methods if (w := method.adversary_weight) is not None]
+        if not self._differ(weights):
+            return {}
+        return {
+            method.name: f"its price is not proved: the bound misses c* by {method.gap:.1e}"
+            for method in methods
+            if not self._is_proved(method)
+        }
+
+    def several_prices(self, methods: Sequence[MethodResult]) -> list[str]:
+        """A remark where prices differ and each is optimal: at a kink they form an interval."""
+        proved = [method for method in methods if self._is_proved(method)]
+        weights = [w for method in proved if (w := method.adversary_weight) is not None]
+        return ["several prices are optimal"] if self._differ(weights) else []
+
+    def _differ(self, weights: Sequence[float]) -> bool:
+        """Whether weights that are compared differ by more than the tolerance."""
+        return len(weights) > 1 and max(weights) - min(weights) > self.weight_tolerance
+
+    def _is_proved(self, method: MethodResult) -> bool:
+        """Whether the bound at the method's own price meets its c*: the price is then optimal."""
+        return self.distance(method.objective, method.lower_bound) <= self.tolerance
+
 
 _LOG = logging.getLogger("ssp_lp.comparison")
 
-_DIGITS = {"c*": 10, "lower bound": 10, "gap": 2, "seconds": 2}
-"""Significant digits of a column, where they are not six."""
+_COLUMNS = {
+    "c*": ("objective", 10),
+    "lower bound": ("lower_bound", 10),
+    "gap": ("gap", 2),
+    "alpha*": ("adversary_weight", 6),
+    "price": ("failure_price", 6),
+    "failure": ("failure_probability", 6),
+    "discounted": ("discounted_failure", 6),
+    "cost": ("expected_cost", 6),
+    "given success": ("conditional_cost", 6),
+    "seconds": ("seconds", 2),
+}
+"""The table's columns: what of a method's result each shows, and its significant digits."""
 
 
 @dataclass(frozen=True, repr=False)
-class CrossCheck:
+class CrossCheck(Summarised):
     """The methods side by side, and what they disagree about.
 
     A method is named in ``disagreeing`` where its c* lies outside the tolerance of the majority
@@ -54,18 +348,16 @@ class CrossCheck:
         names = ", ".join(method.name for method in self.methods)
         return f"CrossCheck({names}: {self._verdict()})"
 
-    def __str__(self) -> str:
-        """The table."""
-        return self.summary()
-
-    def _repr_html_(self) -> str:
-        """The table, for notebooks."""
-        return html_text(self.summary())
-
     def summary(self) -> str:
         """The methods as a table, their policies, the remarks, and one line with the verdict."""
-        lines = _cross_check_table(self.methods)
-        lines += [f"  {r.name}: {_lottery_in_table(r.members)}" for r in self.methods if r.members]
+        rows = [["method", *_COLUMNS]]
+        for one in self.methods:
+            values = [(getattr(one, name), digits) for name, digits in _COLUMNS.values()]
+            rows.append([one.name, *("-" if x is None else f"{x:.{k}g}" for x, k in values)])
+        lines = text_table(rows)
+        for one in self.methods:
+            lottery = (f"{m.weight:.6f} x ({m.cost:.9g}, {m.failure:.6g})" for m in one.members)
+            lines += [f"  {one.name}: {' + '.join(lottery)}"] * bool(one.members)
         lines += [f"  {r.name}: {r.note}" for r in self.methods if r.note]
         lines += [f"  {remark}" for remark in self.remarks]
         return "\n".join([*lines, self._verdict()])
@@ -152,6 +444,11 @@ def compare_methods(
     weight_tolerance: float = 1e-4,
 ) -> CrossCheck:
     """Cross-check the methods' rows of one problem, wherever they come from."""
+
+    def widest(values: Sequence[float], distance: Callable[[float, float], float]) -> float:
+        """The widest distance between answers of two methods."""
+        return max((distance(one, other) for one, other in combinations(values, 2)), default=0.0)
+
     costliest = float(problem.model.costs.max(initial=0.0))
     comparison = MethodComparison(problem.failure_budget, costliest, tolerance, weight_tolerance)
     answered = [method for method in methods if method.answered]
@@ -165,57 +462,10 @@ def compare_methods(
     weights = [r.adversary_weight for r in answered if r.adversary_weight is not None]
     return CrossCheck(
         methods=tuple(methods),
-        objective_distance=_widest_between_methods(costs, comparison.distance),
-        weight_distance=_widest_between_methods(weights, lambda one, other: abs(one - other)),
-        evaluated_distance=_widest_between_methods(exact, comparison.distance),
+        objective_distance=widest(costs, comparison.distance),
+        weight_distance=widest(weights, lambda one, other: abs(one - other)),
+        evaluated_distance=widest(exact, comparison.distance),
         budget_overrun=max((comparison.overrun(r) for r in answered), default=0.0),
         disagreeing=named,
         remarks=(*(f"{n}: {findings[n]}" for n in named), *comparison.several_prices(sound)),
     )
-
-
-def _widest_between_methods(
-    values: Sequence[float], distance: Callable[[float, float], float]
-) -> float:
-    """The widest distance between answers of two methods."""
-    return max((distance(one, other) for one, other in combinations(values, 2)), default=0.0)
-
-
-def _lottery_in_table(members: Sequence[Member]) -> str:
-    """A policy by its members: weight x (cost, failure)."""
-    return " + ".join(f"{m.weight:.6f} x ({m.cost:.9g}, {m.failure:.6g})" for m in members)
-
-
-def _cross_check_table(methods: Sequence[MethodResult]) -> list[str]:
-    """One line per method, aligned; policies follow below as weight x (cost, failure)."""
-    columns: dict[str, Callable[[MethodResult], float | None]] = {
-        "c*": lambda r: r.objective,
-        "lower bound": lambda r: r.lower_bound,
-        "gap": lambda r: r.gap,
-        "alpha*": lambda r: r.adversary_weight,
-        "price": lambda r: r.failure_price,
-        "failure": lambda r: r.failure_probability,
-        "discounted": lambda r: r.discounted_failure,
-        "cost": lambda r: r.expected_cost,
-        "given success": lambda r: r.conditional_cost,
-        "seconds": lambda r: r.seconds,
-    }
-    rows = [["method", *columns]]
-    for method in methods:
-        rows.append(
-            [
-                method.name,
-                *(_cross_check_text(name, value(method)) for name, value in columns.items()),
-            ]
-        )
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in rows
-    ]
-
-
-def _cross_check_text(name: str, value: float | None) -> str:
-    """A number as its column shows it; a dash where there is none."""
-    if value is None:
-        return "-"
-    return f"{value:.{_DIGITS.get(name, 6)}g}"

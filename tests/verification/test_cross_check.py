@@ -19,9 +19,8 @@ from ssp_lp import (
     solve,
 )
 from ssp_lp.errors import SolverError
-from ssp_lp.verification import method_result
-from ssp_lp.verification.cross_check import compare_methods
-from ssp_lp.verification.method_result import METHODS, result_of
+from ssp_lp.verification import cross_check as checking
+from ssp_lp.verification.cross_check import METHODS, compare_methods, result_of
 
 PROBLEM = MCMP(FIRST, start="depot", failure_budget=0.05, discount=0.999)
 
@@ -91,7 +90,7 @@ def test_at_least_failure_there_is_one_road():
 
 
 def test_a_large_program_is_not_asked(monkeypatch):
-    monkeypatch.setattr(method_result, "MOST_COLUMNS", 1)
+    monkeypatch.setattr(checking, "MOST_COLUMNS", 1)
     found = cross_check(PROBLEM)
     assert found.methods[0].note.startswith("not asked: ")
     assert "columns are too many" in found.methods[0].note
@@ -112,7 +111,7 @@ def test_a_road_that_fails_is_listed(monkeypatch):
             raise SolverError("no backend")
         return solve(problem, method, **rest)
 
-    monkeypatch.setattr(method_result, "solve", failing)
+    monkeypatch.setattr(checking, "solve", failing)
     found = cross_check(PROBLEM)
     assert found.failed == ("lp",)
     assert found.methods[0].note == "failed: no backend"
@@ -137,7 +136,7 @@ def test_infeasible_for_one_road_alone(monkeypatch, above, named):
             )
         return solve(problem, method, **rest)
 
-    monkeypatch.setattr(method_result, "solve", refusing)
+    monkeypatch.setattr(checking, "solve", refusing)
     found = cross_check(PROBLEM)
     assert found.disagreeing == named
     assert found.failed == ("game",)

@@ -11,8 +11,7 @@ from checks import library_model
 from formulations import MCMP, S3P
 from small_models import model_of
 from ssp_lp import InfeasibleError, certify, evaluate, solve
-from ssp_lp.verification.cross_check import compare_methods
-from ssp_lp.verification.method_result import METHODS, result_of
+from ssp_lp.verification.cross_check import METHODS, compare_methods, result_of
 from strategies import acyclic_problems, often, problems, semantics
 
 discounts = st.sampled_from([0.9, 0.99, 0.5, 0.999])

@@ -1,0 +1,304 @@
+"""Pictures of curves and bars: frontiers, the bounds of a solve, laws of the total cost."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ssp_lp.analysis.frontier import Frontier
+from ssp_lp.analysis.total_cost.cost_law import CostLaw
+from ssp_lp.arrays import FloatArray
+from ssp_lp.column_generation.failure_row import FailureRow
+from ssp_lp.errors import ModelError, SolverError, in_short
+from ssp_lp.model.arguments import explained
+from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress_axes
+from ssp_lp.problem import Problem, by_rows
+from ssp_lp.processes.failure_semantics import Aim
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_BAND = "the optimum lies in here"
+_SAMPLES = 400  # budgets in all, shared out among the segments
+_VISIBLE = 2e-3  # of the height: a band that is narrower is a line
+_TANGENT = 0.4  # of the height: how far a tangent rises and falls
+_FINEST = 1e-5  # gap: five digits are shown at most
+_MANY = 40  # turning points, beyond which each has a small marker
+
+
+@explained
+def plot_frontier(
+    frontier: Frontier,
+    budget: float | None = None,
+    *,
+    ax: Axes | None = None,
+    label: str | None = None,
+    look: int = 0,
+) -> Axes:
+    """Draw the least objective against the failure budget.
+
+    The line is what the lotteries over neighbouring turning points attain. Where tracing was cut
+    short, the optimum lies in the hatched band below it, down to what is proved
+    (:meth:`Frontier.bounds_at`, up to two pricing calls for each turning point). In case S a
+    segment is no straight line: the objective is a ratio.
+
+    Args:
+        frontier: from ``trace_frontier``.
+        budget: marked with its value, and with the tangent there, whose slope is that of the
+            optimum in the budget: minus the failure price in case M; both tangents at a turning
+            point. Where the frontier is not settled, with its bounds and without a tangent.
+        ax: where to draw; None: a new figure.
+        label: of the line; None: its gap.
+        look: of the line, 0 .. 4, so that several can be told apart.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        InfeasibleError: the budget is below the least failure.
+        ModelError: the frontier was not traced down to the budget.
+
+    Example:
+        >>> from ssp_lp import SSP, trace_frontier
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions(
+        ...     {"s": {"road": [(0.99, "g", 9.0), (0.01, "d", 5.0)],
+        ...            "alley": [(0.9, "g", 4.0), (0.1, "d", 2.0)]}, "d": {}},
+        ...     goal={"g"}, treat_actionless_as_dead_ends=True)
+        >>> axes = trace_frontier(MCMP(model, "s")).plot(budget=0.05)
+    """
+    ax = axes_or_new(ax)
+    chosen = LOOKS[look % len(LOOKS)]
+    _draw_frontier(ax, frontier, chosen, label or f"least cost, gap {frontier.gap:.1e}")
+    if budget is not None:
+        _mark_on_frontier(ax, frontier, budget, chosen)
+    dress_axes(ax, "failure budget", f"least cost{' given success' if frontier.ratio else ''}")
+    ax.legend(frameon=False)
+    return ax
+
+
+def _draw_frontier(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
+    """The frontier, its turning points, and the band where the optimum may lie below."""
+    budgets = _sampled_frontier(frontier)
+    low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
+    many = len(frontier.failure) > _MANY
+    ax.plot(budgets, high, color=look.colour, linestyle=look.line, linewidth=2, label=label)
+    ax.plot(frontier.failure, frontier.objective, look.marker, color=look.colour,
+            markersize=2.5 if many else 5)  # fmt: skip
+    if (high - low).max() > max(_VISIBLE * np.ptp(high), frontier.tolerance * high.max()):
+        band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
+        ax.fill_between(budgets, low, high, facecolor="none", edgecolor=look.colour,
+                        hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
+
+
+def _sampled_frontier(frontier: Frontier) -> FloatArray:
+    """Budgets along every segment."""
+    failure = frontier.failure
+    each = max(_SAMPLES // len(failure), 4)
+    segments = zip(failure[:-1].tolist(), failure[1:].tolist(), strict=True)
+    found = [failure, *(_budgets_between(begin, end, each) for begin, end in segments)]
+    return np.unique(np.concatenate(found))
+
+
+def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
+    """Budgets from one to another, dense on a linear and on a logarithmic axis."""
+    even = np.linspace(begin, end, count)
+    if begin == 0.0:
+        return even
+    return np.clip(np.union1d(even, np.geomspace(begin, end, count)), begin, end)
+
+
+def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: Look) -> None:
+    """The budget with its value and its tangents, or with its bounds."""
+    ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
+    try:
+        value = frontier.objective_at(budget)
+    except SolverError:
+        low, high = frontier.bounds_at(budget)
+        ends = f"{low:.5g}", f"{high:.5g}"
+        near = ends[0] == ends[1]
+        told = f"{ends[1]}, to {high - low:.0e}" if near else f"{ends[0]} to {ends[1]}"
+        ax.plot([budget, budget], [low, high], color=look.colour, linewidth=2, zorder=5)
+        ax.plot([budget, budget], [low, high], "_", color=look.colour, markersize=14, zorder=5,
+                markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
+        return
+    ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
+            label=f"budget {budget:g}: {_as_far_as_sure(value, frontier):.5g}")  # fmt: skip
+    prices = [price - (value if frontier.ratio else 0.0) for price in _prices_at(frontier, budget)]
+    for price in prices:
+        _draw_tangent(ax, frontier, (budget, value), price)
+    if prices:
+        told = " to ".join(f"{price:.4g}" for price in sorted(prices))
+        ax.plot([], [], color=INK, linestyle="-.", linewidth=1,
+                label=f"tangent{'s' * (len(prices) - 1)}: failure price {told}")  # fmt: skip
+
+
+def _as_far_as_sure(value: float, frontier: Frontier) -> float:
+    """A value rounded to the digits that the gap of its frontier leaves sure, two at least."""
+    digits = max(-np.log10(max(frontier.gap, _FINEST)), 2.0)
+    return float(f"{value:.{int(digits)}g}")
+
+
+def _prices_at(frontier: Frontier, budget: float) -> list[float]:
+    """Prices of the settled segments at a budget: one within a segment, up to two at its ends."""
+    touching = (frontier.failure[:-1] <= budget) & (budget <= frontier.failure[1:])
+    settled = frontier.below <= frontier.tolerance
+    return [float(price) for price in frontier.price[touching & settled]]
+
+
+def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], price: float) -> None:
+    """The line through a point, as far as it stays beside the frontier."""
+    budget, value = point
+    slope = -price / (1.0 - budget) if frontier.ratio else -price
+    height, failure = frontier.objective, frontier.failure
+    room = _TANGENT * float(np.ptp(height)) / abs(slope) if slope else np.inf
+    ends = max(budget - room, float(failure[0])), min(budget + room, float(failure[-1]))
+    along = _budgets_between(*ends, _SAMPLES)
+    ax.plot(
+        along, value + slope * (along - budget), color=INK, linestyle="-.", linewidth=1.1, zorder=5
+    )
+
+
+@dataclass
+class BoundsRecord:
+    """What ``solve`` reports while it runs: hand it over as ``progress=BoundsRecord()``. Grows."""
+
+    began: float = field(default_factory=time.perf_counter)
+    seconds: list[float] = field(default_factory=list)  # [reports] since then
+    prices: list[float] = field(default_factory=list)  # [reports] of failure
+    objectives: list[float] = field(default_factory=list)  # [reports] of the best policy so far
+
+    def __call__(self, calls: int, price: float, objective: float) -> None:
+        """Keep one report."""
+        self.seconds.append(time.perf_counter() - self.began)
+        self.prices.append(price)
+        self.objectives.append(objective)
+
+
+@explained
+def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) -> Axes:
+    """Draw the upper and the lower bound on the optimum against seconds.
+
+    The upper bound is the objective of the best policy known by then; the lower one is what the
+    pricing calls made by then prove, each worked out once more at its price (and where accumulated
+    costs are capped, with the cap that a linear program would have); at the end, both as in
+    the solution. With limits beside the failure budget, and where no cost is minimised within a
+    budget, only the last lower bound is known.
+
+    Args:
+        record: that ``solve`` reported to.
+        solution: the ``Solution`` that this call handed back.
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: a quantile or another measure of the law of costs, which is a search over
+            problems: what they report bounds none of it.
+
+    Example:
+        >>> from ssp_lp import SSP, solve
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions({"s": {"go": [(0.5, "g", 1.0), (0.5, "s", 1.0)]}}, {"g"})
+        >>> record = BoundsRecord()
+        >>> axes = plot_bounds(record, solve(MCMP(model, "s", 0.1), progress=record))
+    """
+    if not hasattr(solution, "lower_bound"):
+        raise ModelError(f"plot_bounds takes a solution after its record, not {in_short(solution)}")
+    if solution.problem.semantics.measure is not None:
+        name = type(solution.problem).__name__
+        raise ModelError(f"{name} is solved as a search over problems: nothing to draw but its end")
+    ax = axes_or_new(ax)
+    upper = np.minimum.accumulate([*record.objectives, solution.objective])
+    lower = np.maximum.accumulate([*_proved_bounds(record, solution.problem), solution.lower_bound])
+    seconds = np.maximum.accumulate([*record.seconds, solution.seconds])
+    _draw_bound(ax, seconds, upper, LOOKS[0], "best policy")
+    _draw_bound(ax, seconds, lower, LOOKS[1], "proved bound")
+    both = np.isfinite(lower) & np.isfinite(upper)
+    ax.fill_between(seconds, lower, upper, where=both.tolist(), step="post", facecolor="none",
+                    edgecolor="#bbbbbb", hatch="....", linewidth=0.0)  # fmt: skip
+    ax.set_xlim(left=0.0)
+    dress_axes(ax, "seconds", "bounds on the objective")
+    ax.legend(frameon=False)
+    return ax
+
+
+def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: Look, words: str) -> None:
+    """Draw one of the bounds as steps over the seconds."""
+    known = np.isfinite(values)
+    ax.step(seconds[known], values[known], where="post", color=look.colour, linestyle=look.line,
+            marker=look.marker, markersize=5, label=f"{words}: {values[-1]:.8g}")  # fmt: skip
+
+
+def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
+    """The lower bound that each report's price proves; -inf where none is known, [reports]."""
+    budget, semantics = problem.failure_budget, problem.semantics
+    if budget is None or by_rows(problem) or semantics.aim is not Aim.LEAST_COST:
+        return np.full(len(record.prices), -np.inf)
+    pricing, row = problem.compile().for_program().pricing(), FailureRow(budget, problem.ratio)
+    best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken
+    for price, objective in zip(record.prices, record.objectives, strict=True):
+        slack = problem.ratio and price <= objective
+        proved.append(row.lower_bound(pricing.prove(price, best, slack=slack)))
+    return np.array(proved)
+
+
+_BARS = 150
+_PALE = "#b5d6ea"  # behind lines
+_UNSEEN = 1e-3  # share of the successes that are costlier than what is drawn
+
+
+@explained
+def plot_cost_law(law: CostLaw, level: float = 0.9, *, ax: Axes | None = None) -> Axes:
+    """Draw the law of the total cost given success, its quantile and the mean of its tail.
+
+    A bar is the probability of one cost, or, where there are too many, of an interval of costs.
+    The costliest share of ``1 - level`` is hatched: its mean is the conditional value at risk, and
+    the bar at the quantile belongs to it in part. At most a thousandth of the successes costs more
+    than the last bar.
+
+    Args:
+        law: from ``success_costs``.
+        level: of the quantile and of the tail, in [0, 1).
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: the goal is never reached, a level out of range, or costs without a common unit.
+    """
+    if law.goal == 0.0:
+        raise ModelError("the policy never reaches the goal: there is no law of costs to draw")
+    ax = axes_or_new(ax)
+    quantile, tail = law.quantile(level), law.tail_mean(level)
+    costs, shares, width = _bars_of_law(law)
+    body, rest = LOOKS[0], LOOKS[1]
+    dearer = 1.0 - np.cumsum(shares)  # what is not drawn counts
+    hatched = np.clip(1.0 - level - dearer, 0.0, shares)
+    some, left = hatched > 0.0, shares - hatched
+    ax.bar(costs[left > 0.0], left[left > 0.0], width, facecolor=_PALE, edgecolor=body.colour)
+    ax.bar(costs[some], hatched[some], width, left[some], facecolor="white", edgecolor=rest.colour,
+           hatch=rest.hatch, linewidth=0.6, label=f"costliest {1.0 - level:.3g}")  # fmt: skip
+    marks = (
+        (law.conditional_mean, "-", "mean"),
+        (quantile, "--", f"{level:g} quantile"),
+        (tail, "-.", "CVaR, mean of the costliest"),
+    )
+    for value, line, words in marks:
+        ax.axvline(value, color=INK, linestyle=line, linewidth=1.3, label=f"{words}: {value:.5g}")
+    dress_axes(ax, "total cost", "probability given success")
+    ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=2, frameon=False,
+              title=f"goal reached with probability {law.goal:.4g}")  # fmt: skip
+    return ax
+
+
+def _bars_of_law(law: CostLaw) -> tuple[FloatArray, FloatArray, float]:
+    """Middles, probabilities given success, and the width of the bars."""
+    costs, masses = law.all_but(_UNSEEN * law.goal)
+    shares = masses / law.goal
+    if len(costs) <= 1:
+        return costs, shares, 1.0
+    unit, span = float(np.diff(costs).min()), float(np.ptp(costs))
+    if span <= _BARS * unit:
+        return costs, shares, 0.85 * unit
+    heights, edges = np.histogram(costs, _BARS, weights=shares)
+    return 0.5 * (edges[1:] + edges[:-1]), heights, float(edges[1] - edges[0])

@@ -1,0 +1,456 @@
+"""Pictures in the plane: what a policy does cell by cell, and episodes as paths."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ssp_lp.analysis.simulation import simulate
+from ssp_lp.analysis.visits import pair_visits
+from ssp_lp.arrays import FloatArray, segment_ids
+from ssp_lp.errors import ModelError, check_whole, optional_module
+from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.graph.reachability import dead_ends, end_marks
+from ssp_lp.plotting.style import INK, LOOKS, axes_or_new
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.randomness import Randomness, generator_of
+from ssp_lp.problem import Problem
+from ssp_lp.processes.failure_semantics import start_distribution
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Point = tuple[float, float]
+"""(x, y), y upwards."""
+
+Places = Mapping[Any, Point] | Callable[[Any], Point | None]
+"""State or action -> a point, or none: a mapping without the key, or a function that says None."""
+
+
+def row_major(rows: int, columns: int) -> Callable[[int], Point]:
+    """The middles of cells that are numbered row by row from the upper left corner, from 0.
+
+    Args:
+        rows: how many there are.
+        columns: likewise.
+
+    Raises:
+        ModelError: one of them is no whole number >= 1.
+
+    Example:
+        >>> place = row_major(4, 4)  # FrozenLake-v1
+        >>> place(0), place(7), place(15)
+        ((0, 3), (3, 2), (3, 0))
+    """
+    check_whole("rows", rows)
+    check_whole("columns", columns)
+
+    @explained
+    def place(number: int) -> Point:
+        """Where the cell of a number lies."""
+        row, column = divmod(number, columns)
+        return column, rows - 1 - row
+
+    return place
+
+
+def points_of(names: Iterable[Hashable], places: Places) -> FloatArray:
+    """The points in the picture's cells of states or actions; nan where there is none, [names, 2].
+
+    Raises:
+        ModelError: what is given for one is no point.
+    """
+    look_up = places.get if isinstance(places, Mapping) else places
+    found = []
+    for name in names:
+        point = look_up(name)
+        if point is not None and np.shape(point) != (2,):
+            raise ModelError(f"{name!r} must lie at a point (x, y) or nowhere, not at {point!r}")
+        found.append((np.nan, np.nan) if point is None else point)
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
+
+
+def cells_of(model: SSP, cells: Places) -> FloatArray:
+    """The point of each state, [states, 2].
+
+    Raises:
+        ModelError: no state has a point, or what is given for one is no point.
+    """
+    found = points_of(model.states, cells)
+    if np.isnan(found).all():
+        raise ModelError(f"no state has a point: they are such as {model.states[0]!r}")
+    return found
+
+
+def size_of(points: FloatArray, walls: Iterable[Point]) -> tuple[float, float]:
+    """Width and height in inches of a picture of these cells."""
+    everything = np.vstack([points, np.array([*walls, (np.nan, np.nan)], dtype=np.float64)])
+    extent = np.nanmax(everything, axis=0) - np.nanmin(everything, axis=0) + 2.0 * _MARGIN
+    side = np.clip(_WIDEST / extent.max(), *_SIDES)
+    width, height = (side * extent).tolist()
+    return max(width, _NARROWEST), height + _LEGEND
+
+
+_WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 1.0  # inches: a picture's sides, what a legend takes
+_SIDES = 0.25, 0.55  # inches: of a cell, least and most
+
+
+def draw_ground(
+    ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]
+) -> list[Any]:
+    """Draw walls, dead-ends, goals and the start as unit squares, and a frame around other cells.
+
+    Where several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
+
+    Args:
+        ax: where to draw.
+        problem: says the model and the start.
+        points: of the model's states, nan where there is none, [states, 2].
+        walls: middles of squares that are no states.
+
+    Returns:
+        Entries of a legend.
+    """
+    patches, model = optional_module("matplotlib.patches", "plot"), problem.model
+    dead, goal = dead_ends(model) & ~model.goal_mask, model.goal_mask
+    goals, free = _distinct_cells(points[goal]), _distinct_cells(points[~dead & ~goal])
+    kinds = (
+        (free - goals, "", _FREE),
+        (_distinct_cells(points[dead]) - free - goals, "dead-end", _DEAD_END),
+        (set(walls), "wall", _WALL),
+        (goals, "goal", _GOAL),
+        (_distinct_cells(points[start_distribution(model, problem.start) > 0.0]), "start", _START),
+    )
+    legend = []
+    for squares, words, style in kinds:
+        side = _INNER if style is _START else 1.0
+        for x, y in sorted(squares):
+            corner = x - 0.5 * side, y - 0.5 * side
+            ax.add_patch(patches.Rectangle(corner, side, side, zorder=2, **style))
+        if words and squares:
+            legend.append(patches.Patch(label=words, **style))
+    for x, y in goals:
+        ax.plot([x], [y], "*", color=_GOAL["edgecolor"], markersize=9, zorder=2.5)
+    everything = np.array([square for squares, _, _ in kinds for square in squares])
+    low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
+    ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
+    ax.spines[:].set_visible(False)
+    return legend
+
+
+def _distinct_cells(points: FloatArray) -> set[Point]:
+    """The points of cells that are somewhere, each once."""
+    return {(x, y) for x, y in points[~np.isnan(points).any(axis=1)].tolist()}
+
+
+_INNER = 0.9  # side of the square that marks the start
+_MARGIN = 0.55  # from the middle of a cell at the rim
+_FREE = {"facecolor": "none", "edgecolor": "#d0d0d0", "linewidth": 0.5}
+_DEAD_END = {"facecolor": "#f3d9c9", "edgecolor": "#D55E00", "hatch": "xxxx", "linewidth": 0.6}
+_WALL = {"facecolor": "#595959", "edgecolor": "#595959", "linewidth": 0.0}
+_GOAL = {"facecolor": "#d5efe6", "edgecolor": "#009E73", "linewidth": 1.8}
+_START = {"facecolor": "none", "edgecolor": INK, "linewidth": 1.8}
+
+
+_ENTRY = 1.1  # inches: width of an entry of a legend
+_BELOW_TICKS = 0.12  # of the height: room for ticks and their label
+
+
+def add_legend(ax: Axes, legend: list[Any]) -> None:
+    """Put a legend below the picture of cells and its ticks, where it hides nothing."""
+    if legend:
+        figure = ax.get_figure(root=True)
+        width = 0.0 if figure is None else ax.get_position().width * figure.get_figwidth()
+        rows = -(-len(legend) // max(int(width / _ENTRY), 2))
+        below = _BELOW_TICKS if len(ax.get_xticks()) else 0.01
+        ax.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, -below),
+                  ncols=-(-len(legend) // rows), frameon=False, fontsize=8, labelcolor=INK,
+                  handlelength=1.6, columnspacing=1.2)  # fmt: skip
+
+
+_SHADES = ("#ffffff", "#6baed6")  # light enough for dark arrows
+_RARE = 0.02  # of a cell's visits: an action that is taken less often has no arrow
+_UNSEEN = 1e-6  # expected visits: a cell with fewer has none at all
+_LONGEST = 0.46  # of a cell's side, from its middle
+_SHORTEST = 0.75  # of the longest: an arrow for a small share
+_RING = 0.08  # radius of what marks several actions
+_SCALE = 1.0  # inches, of the scale of shades
+
+
+class _Seen(NamedTuple):
+    """What is seen in the cells."""
+
+    points: FloatArray  # [states, 2]
+    middles: FloatArray  # [cells, 2]
+    visits: FloatArray  # [cells]
+    shares: FloatArray  # [cells, actions and giving up] of the visits
+
+
+@explained
+def plot_grid_policy(
+    policy: Policy | MixedPolicy,
+    problem: Problem,
+    cells: Places,
+    moves: Places,
+    *,
+    walls: Iterable[Point] = (),
+    most_visits: float | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw what a policy does in the cells that it visits, shaded by its expected visits.
+
+    A cell with one action has one arrow. Where there are several, by a lottery, by chance or by
+    what is remembered, the cell is marked by a ring, and each has an arrow from it, the longer
+    the greater its share of the visits. An action without a direction is a dot; giving up is a
+    cross. Walls, dead-ends and goals are drawn as far as they have a cell.
+
+    Args:
+        policy: any policy on the problem's model.
+        problem: says the start.
+        cells: the (x, y) of a state, the middle of a unit square; states at the same one are
+            added up, and states without one (another memory, say) are left out.
+        moves: the (dx, dy) that an action aims at.
+        walls: middles of squares that are no states.
+        most_visits: what the darkest shade stands for; None: the most in the picture.
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: no state has a cell; the policy may wander for ever; it is for another model.
+
+    Example:
+        >>> from ssp_lp import SSP, DeterministicPolicy
+        >>> from formulations import MCMP
+        >>> model = SSP.from_transitions({0: {"east": [(0.9, 1, 1.0), (0.1, 0, 1.0)]}}, goal={1})
+        >>> policy = DeterministicPolicy.from_actions(model, {0: "east"})
+        >>> problem = MCMP(model, 0, failure_budget=0.1)
+        >>> axes = plot_grid_policy(policy, problem, lambda state: (state, 0), {"east": (1, 0)})
+    """
+    seen, walls = _seen_on_grid(policy, problem, cells), list(walls)
+    width, height = size_of(seen.points, walls)
+    ax = axes_or_new(ax, width + _SCALE, height)
+    most = float(seen.visits.max(initial=0.0)) if most_visits is None else most_visits
+    legend = draw_ground(ax, problem, seen.points, walls)
+    _draw_scale([ax], _draw_visits(ax, seen, most))
+    legend += _draw_decisions(ax, seen, points_of(problem.model.action_names, moves))
+    add_legend(ax, legend)
+    return ax
+
+
+@explained
+def plot_lottery(
+    policy: MixedPolicy,
+    problem: Problem,
+    cells: Places,
+    moves: Places,
+    *,
+    walls: Iterable[Point] = (),
+) -> list[Axes]:
+    """Draw the members of a lottery side by side in a new figure, on one scale of shades.
+
+    Args:
+        policy: a lottery; each picture's title says its member's share.
+        problem: says the start.
+        cells: as for :func:`plot_grid_policy`.
+        moves: likewise.
+        walls: likewise.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: as for :func:`plot_grid_policy`.
+    """
+    pyplot, count = optional_module("matplotlib.pyplot", "plot"), len(policy.policies)
+    members, walls = (
+        [_seen_on_grid(member, problem, cells) for member in policy.policies],
+        list(walls),
+    )
+    width, height = size_of(members[0].points, walls)
+    size = (count * width + _SCALE, height)
+    axes = pyplot.subplots(1, count, figsize=size, squeeze=False, layout="constrained")[1][0]
+    most = max(float(seen.visits.max(initial=0.0)) for seen in members)
+    directions = points_of(problem.model.action_names, moves)
+    for ax, seen, weight in zip(axes, members, policy.weights.tolist(), strict=True):
+        legend = draw_ground(ax, problem, seen.points, walls)
+        shades = _draw_visits(ax, seen, most)
+        add_legend(ax, legend + _draw_decisions(ax, seen, directions))
+        ax.set_title(f"with probability {weight:.4g}", fontsize=10)
+    _draw_scale(list(axes), shades)
+    return list(axes)
+
+
+def _seen_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places) -> _Seen:
+    """Add up visits and decisions by cell."""
+    model, points = problem.model, cells_of(problem.model, cells)
+    pairs, gave_up = pair_visits(as_lottery(policy), problem)
+    known = ~np.isnan(points).any(axis=1)
+    middles, inverse = np.unique(points[known], axis=0, return_inverse=True)
+    cell = np.full(model.n_states, len(middles))  # the last: nowhere
+    cell[known] = inverse.reshape(-1)
+    flows = np.zeros((len(middles) + 1, len(model.action_names) + 1))
+    np.add.at(flows, (cell[segment_ids(model.pair_offsets)], model.pair_action), pairs)
+    np.add.at(flows[:, -1], cell, gave_up)
+    visits = flows[:-1].sum(axis=1)
+    visits[visits < _UNSEEN] = 0.0
+    shares = np.divide(
+        flows[:-1], visits[:, None], where=visits[:, None] > 0.0, out=flows[:-1] * 0.0
+    )
+    return _Seen(points, middles, visits, shares)
+
+
+def _draw_visits(ax: Axes, seen: _Seen, most: float) -> Any:
+    """Shade the cells by their visits; return what a scale of shades needs."""
+    collections = optional_module("matplotlib.collections", "plot")
+    colors = optional_module("matplotlib.colors", "plot")
+    patches = optional_module("matplotlib.patches", "plot")
+    some = seen.visits > 0.0
+    corners = (seen.middles[some] - 0.5).tolist()
+    shades = collections.PatchCollection(
+        [patches.Rectangle(tuple(corner), 1.0, 1.0) for corner in corners],
+        cmap=colors.LinearSegmentedColormap.from_list("visits", _SHADES),
+        norm=colors.Normalize(0.0, max(most, _UNSEEN)),
+        zorder=1,
+    )
+    shades.set_array(seen.visits[some])
+    ax.add_collection(shades)
+    return shades
+
+
+def _draw_scale(axes: list[Axes], shades: Any) -> None:
+    """Draw the scale of the grid's shades."""
+    axes[0].figure.colorbar(shades, ax=axes, label="expected visits", shrink=0.7, pad=0.02)
+
+
+def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> list[Any]:
+    """Draw arrows, dots, crosses and rings; return entries of a legend."""
+    lines = optional_module("matplotlib.lines", "plot")
+    length = np.hypot(directions[:, 0], directions[:, 1])
+    still = ~(length > 0.0)
+    taken = seen.shares >= _RARE
+    several = taken.sum(axis=1) > 1
+    cell, action = np.nonzero(taken[:, :-1] & ~still)
+    toward = directions[action] / length[action, None]
+    share = np.where(several[cell], seen.shares[cell, action], 1.0)[:, None]
+    reach = _LONGEST * (_SHORTEST + (1.0 - _SHORTEST) * share)
+    begin = np.where(several[cell], _RING, -0.8 * _LONGEST)[:, None]
+    tail, step = seen.middles[cell] + begin * toward, (reach - begin) * toward
+    ax.quiver(*tail.T, *step.T, angles="xy", scale_units="xy", scale=1.0, units="xy", width=0.055,
+              headwidth=4.5, headlength=4.5, headaxislength=4.0, color=INK, zorder=4)  # fmt: skip
+    marks = (
+        (taken[:, -1], "x", INK, "gives up"),
+        (taken[:, :-1][:, still].any(axis=1), ".", INK, "stays"),
+        (several, "o", "white", "by chance or memory"),
+    )
+    legend = []
+    for where, marker, face, words in marks:
+        style: dict[str, Any] = {"marker": marker, "markerfacecolor": face, "markeredgecolor": INK}
+        if where.any():
+            ax.plot(*seen.middles[where].T, linestyle="", markersize=4, zorder=5, **style)
+            legend.append(lines.Line2D([], [], linestyle="", label=words, **style))
+    return legend
+
+
+_SPREAD = 0.3  # of a cell's side: how far from its middle a path may be moved
+
+
+@explained
+def plot_paths(
+    paths: Sequence[Any],
+    ends: Sequence[str],
+    *,
+    order: Sequence[str] = (),
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw paths in the plane; each way to end has its colour, line and marker.
+
+    The first way is drawn palely and beneath the others, so that the exceptions stand out.
+
+    Args:
+        paths: an array [points, 2 or more] each; the first two columns are x and y.
+        ends: how each path ends, in words for the legend, [paths].
+        order: the ways to end, so that they look the same in several pictures; those that are not
+            listed follow by how many paths end so.
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: a path is no such array, or has no end.
+    """
+    drawn = [np.asarray(path, dtype=np.float64) for path in paths]
+    if len(drawn) != len(ends):
+        raise ModelError(f"{len(drawn)} paths cannot have {len(ends)} ends")
+    if not all(path.size == 0 or (path.ndim == 2 and path.shape[1] >= 2) for path in drawn):
+        raise ModelError("a path must be an array [points, 2 or more]")
+    ax = axes_or_new(ax, 5.6, 5.6)
+    lines, legend, counts = optional_module("matplotlib.lines", "plot"), [], Counter(ends)
+    ways = dict.fromkeys([*order, *(end for end, _ in counts.most_common())])
+    for rank, end in enumerate(ways):
+        look, usual = LOOKS[rank % len(LOOKS)], rank == 0
+        style: dict[str, Any] = {"color": look.colour, "linestyle": look.line, "linewidth": 0.9}
+        for path, own in zip(drawn, ends, strict=True):
+            if own == end and len(path):
+                x, y = path[:, :2].T
+                ax.plot(x, y, alpha=0.45 if usual else 0.95, zorder=3 if usual else 4, **style)
+                ax.plot(x[-1:], y[-1:], look.marker, color=look.colour, zorder=5,
+                        markeredgecolor=look.colour if usual else INK,
+                        markersize=4 if usual else 7)  # fmt: skip
+        if counts[end]:
+            entry = lines.Line2D([], [], marker=look.marker, label=f"{counts[end]} {end}", **style)
+            legend.append(entry)
+    add_legend(ax, legend)
+    return ax
+
+
+@explained
+def plot_episodes(
+    policy: Policy | MixedPolicy,
+    problem: Problem,
+    cells: Places,
+    *,
+    episodes: int = 50,
+    rng: Randomness = 0,
+    walls: Iterable[Point] = (),
+    ax: Axes | None = None,
+) -> Axes:
+    """Simulate episodes in a model on a grid, and draw them over its walls, dead-ends and goals.
+
+    Each path keeps its own small distance from the middles of the cells, so that none hides the
+    others. States without a cell are left out of a path.
+
+    Args:
+        policy: any policy on the problem's model.
+        problem: says the start.
+        cells: the (x, y) of a state, the middle of a unit square.
+        episodes: how many to draw.
+        rng: a generator or a seed, of the episodes and of the distances.
+        walls: middles of squares that are no states.
+        ax: where to draw; None: a new figure.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: no state has a cell, or the policy is for another model.
+    """
+    model, source, walls = problem.model, generator_of(rng), list(walls)
+    points, marks = cells_of(model, cells), end_marks(model)
+    ax = axes_or_new(ax, *size_of(points, walls))
+    played = simulate(policy, problem, episodes=episodes, rng=source, record=episodes).paths
+    aside = source.uniform(-_SPREAD, _SPREAD, (episodes, 2))
+    fails = (f"fail: {name}" for name in (*model.state_labels, "dead-end"))
+    words = ["reach the goal", *fails]
+    ends = [words[m] if (m := marks[int(p[-1])]) >= 0 else "give up or go on" for p in played]
+    paths = [_placed_path(points[path], shift) for path, shift in zip(played, aside, strict=True)]
+    ground = draw_ground(ax, problem, points, walls)
+    plot_paths(paths, ends, order=words, ax=ax)
+    drawn = ax.get_legend()
+    add_legend(ax, ground + (list(drawn.legend_handles) if drawn else []))
+    return ax
+
+
+def _placed_path(path: FloatArray, shift: FloatArray) -> FloatArray:
+    """A path without what lies nowhere, aside of the middles of the cells, [points, 2]."""
+    return path[~np.isnan(path).any(axis=1)] + shift
