@@ -7,11 +7,7 @@ if TYPE_CHECKING:
     from formulations.alpha_mcmp import AlphaMCMP as AlphaMCMP
     from formulations.comparison import (
         CriteriaComparison as CriteriaComparison,
-    )
-    from formulations.comparison import (
         CriterionRow as CriterionRow,
-    )
-    from formulations.comparison import (
         compare_criteria as compare_criteria,
     )
     from formulations.constrained_cost import ConstrainedCost as ConstrainedCost

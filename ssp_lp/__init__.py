@@ -51,24 +51,23 @@ if TYPE_CHECKING:
     from ssp_lp.analysis.frontier_tracing import trace_frontier as trace_frontier
     from ssp_lp.analysis.simulation import simulate as simulate
     from ssp_lp.formulation import Formulation as Formulation
-    from ssp_lp.model.discretisation.continuous_model import ContinuousModel as ContinuousModel
-    from ssp_lp.model.discretisation.discretise import discretise as discretise
-    from ssp_lp.model.discretisation.distribution import Distribution as Distribution
-    from ssp_lp.model.discretisation.grid import Axis as Axis
-    from ssp_lp.model.discretisation.grid import Grid as Grid
-    from ssp_lp.model.discretisation.points import Quadrature as Quadrature
-    from ssp_lp.model.discretisation.points import Samples as Samples
-    from ssp_lp.model.discretisation.simulator import WorldSimulator as WorldSimulator
-    from ssp_lp.model.product import Memory as Memory
-    from ssp_lp.model.product import ProductSSP as ProductSSP
-    from ssp_lp.model.product import product as product
-    from ssp_lp.model.within_steps import HorizonSSP as HorizonSSP
-    from ssp_lp.model.within_steps import within_steps as within_steps
+    from ssp_lp.model.discretisation.continuous_model import (
+        ContinuousModel as ContinuousModel,
+        Distribution as Distribution,
+        WorldSimulator as WorldSimulator,
+    )
+    from ssp_lp.model.discretisation.discretise import (
+        Quadrature as Quadrature,
+        Samples as Samples,
+        discretise as discretise,
+    )
+    from ssp_lp.model.discretisation.grid import Axis as Axis, Grid as Grid
+    from ssp_lp.model.product import Memory as Memory, ProductSSP as ProductSSP, product as product
+    from ssp_lp.model.within_steps import HorizonSSP as HorizonSSP, within_steps as within_steps
     from ssp_lp.policies.remembering import on_original as on_original
     from ssp_lp.programs.occupation_measure import OccupationMeasure as OccupationMeasure
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
-    from ssp_lp.verification.cross_check import CrossCheck as CrossCheck
-    from ssp_lp.verification.cross_check import cross_check as cross_check
+    from ssp_lp.verification.cross_check import CrossCheck as CrossCheck, cross_check as cross_check
 
 __version__ = "0.1.0"
 
@@ -116,12 +115,9 @@ _MODULES = {
     "analysis.simulation": "simulate",
     "analysis.frontier_tracing": "trace_frontier",
     "formulation": "Formulation",
-    "model.discretisation.continuous_model": "ContinuousModel",
-    "model.discretisation.discretise": "discretise",
-    "model.discretisation.distribution": "Distribution",
+    "model.discretisation.continuous_model": "ContinuousModel Distribution WorldSimulator",
+    "model.discretisation.discretise": "Quadrature Samples discretise",
     "model.discretisation.grid": "Axis Grid",
-    "model.discretisation.points": "Quadrature Samples",
-    "model.discretisation.simulator": "WorldSimulator",
     "model.product": "Memory ProductSSP product",
     "model.within_steps": "HorizonSSP within_steps",
     "policies.remembering": "on_original",

@@ -4,51 +4,41 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from ssp_lp.io.any_format import read_any as read_any
-    from ssp_lp.io.any_format import write_any as write_any
-    from ssp_lp.io.archives import load_model as load_model
-    from ssp_lp.io.archives import load_policy as load_policy
+    from ssp_lp.io.any_format import read_any as read_any, write_any as write_any
     from ssp_lp.io.archives import (
+        load_model as load_model,
+        load_policy as load_policy,
         load_solution as load_solution,
-    )
-    from ssp_lp.io.archives import save_model as save_model
-    from ssp_lp.io.archives import save_policy as save_policy
-    from ssp_lp.io.archives import (
+        save_model as save_model,
+        save_policy as save_policy,
         save_solution as save_solution,
     )
     from ssp_lp.io.controller import Controller as Controller
     from ssp_lp.io.controller_files import write_controller as write_controller
     from ssp_lp.io.gymnasium_worlds import (
         GymnasiumWorld as GymnasiumWorld,
-    )
-    from ssp_lp.io.gymnasium_worlds import (
         RolloutReport as RolloutReport,
-    )
-    from ssp_lp.io.gymnasium_worlds import (
         StepLimitWarning as StepLimitWarning,
-    )
-    from ssp_lp.io.gymnasium_worlds import (
         from_gymnasium as from_gymnasium,
-    )
-    from ssp_lp.io.gymnasium_worlds import (
         rollout as rollout,
     )
     from ssp_lp.io.matrices import from_matrices as from_matrices
-    from ssp_lp.io.model_files.drn import read_drn as read_drn
-    from ssp_lp.io.model_files.drn import write_drn as write_drn
-    from ssp_lp.io.model_files.prism import read_prism as read_prism
-    from ssp_lp.io.model_files.prism import write_prism as write_prism
+    from ssp_lp.io.model_files.drn import read_drn as read_drn, write_drn as write_drn
+    from ssp_lp.io.model_files.prism import read_prism as read_prism, write_prism as write_prism
     from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
     from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
-    from ssp_lp.io.policy_chains import induced_chain as induced_chain
-    from ssp_lp.io.policy_chains import write_dot as write_dot
-    from ssp_lp.io.policy_chains import write_scheduler as write_scheduler
-    from ssp_lp.io.policy_tables import policy_table as policy_table
-    from ssp_lp.io.policy_tables import to_frame as to_frame
-    from ssp_lp.io.storm_models import from_stormpy as from_stormpy
-    from ssp_lp.io.storm_models import read_with_storm as read_with_storm
-    from ssp_lp.io.storm_models import to_stormpy as to_stormpy
-    from ssp_lp.io.storm_models import write_umb as write_umb
+    from ssp_lp.io.policy_chains import (
+        induced_chain as induced_chain,
+        write_dot as write_dot,
+        write_scheduler as write_scheduler,
+    )
+    from ssp_lp.io.policy_tables import policy_table as policy_table, to_frame as to_frame
+    from ssp_lp.io.storm_models import (
+        from_stormpy as from_stormpy,
+        read_with_storm as read_with_storm,
+        to_stormpy as to_stormpy,
+        write_umb as write_umb,
+    )
 
 _MODULES = {
     "any_format": "read_any write_any",

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archives import load_model, save_model
@@ -18,11 +16,25 @@ from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 
-Reader = Callable[[Path, Sequence[str], str | None], StatedModel]
-"""Reads a file, given the names of the goals and of the cost."""
-
-
 Start = Hashable | Mapping[Hashable, float]
+
+_JSON, _ARCHIVE = (".json", ".json.gz"), ".npz"
+_STORM = (".prism", ".nm", ".pm", ".jani", ".umb")
+_READERS: dict[str, Callable[..., ModelFile]] = {
+    ".drn": read_drn,
+    ".drn.gz": read_drn,
+    ".tra": read_prism,
+    **dict.fromkeys(_STORM, read_with_storm),
+}
+"""What reads a file whose goals are the states of one label, by the ending of its name."""
+
+_WRITERS: dict[str, Callable[..., None]] = {
+    ".drn": write_drn,
+    ".drn.gz": write_drn,
+    ".tra": write_prism,
+    ".umb": write_umb,
+}
+"""What writes a file that knows one initial state, by the ending of its name."""
 
 
 @explained
@@ -48,13 +60,27 @@ def read_any(
         ModelError: an unknown ending, or no model.
         OSError: the file cannot be read.
     """
-    file = Path(path)
-    reader: Reader = _format_by_ending(file, READERS)
-    if constants and reader is not _read_with_storm:
+    file, goals = Path(path), [goal] if isinstance(goal, str) else goal
+    ending = _ending_of(file, (*_JSON, _ARCHIVE, *_READERS))
+    if constants and ending not in _STORM:
         raise ModelError(f"{file.name} has no constants: leave ", Argument("constants"), " out")
-    if reader is _read_with_storm:
-        reader = partial(_read_with_storm, constants=constants)
-    return reader(file, [goal] if isinstance(goal, str) else goal, cost)
+    if ending in _JSON:
+        return read_json(file, goals, cost)
+    if ending == _ARCHIVE:
+        if goals:
+            told = f"{file.name} says itself which states are goals: leave "
+            raise ModelError(told, Argument("goal"), " out")
+        if cost is not None:
+            told = f"{file.name} has one cost, without a name: leave "
+            raise ModelError(told, Argument("cost"), " out")
+        return StatedModel(load_model(file))
+    if len(goals) != 1:
+        told = f"{file}: name the one label whose states are goals ("
+        raise ModelError(told, Argument("goal"), ")")
+    more = {"constants": constants} if ending in _STORM else {}
+    answer = _READERS[ending](file, goal=goals[0], cost=cost, **more)
+    states = answer.initial_states
+    return StatedModel(answer.model, states[0] if len(states) == 1 else None)
 
 
 @explained
@@ -73,95 +99,22 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
         OSError: the file cannot be written.
     """
     file = Path(path)
-    _format_by_ending(file, WRITERS)(model, file, start)
-
-
-def _format_by_ending(file: Path, table: Mapping[str, Any]) -> Any:
-    """What format the ending of a file's name stands for."""
-    for suffix, found in table.items():
-        if file.name.endswith(suffix):
-            return found
-    raise ModelError(f"{file.name!r} ends in none of {', '.join(table)}")
-
-
-def _format_by_label(read: Callable[..., ModelFile]) -> Callable[..., StatedModel]:
-    """A reader of a format whose goals are the states of one label."""
-
-    def labelled(path: Path, goal: Sequence[str], cost: str | None, **more: Any) -> StatedModel:
-        """Read a file; its goals are the states of the one label."""
-        if len(goal) != 1:
-            goals = Argument("goal")
-            raise ModelError(f"{path}: name the one label whose states are goals (", goals, ")")
-        found = read(path, goal=goal[0], cost=cost, **more)
-        states = found.initial_states
-        return StatedModel(found.model, states[0] if len(states) == 1 else None)
-
-    return labelled
-
-
-_read_drn, _read_prism = _format_by_label(read_drn), _format_by_label(read_prism)
-_read_with_storm = _format_by_label(read_with_storm)
-
-
-def _read_archive_format(path: Path, goal: Sequence[str], cost: str | None) -> StatedModel:
-    """Read the format of an archive, which says its goals itself."""
-    if goal:
-        raise ModelError(
-            f"{path.name} says itself which states are goals: leave ", Argument("goal"), " out"
-        )
-    if cost is not None:
-        raise ModelError(
-            f"{path.name} has one cost, without a name: leave ", Argument("cost"), " out"
-        )
-    return StatedModel(load_model(path))
-
-
-def _write_json_format(model: SSP, path: Path, start: Start | None) -> None:
-    """Write a model in the format of JSON."""
-    write_text(path, model_in_json(model, start))
-
-
-def _write_archive_format(model: SSP, path: Path, start: Start | None) -> None:
-    """Write a model in the format of an archive."""
-    save_model(model, path)
-
-
-def _format_from_one_state(write: Callable[..., None]) -> Callable[[SSP, Path, Start | None], None]:
-    """A writer of a format that knows one initial state."""
-
-    def written(model: SSP, path: Path, start: Start | None) -> None:
-        """Write a model that begins in one state."""
+    ending = _ending_of(file, (*_JSON, _ARCHIVE, *_WRITERS))
+    if ending in _JSON:
+        write_text(file, model_in_json(model, start))
+    elif ending == _ARCHIVE:
+        save_model(model, file)
+    else:
         if isinstance(start, Mapping) and len(start) == 1:
             (start,) = start
         if start is None:
-            raise ModelError(f"say in which state {path.name} begins (", Argument("start"), ")")
-        write(model, path, start=start)
-
-    return written
+            raise ModelError(f"say in which state {file.name} begins (", Argument("start"), ")")
+        _WRITERS[ending](model, file, start=start)
 
 
-READERS: dict[str, Reader] = {
-    ".json": read_json,
-    ".json.gz": read_json,
-    ".drn": _read_drn,
-    ".drn.gz": _read_drn,
-    ".tra": _read_prism,
-    ".npz": _read_archive_format,
-    ".prism": _read_with_storm,
-    ".nm": _read_with_storm,
-    ".pm": _read_with_storm,
-    ".jani": _read_with_storm,
-    ".umb": _read_with_storm,
-}
-"""What reads a file, by the ending of its name."""
-
-WRITERS: dict[str, Callable[[SSP, Path, Start | None], None]] = {
-    ".json": _write_json_format,
-    ".json.gz": _write_json_format,
-    ".drn": _format_from_one_state(write_drn),
-    ".drn.gz": _format_from_one_state(write_drn),
-    ".tra": _format_from_one_state(write_prism),
-    ".npz": _write_archive_format,
-    ".umb": _format_from_one_state(write_umb),
-}
-"""What writes a file, by the ending of its name."""
+def _ending_of(file: Path, endings: Sequence[str]) -> str:
+    """The ending of a file's name, which says its format."""
+    for ending in endings:
+        if file.name.endswith(ending):
+            return ending
+    raise ModelError(f"{file.name!r} ends in none of {', '.join(endings)}")

@@ -18,8 +18,7 @@ from ssp_lp.model.graph.reachability import dead_ends, end_marks
 from ssp_lp.plotting.style import INK, LOOKS, axes_or_new
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.randomness import Randomness, generator_of
+from ssp_lp.policies.policy import Policy, Randomness, generator_of
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
 

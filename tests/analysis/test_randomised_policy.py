@@ -4,8 +4,7 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from formulations import MCMP, S3P
 from games import RETRY, criteria, drawn_problem, hand_problem

@@ -25,8 +25,11 @@ from ssp_lp import (
 )
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.compiled.deadline import check_time, is_limited
-from ssp_lp.processes.failure_semantics import FailureSemantics, GiveUp
-from ssp_lp.processes.failure_semantics import start_distribution as distribution_of
+from ssp_lp.processes.failure_semantics import (
+    FailureSemantics,
+    GiveUp,
+    start_distribution as distribution_of,
+)
 
 
 @each_method

@@ -1,8 +1,7 @@
 """The players' best responses against the operators of the paper, written out literally."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from checks import library_model, plain
 from formulations import MCMP, S3P

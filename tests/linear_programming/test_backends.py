@@ -1,8 +1,7 @@
 """Every LP backend on the same drawn problems: one answer, whatever kind of point it ends at."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from checks import CLOSE, budget_of, check_bounds, check_evaluation, library_model, plain
 from formulations import MCMP, S3P

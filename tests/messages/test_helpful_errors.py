@@ -33,7 +33,7 @@ from ssp_lp import (
     within_steps,
 )
 from ssp_lp.io import load_policy, policy_table, save_model, save_policy, save_solution
-from ssp_lp.policies.randomness import generator_of
+from ssp_lp.policies.policy import generator_of
 
 ROAD: dict[Any, Any] = {
     "depot": {"alley": [(0.9, "home", 4.0), (0.1, "wreck", 2.0)]},

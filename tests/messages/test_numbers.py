@@ -18,8 +18,16 @@ from formulations import MCMP, AlphaMCMP
 from formulations.command_line import main
 from formulations.command_line.arguments import PARAMETERS
 from small_models import model_of
-from ssp_lp import SSP, Distribution, ModelError, SSPError, evaluate, goal_probability, solve
-from ssp_lp import problem as problems
+from ssp_lp import (
+    SSP,
+    Distribution,
+    ModelError,
+    SSPError,
+    evaluate,
+    goal_probability,
+    problem as problems,
+    solve,
+)
 from ssp_lp.compiled import deadline
 from ssp_lp.io import from_matrices, save_model
 

@@ -1,8 +1,7 @@
 """Drawn problems, solved by every method and by enumeration: one answer."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from checks import (
     CLOSE,

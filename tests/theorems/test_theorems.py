@@ -1,8 +1,7 @@
 """A user's own stationary policies: exact evaluation, and the paper's theorems of section 2.5."""
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from checks import CLOSE, library_model, plain
 from formulations import MCMP, S3P

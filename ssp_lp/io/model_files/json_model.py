@@ -6,6 +6,7 @@ import gzip
 import json
 import re
 import zlib
+from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -38,6 +39,9 @@ def read_json(path: Path, goal: Sequence[str], cost: str | None = None) -> State
 def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = None) -> StatedModel:
     """The model that a text states, a table by name or an explicit case.
 
+    In a table names are words, a cost is a number or ``{name: number}``, and a number may be a
+    fraction in words, "1/3".
+
     Args:
         text: the JSON.
         source: what to call it in errors.
@@ -53,9 +57,13 @@ def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = N
         raise
     except (ValueError, RecursionError) as error:
         raise ModelError(f"{source} is no JSON: {error}") from error
-    if isinstance(table, dict) and isinstance(table.get("format"), str):
+    if not isinstance(table, dict):
+        raise ModelError(f"{source} must hold {_TABLE}")
+    if isinstance(table.get("format"), str):
         return _explicit_json(table, source, goal, cost)
-    return named_model(table, source, goal, cost)
+    if isinstance(table.get("goal"), list):
+        return _json_document(table, source, goal, cost)
+    return _stated_model(table, source, goal, {}, None, cost)
 
 
 def _explicit_json(
@@ -68,13 +76,15 @@ def _explicit_json(
         choices, labels = table["choices"], dict(table.get("labels", {}))
         goals = {g for one in goal for g in labels.get(one, [one])} or set(table["goal"] or ())
         names = {name for listed in choices for one in listed for name in one["rewards"]}
-        transitions = {
-            str(state): {
-                _named_in_json(listed, at): _json_choice(source, choice, cost, names)
-                for at, choice in enumerate(listed)
-            }
-            for state, listed in enumerate(choices)
-        }
+        none_given = dict.fromkeys(sorted(names), 0) or {UNIT: 1}
+        transitions: dict[str, dict[str, Any]] = {}
+        for state, listed in enumerate(choices):
+            known = Counter(one["name"] for one in listed)
+            transitions[str(state)] = actions = {}
+            for at, one in enumerate(listed):
+                paid = chosen_cost(source, {**none_given, **one["rewards"]}, cost)
+                name = str(one["name"]) if known[one["name"]] == 1 else f"{at}:{one['name']}"
+                actions[name] = [[chance, successor, paid] for successor, chance in one["to"]]
         marked = {name: [str(s) for s in members] for name, members in labels.items()}
         start = str(table["init"])
     except ModelError:
@@ -82,22 +92,7 @@ def _explicit_json(
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{source} is no {EXPLICIT} file: {error!r}") from error
     plain = {name: at for name, at in marked.items() if name not in {"goal", "init", "deadlock"}}
-    return stated_model(transitions, source, [str(g) for g in goals], plain, start, None)
-
-
-def _named_in_json(listed: Sequence[Any], at: int) -> str:
-    """The name of a choice, with its position where another choice of the state has it, too."""
-    name = str(listed[at]["name"])
-    return name if sum(one["name"] == name for one in listed) == 1 else f"{at}:{name}"
-
-
-def _json_choice(
-    source: str, choice: Mapping[str, Any], cost: str | None, names: set[str]
-) -> list[list[Any]]:
-    """The outcomes of a choice, whose cost goes with each of them."""
-    none_given = dict.fromkeys(sorted(names), 0) or {UNIT: 1}
-    paid = chosen_cost(source, {**none_given, **choice["rewards"]}, cost)
-    return [[chance, successor, paid] for successor, chance in choice["to"]]
+    return _stated_model(transitions, source, [str(g) for g in goals], plain, start, None)
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -124,27 +119,6 @@ class StatedModel(NamedTuple):
     start: Hashable | Mapping[Hashable, float] | None = None
 
 
-def named_model(table: Any, source: str, goal: Sequence[str], cost: str | None) -> StatedModel:
-    """The model of a table by name in JSON, whose names are words.
-
-    A cost is a number or ``{name: number}``; a number may be a fraction in words, "1/3".
-
-    Args:
-        table: what the JSON holds.
-        source: what to call it in errors.
-        goal: names of the goal states, or of a label of them; none: as the text says.
-        cost: the name of the cost; None: the only one.
-
-    Raises:
-        ModelError: no such table, no goal, or one that does not occur.
-    """
-    if not isinstance(table, dict):
-        raise ModelError(f"{source} must hold {_TABLE}")
-    if isinstance(table.get("goal"), list):
-        return _json_document(table, source, goal, cost)
-    return stated_model(table, source, goal, {}, None, cost)
-
-
 def _json_document(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> StatedModel:
@@ -161,10 +135,10 @@ def _json_document(
     if not isinstance(start, dict) and start is not None:
         start = str(start)
     goals = goal or [str(name) for name in table["goal"]]
-    return stated_model(dict(transitions or {}), source, goals, labels, start, cost)
+    return _stated_model(dict(transitions or {}), source, goals, labels, start, cost)
 
 
-def stated_model(
+def _stated_model(
     table: dict[str, Any],
     source: str,
     goal: Sequence[str],
@@ -175,14 +149,23 @@ def stated_model(
     """The model of a JSON table of actions by state, with the labels and the start beside it.
 
     Raises:
-        ModelError: see :func:`named_model`.
+        ModelError: see :func:`parse_json`.
     """
     if not goal:
         told = f"{source} does not say which states are goals: name them by "
         raise ModelError(told, Argument("goal"))
-    transitions: dict[Hashable, Any] = {
-        state: _json_actions(state, actions, cost) for state, actions in table.items()
-    }
+    transitions: dict[Hashable, Any] = {}
+    for state, actions in table.items():
+        if not isinstance(actions, dict):
+            told = f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}"
+            raise ModelError(told)
+        transitions[state] = {
+            name: [
+                _json_outcome(f"action {name!r} of state {state!r}", outcome, cost)
+                for outcome in (outcomes if isinstance(outcomes, list) else [outcomes])
+            ]
+            for name, outcomes in actions.items()
+        }
     met = {to for actions in transitions.values() for some in actions.values() for _, to, _ in some}
     goals = [name for one in goal for name in labels.get(one, [one])]
     for name in goals:
@@ -193,21 +176,6 @@ def stated_model(
         transitions, goals, state_labels=labels, treat_actionless_as_dead_ends=True
     )
     return StatedModel(model, start)
-
-
-def _json_actions(
-    state: str, actions: Any, cost: str | None
-) -> dict[Hashable, list[tuple[Any, Hashable, Any]]]:
-    """The actions of a state, successors given as numbers read as words."""
-    if not isinstance(actions, dict):
-        raise ModelError(f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}")
-    return {
-        name: [
-            _json_outcome(f"action {name!r} of state {state!r}", outcome, cost)
-            for outcome in (outcomes if isinstance(outcomes, list) else [outcomes])
-        ]
-        for name, outcomes in actions.items()
-    }
 
 
 def _json_outcome(where: str, outcome: Any, cost: str | None) -> tuple[Any, Hashable, Any]:
@@ -272,27 +240,18 @@ def model_in_json(
     elif start is not None:
         stated["start"] = names[model.index_of(start)]
     yield json.dumps(stated, ensure_ascii=False)[:-1] + ', "transitions": {'
+    numbers = model.probabilities, model.successors, model.costs
     for state, name in enumerate(names):
-        rows = json.dumps({name: _json_rows(model, state, names)}, ensure_ascii=False)[1:-1]
-        yield ("\n" if state == 0 else ",\n") + rows
+        rows: dict[str, list[list[Any]]] = {}
+        for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
+            part = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
+            action = str(model.action_names[int(model.pair_action[pair])])
+            if action in rows:
+                raise ModelError(f"two actions of state {name!r} read {action!r} as words")
+            rows[action] = [
+                [chance, names[to], str(model.exact_costs.get(cost, "")) or cost]
+                for chance, to, cost in zip(*(some[part].tolist() for some in numbers), strict=True)
+            ]
+        line = json.dumps({name: rows}, ensure_ascii=False)[1:-1]
+        yield ("\n" if state == 0 else ",\n") + line
     yield "\n}}\n"
-
-
-def _json_rows(model: SSP, state: int, names: Sequence[str]) -> dict[str, list[list[Any]]]:
-    """The actions of a state, as the file has them."""
-    found: dict[str, list[list[Any]]] = {}
-    for pair in range(int(model.pair_offsets[state]), int(model.pair_offsets[state + 1])):
-        part = slice(model.outcome_offsets[pair], model.outcome_offsets[pair + 1])
-        action = str(model.action_names[int(model.pair_action[pair])])
-        if action in found:
-            raise ModelError(f"two actions of state {names[state]!r} read {action!r} as words")
-        found[action] = [
-            [chance, names[to], str(model.exact_costs.get(cost, "")) or cost]
-            for chance, to, cost in zip(
-                model.probabilities[part].tolist(),
-                model.successors[part].tolist(),
-                model.costs[part].tolist(),
-                strict=True,
-            )
-        ]
-    return found

@@ -1,20 +1,106 @@
-"""A decision process with continuous coordinates: what a step does, its answers checked."""
+"""Continuous worlds: their noise, what an action does to a point, and episodes played there."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import (
+    PROBABILITY_SUM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ReadOnlyCopies,
+    read_only,
+)
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import check_fields, explained
-from ssp_lp.model.discretisation.distribution import Distribution
 from ssp_lp.model.discretisation.grid import MOST_STATES, Coordinates, Grid
+from ssp_lp.model.ssp import SSP
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Distribution(ReadOnlyCopies):
+    """A random number, given by its quantile function; drawn independently of all others.
+
+    ``Distribution(scipy.stats.norm(0.0, 0.1).ppf)`` is a normal one: any vectorised function from
+    levels in (0, 1) to values that does not fall. :meth:`uniform` and :meth:`discrete` make others.
+    """
+
+    quantile: Callable[[FloatArray], npt.ArrayLike]
+    values: FloatArray | None = None  # [atoms], of a discrete one
+    probabilities: FloatArray | None = None  # [atoms]
+
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for a quantile function that is none."""
+        check_fields(self)
+
+    @classmethod
+    @explained
+    def uniform(cls, low: float, high: float) -> Distribution:
+        """Uniform between two numbers; raises :class:`ModelError` unless low <= high, finite."""
+        if not (math.isfinite(low) and math.isfinite(high) and low <= high):
+            raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
+        return cls(_Uniform(float(low), float(high)))
+
+    @classmethod
+    @explained
+    def discrete(cls, values: npt.ArrayLike, probabilities: npt.ArrayLike) -> Distribution:
+        """Finitely many values, [atoms], with their probabilities, [atoms].
+
+        Raises:
+            ModelError: other shapes, a value that is not finite, or no probabilities.
+        """
+        atoms = np.asarray(values, dtype=np.float64)
+        chance = np.asarray(probabilities, dtype=np.float64)
+        if atoms.ndim != 1 or atoms.size == 0 or atoms.shape != chance.shape:
+            raise ModelError("a discrete distribution needs as many values as probabilities")
+        if not np.isfinite(atoms).all():
+            raise ModelError("a value of a discrete distribution is not finite")
+        total = float(chance.sum())
+        if not (chance >= 0.0).all() or not abs(total - 1.0) <= PROBABILITY_SUM:
+            raise ModelError(f"probabilities of a distribution must be >= 0 and sum to 1: {total}")
+        atoms, chance = atoms[chance > 0.0], chance[chance > 0.0] / total
+        quantile = partial(_atoms_at, atoms, np.cumsum(chance[:-1]))
+        return cls(quantile, read_only(atoms), read_only(chance))
+
+    def __repr__(self) -> str:
+        """The quantile function, or how many values there are."""
+        told = in_short(self.quantile) if self.values is None else f"{self.values.size} values"
+        return f"Distribution({told})"
+
+    @explained
+    def at(self, levels: FloatArray) -> FloatArray:
+        """Values at levels in (0, 1); raises :class:`ModelError` if they are no finite numbers."""
+        found = np.asarray(self.quantile(levels))
+        real = found.dtype.kind in "biuf" and found.shape == levels.shape
+        if not real or not np.isfinite(found).all():
+            raise ModelError("a quantile function must return a finite number for each level")
+        return found.astype(np.float64, copy=False)
+
+
+@dataclass(frozen=True)
+class _Uniform:
+    """The quantile function of a uniform distribution."""
+
+    low: float
+    high: float
+
+    def __call__(self, levels: FloatArray) -> FloatArray:
+        """The value at each level, like ``levels``."""
+        return self.low + (self.high - self.low) * levels
+
+
+def _atoms_at(atoms: FloatArray, cumulative: FloatArray, levels: FloatArray) -> FloatArray:
+    """The atom of a discrete distribution at each level, like ``levels``."""
+    return np.asarray(atoms[np.searchsorted(cumulative, levels, side="right")])
+
 
 Step = Callable[
     [Coordinates, Any, Coordinates], tuple[Sequence[npt.ArrayLike], npt.ArrayLike, npt.ArrayLike]
@@ -249,3 +335,80 @@ def _stray_in_world(
         return end
     failed = model.end_state(model.outside) - model.grid.n_cells + 1
     return np.where(lost, np.int64(failed), end)
+
+
+@dataclass(frozen=True, eq=False)
+class WorldSimulator:
+    """The world itself, many episodes at a time: ``simulate(..., simulator=WorldSimulator(...))``.
+
+    The episodes are independent of how the grid model was made, so the interval that ``simulate``
+    gives for the probability of the goal (Clopper and Pearson's, exact for every probability and
+    number of episodes) holds for the policy in the world. A policy that gives up ends its episode,
+    as a failure.
+
+    Attributes:
+        world: what a step does.
+        start: for each axis a number, or the distribution it is drawn from.
+    """
+
+    world: ContinuousModel
+    start: Sequence[float | Distribution]
+
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for no world, or a start with another number of coordinates."""
+        check_fields(self)
+        axes = self.world.grid.axes
+        if len(self.start) != len(axes):
+            raise ModelError(f"start needs {len(axes)} coordinates, not {len(self.start)}")
+
+    def check_model(self, model: SSP) -> None:
+        """Raise :class:`ModelError` for a model with other states than the world's cells make."""
+        if model.n_states != self.world.n_states:
+            raise ModelError(
+                f"the simulator's world has {self.world.n_states:,} states, the policy's model "
+                f"{model.n_states:,}: take the world that the model was made of"
+            )
+
+    def reset(self, episodes: int, rng: np.random.Generator) -> tuple[FloatArray, IntArray]:
+        """Draw starts: coordinates, [episodes, axes], and cells, [episodes].
+
+        Raises:
+            ModelError: a start outside the box.
+        """
+        levels = rng.random((episodes, len(self.start)))
+        columns = [
+            first.at(levels[:, k])
+            if isinstance(first, Distribution)
+            else np.full(episodes, float(first))
+            for k, first in enumerate(self.start)
+        ]
+        world = np.stack(columns, axis=1)
+        return world, self.world.grid.cell_of(world)
+
+    def step(
+        self, world: FloatArray, pair: IntArray, rng: np.random.Generator
+    ) -> tuple[FloatArray, IntArray, FloatArray]:
+        """Take one step from coordinates, [k, axes], by pairs of the grid model, [k].
+
+        Returns:
+            The coordinates, those of periodic axes within the box, the states of the grid model,
+            and the costs, [k] each.
+        """
+        model, grid = self.world, self.world.grid
+        levels = rng.random((len(pair), len(model.noise)))
+        noise = [draw.at(levels[:, k]) for k, draw in enumerate(model.noise)]
+        pairs = model.allowed_pairs
+        action = np.asarray(pair if pairs is None else pairs[pair]) % len(model.actions)
+        after, paid = np.empty_like(world), np.empty(len(pair))
+        state = np.empty(len(pair), dtype=np.int64)
+        for number in np.unique(action):
+            some = np.flatnonzero(action == number)
+            point = tuple(world[some].T)
+            drawn = tuple(values[some] for values in noise)
+            taken = take_step_in_world(model, point, int(number), drawn, (len(some),))
+            for k, (axis, values) in enumerate(zip(grid.axes, taken.point, strict=True)):
+                after[some, k] = axis.wrapped(values)
+            ended = grid.n_cells - 1 + taken.end.astype(np.int64)
+            state[some] = np.where(taken.end != 0, ended, grid.number(taken.heights))
+            paid[some] = taken.cost
+        return after, state, paid

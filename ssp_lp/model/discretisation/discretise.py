@@ -1,22 +1,306 @@
-"""The grid model of a continuous world: cells as states, probabilities from trials of its step."""
+"""A model of a continuous world: points of noise, and the outcomes of cells and actions tallied."""
 
 from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
-from dataclasses import replace
-from typing import Final, NamedTuple
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import reduce
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type, read_only
-from ssp_lp.errors import ModelError
+from ssp_lp.arrays import (
+    FloatArray,
+    IntArray,
+    concatenated_ranges,
+    least_integer_type,
+    offsets_of,
+    read_only,
+)
+from ssp_lp.errors import ModelError, check_whole, in_short
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.discretisation.continuous_model import ContinuousModel, take_step_in_world
-from ssp_lp.model.discretisation.outcomes import Outcomes, OutcomeStore, tally_outcomes
-from ssp_lp.model.discretisation.points import Quadrature, Samples, Trials
+from ssp_lp.model.discretisation.continuous_model import (
+    ContinuousModel,
+    Distribution,
+    take_step_in_world,
+)
+from ssp_lp.model.discretisation.grid import Coordinates
 from ssp_lp.model.ssp import SSP
+
+_MOST_POINTS = 1_000_000  # along one axis
+
+
+class Trials(NamedTuple):
+    """From where, and with which noise, a step is tried in each cell."""
+
+    shape: tuple[int, ...]  # dimensions of the trials of one cell
+    weights: FloatArray | None  # [trials], ordered as in shape; None: all the same
+    draw: Callable[[IntArray], tuple[Coordinates, Coordinates]]
+    """Cells -> points and noise, arrays that broadcast to [*shape, cells]."""
+    repeatable: bool  # whether a cell gets the same trials every time
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """Every combination of points in the cell, axis by axis, and of levels of the noise.
+
+    Attributes:
+        points: along each axis and in each random number: one number for all of them, or one for
+            each axis and then for each random number. Discrete noise takes its own values.
+        rule: "midpoint": equal parts, a point in the middle of each, equally weighted.
+            "gauss-legendre": its nodes and weights. Probabilities of cells integrate a function
+            that jumps, for which the midpoints are as good and keep symmetries exact; where
+            smooth costs are averaged over a cell, Gauss and Legendre's rule is better.
+    """
+
+    points: int | Sequence[int] = 4
+    rule: str = "midpoint"
+
+    def trials(self, model: ContinuousModel) -> Trials:
+        """All combinations of points, a dimension for each axis, then one for each random number.
+
+        Raises:
+            ModelError: a wrong number of points, or an unknown rule.
+        """
+        parts, axes = self._parts(model), model.grid.axes
+        placed = []
+        for k, (nodes, _) in enumerate(parts):
+            form = [1] * (len(parts) + 1)
+            form[k] = len(nodes)
+            placed.append(nodes.reshape(form))
+        noise = tuple(placed[len(axes) :])
+
+        def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
+            """The nodes in some cells, and those of the noise."""
+            index = zip(axes, model.grid.index_of(cells), placed, strict=False)
+            return tuple(axis.low + (k + node) * axis.width for axis, k, node in index), noise
+
+        shares = [weights for _, weights in parts]
+        equal = all(np.ptp(weights) == 0.0 for weights in shares)
+        combined = reduce(np.multiply.outer, shares).ravel()
+        return Trials(tuple(map(len, shares)), None if equal else combined, draw, repeatable=True)
+
+    def _parts(self, model: ContinuousModel) -> list[tuple[FloatArray, FloatArray]]:
+        """Points and weights of each axis, in widths of a cell, and of each random number."""
+        n_axes, n_noise = len(model.grid.axes), len(model.noise)
+        given = self.points
+        counts: list[Any] = np.ravel(given).tolist() * (1 if np.ndim(given) else n_axes + n_noise)
+        whole = all(isinstance(n, (int, np.integer)) and 1 <= n <= _MOST_POINTS for n in counts)
+        if len(counts) != n_axes + n_noise or not whole:
+            raise ModelError(
+                f"points must be a number >= 1 (<= {_MOST_POINTS:,}), or {n_axes} of them for the "
+                f"axes and {n_noise} for the noise, not {in_short(given)}"
+            )
+        within = [self._levels(int(n)) for n in counts]
+        noise = zip(model.noise, within[n_axes:], strict=True)
+        return within[:n_axes] + [_noise_points(draw, *levels) for draw, levels in noise]
+
+    def _levels(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Points in (0, 1) and weights that sum to 1."""
+        if self.rule == "midpoint":
+            return (np.arange(count) + 0.5) / count, np.full(count, 1.0 / count)
+        if self.rule == "gauss-legendre":
+            nodes, weights = np.polynomial.legendre.leggauss(count)
+            return (nodes + 1.0) / 2.0, weights / 2.0
+        raise ModelError(f"rule must be 'midpoint' or 'gauss-legendre', not {self.rule!r}")
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Independent samples of each pair: a point uniform in the cell, and noise as it is drawn.
+
+    Attributes:
+        number: of samples of each pair.
+        rng: a generator or a seed; the same seed gives the same model.
+    """
+
+    number: int
+    rng: np.random.Generator | int
+
+    def __post_init__(self) -> None:
+        """Raise :class:`ModelError` for less than one sample, or for a seed that is none."""
+        check_whole("number", self.number)
+        seed = isinstance(self.rng, (int, np.integer)) and self.rng >= 0
+        if not (seed or isinstance(self.rng, np.random.Generator)):
+            raise ModelError(f"rng must be a generator or a seed such as 0, not {self.rng!r}")
+
+    def trials(self, model: ContinuousModel) -> Trials:
+        """Fresh sample points at every call, in one dimension."""
+        rng, axes = np.random.default_rng(self.rng), model.grid.axes
+
+        def draw(cells: IntArray) -> tuple[Coordinates, Coordinates]:
+            """Points drawn in some cells, and the noise at each."""
+            shape = (int(self.number), len(cells))
+            index = zip(axes, model.grid.index_of(cells), strict=True)
+            point = tuple(axis.low + (k + rng.random(shape)) * axis.width for axis, k in index)
+            return point, tuple(random.at(rng.random(shape)) for random in model.noise)
+
+        return Trials((int(self.number),), None, draw, repeatable=False)
+
+    @explained
+    def deviation(self, pairs: int, reachable: int, confidence: float = 0.95) -> float:
+        """By how much, in the sum of absolute differences, any pair's sampled outcomes are off.
+
+        The statement: with at least this confidence over the samples, every one of ``pairs`` has
+        sampled probabilities within this distance of the true ones, those of a point uniform in
+        the cell. Weissman et al. (2003), theorem 2.1, for one pair; the union bound for all.
+
+        Then, for every policy at once, its failure probability in the true grid model exceeds or
+        undercuts that in the sampled one by at most half the deviation times its expected number of
+        steps in the sampled one (each step errs by at most half the distance, for a function with
+        values in [0, 1]). Nothing follows for the continuous world: see ``simulate``.
+
+        Args:
+            pairs: how many pairs are sampled.
+            reachable: a number of states that no pair's true outcomes exceed, known beforehand;
+                those seen in the samples may be too few, the number of states is always safe.
+            confidence: of the statement.
+
+        Raises:
+            ModelError: a number that cannot be.
+        """
+        if pairs < 1 or reachable < 1 or not 0.0 < confidence < 1.0:
+            raise ModelError("deviation needs pairs and reachable >= 1 and 0 < confidence < 1")
+        if reachable == 1:
+            return 0.0
+        sides = reachable * math.log(2.0) + math.log1p(-(2.0 ** (1 - reachable)))  # 2^a - 2
+        logarithm = sides + math.log(pairs) - math.log1p(-confidence)
+        return min(2.0, math.sqrt(2.0 * logarithm / self.number))
+
+
+def _noise_points(
+    draw: Distribution, levels: FloatArray, weights: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Points of a random number with their weights; a discrete one has its own."""
+    if draw.values is not None and draw.probabilities is not None:
+        return draw.values, draw.probabilities
+    return draw.at(levels), weights
+
+
+class Outcomes(NamedTuple):
+    """The outcomes of some pairs; within a pair the successors are distinct and ascend."""
+
+    outcome_offsets: IntArray  # [pairs + 1]
+    successors: IntArray  # [outcomes]
+    probabilities: FloatArray  # [outcomes]
+    costs: FloatArray  # [outcomes], or [] for one number
+
+    def rows(self, wanted: IntArray) -> Outcomes:
+        """The rows of these numbers, one after the other."""
+        begins = self.outcome_offsets[wanted]
+        lengths = self.outcome_offsets[wanted + 1] - begins
+        places = concatenated_ranges(begins, lengths)
+        costs = self.costs[places] if self.costs.ndim else self.costs
+        return Outcomes(
+            offsets_of(lengths), self.successors[places], self.probabilities[places], costs
+        )
+
+
+def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArray) -> Outcomes:
+    """Count the outcomes of trials.
+
+    Args:
+        states: where they lead, [pairs, trials].
+        weights: of the trials, [trials]; None: all the same, and the counts are exact.
+        costs: a number, [pairs, 1] or [pairs, trials]; averaged over the trials of an outcome.
+    """
+    varies = costs.ndim == 2 and costs.shape[1] > 1
+    if weights is None and not varies:
+        ordered = np.sort(states, axis=1)
+        firsts, lengths = _runs_of_outcomes(ordered)
+        counts = np.diff(firsts, append=ordered.size)
+        paid = np.repeat(costs[:, 0], lengths) if costs.ndim == 2 else costs
+        return Outcomes(
+            offsets_of(lengths), ordered.ravel()[firsts], counts / states.shape[1], paid
+        )
+
+    # the trial's number goes along in the lower digits
+    n_trials = states.shape[1]
+    packed = states.astype(np.int64) * n_trials + np.arange(n_trials)
+    packed.sort(axis=1)
+    ordered = packed // n_trials
+    trial = packed - ordered * n_trials
+    share = np.full(n_trials, 1.0) if weights is None else weights
+    taken = share[trial].ravel()
+    firsts, lengths = _runs_of_outcomes(ordered)
+    mass = np.add.reduceat(taken, firsts)
+    paid = costs
+    if varies:
+        each = np.take_along_axis(costs, trial, axis=1).ravel()
+        low, high = np.minimum.reduceat(each, firsts), np.maximum.reduceat(each, firsts)
+        # equal costs stay what they are to the last bit: criteria that add up costs rely on it
+        paid = np.clip(np.add.reduceat(taken * each, firsts) / mass, low, high)
+    elif costs.ndim == 2:
+        paid = np.repeat(costs[:, 0], lengths)
+    successors = ordered.ravel()[firsts].astype(np.int32)
+    return Outcomes(offsets_of(lengths), successors, mass / share.sum(), paid)
+
+
+def _runs_of_outcomes(ordered: IntArray) -> tuple[IntArray, IntArray]:
+    """Where runs of equal numbers begin, in the flat array, and how many each row has."""
+    begins = np.empty(ordered.shape, dtype=np.bool_)
+    begins[:, 0] = True
+    np.not_equal(ordered[:, 1:], ordered[:, :-1], out=begins[:, 1:])
+    return np.flatnonzero(begins), np.count_nonzero(begins, axis=1)
+
+
+_ROOM: Final = 1 << 16  # outcomes
+_GROWTH: Final = 8  # by an eighth: large arrays grow without being copied
+
+
+class OutcomeStore:
+    """A growing list of rows; their costs are one number as long as they are all the same."""
+
+    def __init__(self, room: int = _ROOM) -> None:
+        """Begin without rows, with room for some outcomes."""
+        self._lengths: list[IntArray] = []
+        self._size = 0
+        self._successors = np.empty(room, dtype=np.int32)
+        self._probabilities = np.empty(room)
+        self._cost: FloatArray | None = None
+        self._costs: FloatArray | None = None
+
+    def append(self, rows: Outcomes) -> None:
+        """Add the outcomes of more pairs."""
+        begin, end = self._size, self._size + len(rows.successors)
+        self._reserve(end)
+        self._lengths.append(np.diff(rows.outcome_offsets))
+        self._successors[begin:end] = rows.successors
+        self._probabilities[begin:end] = rows.probabilities
+        if self._cost is None and rows.costs.ndim == 0:
+            self._cost = rows.costs
+        if self._costs is None and (rows.costs.ndim or rows.costs != self._cost):
+            known = 0.0 if self._cost is None else self._cost
+            self._costs = np.full(len(self._successors), known)
+        if self._costs is not None:
+            self._costs[begin:end] = rows.costs
+        self._size = end
+
+    def outcomes(self) -> Outcomes:
+        """All of them; nothing can be added afterwards."""
+        for array in self._grown():
+            array.resize(self._size, refcheck=False)
+        offsets = np.concatenate([[0], *self._lengths])
+        np.cumsum(offsets, out=offsets)
+        cost = np.asarray(0.0) if self._cost is None else self._cost
+        costs = cost if self._costs is None else self._costs
+        return Outcomes(offsets, self._successors, self._probabilities, costs)
+
+    def _reserve(self, size: int) -> None:
+        """Make room for so many outcomes."""
+        room = len(self._successors)
+        if size > room:
+            for array in self._grown():
+                array.resize(max(size, room + room // _GROWTH), refcheck=False)
+
+    def _grown(self) -> list[npt.NDArray[Any]]:
+        """The arrays of outcomes that grow."""
+        arrays: list[npt.NDArray[Any]] = [self._successors, self._probabilities]
+        return arrays if self._costs is None else [*arrays, self._costs]
+
 
 TRIALS: Final = 1 << 19
 """Trials that are worked on at a time: scratch arrays of some tens of megabytes."""

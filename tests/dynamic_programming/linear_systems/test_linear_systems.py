@@ -17,8 +17,11 @@ from ssp_lp.compiled.deadline import Stop, until
 from ssp_lp.dynamic_programming.backward_induction import acyclic_totals, least_backwards
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.howard_rounds import improve_along_chain
-from ssp_lp.dynamic_programming.linear_systems import direct_solvers, large_component
-from ssp_lp.dynamic_programming.linear_systems import system as system_module
+from ssp_lp.dynamic_programming.linear_systems import (
+    direct_solvers,
+    large_component,
+    system as system_module,
+)
 from ssp_lp.dynamic_programming.linear_systems.advantages import advantage_bounds
 from ssp_lp.dynamic_programming.linear_systems.direct_solvers import factorised
 from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_components

@@ -1,8 +1,7 @@
 """ConstrainedCost (C-SSP) on drawn models: all policies enumerated, and a program of lotteries."""
 
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from charged_problems import charged_problems, limits_of
 from checks import CLOSE, GAP, library_model, plain

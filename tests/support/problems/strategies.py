@@ -8,8 +8,7 @@ often. Live states are called "a", "b", ..., goals "G0", "G1", dead-ends "d0" (f
 
 from dataclasses import dataclass
 
-from hypothesis import settings
-from hypothesis import strategies as st
+from hypothesis import settings, strategies as st
 
 SPLITS = (
     (1.0,),
