@@ -182,11 +182,18 @@ def save_model(model: SSP, path: FilePath) -> None:
         ModelError: a state or an action is called by something else.
     """
     check_model(model, "save_model")
+
+    def stated(names: Sequence[Hashable]) -> list[Any] | None:
+        """Names as JSON has them; None where they are their positions."""
+        if isinstance(names, range):
+            return None
+        return [name if isinstance(name, float) else label_value(name) for name in names]
+
     uniform = model.costs.strides == (0,) and model.costs.size > 0
     members = list(model.state_labels.values())
     header = {
-        "states": _names_in_archive(model.states),
-        "actions": _names_in_archive(model.action_names),
+        "states": stated(model.states),
+        "actions": stated(model.action_names),
         "state_labels": list(model.state_labels),
         "exact_costs": [[cost, str(exact)] for cost, exact in model.exact_costs.items()],
     }
@@ -198,13 +205,6 @@ def save_model(model: SSP, path: FilePath) -> None:
     }
     arrays = {name: found[name].astype(kind) for name, kind in _ARRAYS.items()}
     _write_archive(path, "model", header, arrays)
-
-
-def _names_in_archive(names: Sequence[Hashable]) -> list[Any] | None:
-    """Names as JSON has them; None where they are their positions."""
-    if isinstance(names, range):
-        return None
-    return [name if isinstance(name, float) else label_value(name) for name in names]
 
 
 @explained

@@ -19,7 +19,7 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.model.within_steps import HorizonSSP
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy, StochasticPolicy
-from ssp_lp.policies.joint_memory import JointMemory
+from ssp_lp.policies.joint_memory import JointMemory, memory_size
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
 from ssp_lp.policies.remembering import RememberingPolicy
@@ -141,7 +141,7 @@ def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list
     code = np.array([codes[name] for name in actions] or [0])
     return [
         _controller_decisions_at(policy, np.full(states.size, memory, dtype=np.int64), code, over)
-        for memory in range(_memory_count(policy))
+        for memory in range(memory_size(policy))
     ]
 
 
@@ -164,15 +164,3 @@ def _controller_decisions_at(
     for state, choice, share in branches:
         choices[state].append([choice, share])
     return [choice[0][0] if len(choice) == 1 else choice for choice in choices]
-
-
-def _memory_count(policy: Policy) -> int:
-    """How many memories of a policy the controller's file has."""
-    match policy:
-        case StochasticPolicy(carrier=Policy() as carrier):
-            return _memory_count(carrier)
-        case JointMemory(keepers=(keeper,)):
-            return _memory_count(keeper)
-        case CostAwarePolicy():
-            return policy.cap + len(policy.tails)
-    return 1

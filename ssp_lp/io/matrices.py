@@ -53,14 +53,29 @@ def from_matrices(
         raise ModelError("give either costs or rewards")
     if actions is not None and len(actions) != len(matrices):
         raise ModelError(f"{len(actions)} names for {len(matrices)} actions")
-    state, action, target, chance = _matrix_outcomes(matrices)
+    goals = np.atleast_1d(np.asarray(goal))
+    if goals.ndim != 1 or not np.issubdtype(goals.dtype, np.integer) or not goals.size:
+        raise ModelError("goal must be indices of states, at least one")
+    if (goals < 0).any() or (goals >= n_states).any():
+        raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
+    parts = [matrix.tocoo() for matrix in matrices]
+    state = np.concatenate([part.row.astype(np.int64) for part in parts])
+    action = np.repeat(np.arange(len(parts)), [part.nnz for part in parts])
+    target = np.concatenate([part.col.astype(np.int64) for part in parts])
+    order = np.lexsort((target, action, state))
+    state, action, target = state[order], action[order], target[order]
+    chance = np.concatenate([part.data for part in parts])[order]
     paid = _paid_by_matrix(rewards if costs is None else costs, state, action, target, matrices)
-    if costs is None:
-        paid = _negated_matrix(paid, state, action)
+    if costs is None and (paid > 0.0).any():
+        at = int(np.argmax(paid > 0.0))
+        raise ModelError(
+            f"action {action[at]} of state {state[at]} has the reward {paid[at]:g}: rewards "
+            "must not be positive, so that costs are not negative"
+        )
+    paid = 0.0 - paid if costs is None else paid
     kept = ~np.isposinf(paid)
     state, action, target = state[kept], action[kept], target[kept]
-    new = np.ones(state.size, dtype=np.bool_)
-    new[1:] = (np.diff(state) != 0) | (np.diff(action) != 0)
+    new = (np.diff(state, prepend=-1) != 0) | (np.diff(action, prepend=-1) != 0)
     firsts = np.flatnonzero(new)
     names = range(len(matrices)) if actions is None else actions
     raw = RawModel(
@@ -72,9 +87,7 @@ def from_matrices(
         actions=[names[k] for k in action[firsts].tolist()],
         labels={},
     )
-    return absorbed(
-        raw, _goals_beside_matrices(goal, n_states), np.zeros(0, dtype=np.int64), "the matrices"
-    )
+    return absorbed(raw, goals, np.zeros(0, dtype=np.int64), "the matrices")
 
 
 def _matrix(matrix: Any) -> Any:
@@ -86,17 +99,6 @@ def _matrix(matrix: Any) -> Any:
     found.sum_duplicates()
     found.eliminate_zeros()
     return found
-
-
-def _matrix_outcomes(matrices: Sequence[Any]) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """State, action, successor and probability of each outcome, by state and action."""
-    parts = [matrix.tocoo() for matrix in matrices]
-    state = np.concatenate([part.row.astype(np.int64) for part in parts])
-    action = np.repeat(np.arange(len(parts)), [part.nnz for part in parts])
-    target = np.concatenate([part.col.astype(np.int64) for part in parts])
-    order = np.lexsort((target, action, state))
-    chance = np.concatenate([part.data for part in parts])
-    return state[order], action[order], target[order], chance[order]
 
 
 def _paid_by_matrix(
@@ -126,25 +128,3 @@ def _paid_by_matrix(
         f"costs or rewards of shape {table.shape} do not fit {n_states} states and {n_actions} "
         "actions: give [states], [states, actions] or [actions, states, states]"
     )
-
-
-def _negated_matrix(rewards: FloatArray, state: IntArray, action: IntArray) -> FloatArray:
-    """Rewards as costs; raises :class:`ModelError` where one is positive."""
-    positive = rewards > 0.0
-    if positive.any():
-        at = int(np.argmax(positive))
-        raise ModelError(
-            f"action {action[at]} of state {state[at]} has the reward {rewards[at]:g}: rewards "
-            "must not be positive, so that costs are not negative"
-        )
-    return np.asarray(0.0 - rewards)
-
-
-def _goals_beside_matrices(goal: npt.ArrayLike, n_states: int) -> IntArray:
-    """Indices of goal states, [goals]."""
-    goals = np.atleast_1d(np.asarray(goal))
-    if goals.ndim != 1 or not np.issubdtype(goals.dtype, np.integer) or not goals.size:
-        raise ModelError("goal must be indices of states, at least one")
-    if (goals < 0).any() or (goals >= n_states).any():
-        raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
-    return goals
