@@ -23,6 +23,55 @@ from ssp_lp.processes.quotient import Quotient
 
 
 @dataclass(frozen=True, eq=False)
+class Spread:
+    """A quotient's states and pairs, each by itself, beside the pairs of the quotient.
+
+    Methods count departures from a node; what is stated counts how often each pair is taken. Pairs
+    within a component cost nothing and are taken by nobody there, and staying in it for ever is
+    giving up, possible in each of its states.
+    """
+
+    quotient: Quotient  # of the same live states, none merged
+    place: IntArray  # [its pairs] where each stands in the merged quotient, -1: inside a component
+    departs: FloatArray  # [its pairs] chance that taking it is departing from the merged node
+
+    def per_taking(self, per_departure: FloatArray) -> FloatArray:
+        """What each pair takes whenever it is taken, of what its departures take, [pairs]."""
+        return np.where(self.place >= 0, per_departure[self.place] * self.departs, 0.0)
+
+    def departures(self, visits: FloatArray) -> FloatArray:
+        """How often nodes are departed from, [merged quotient's pairs], by visits [pairs]."""
+        own, size = self.place >= 0, int(self.place.max(initial=-1)) + 1
+        gone = visits[own] * self.departs[own]
+        return np.bincount(self.place[own], weights=gone, minlength=size).astype(np.float64)
+
+    def visits(self, flow: ModelFlow) -> FloatArray:
+        """The model's flow at these pairs, [pairs]."""
+        given_up = flow.give_up[self.quotient.first_states[self.quotient.pair_node]]
+        return self.quotient.at_pairs(flow.pairs, 0.0) + np.where(
+            self.quotient.gives_up, given_up, 0.0
+        )
+
+
+def spread_out(quotient: Quotient, departs: FloatArray) -> Spread | None:
+    """Undo what is collapsed and left out; None: nothing is.
+
+    Args:
+        quotient: the live part of a model.
+        departs: [pairs] what rows were divided by, see ``live_rows``.
+    """
+    if not quotient.merged.any() and (departs == 1.0).all():
+        return None
+    single = quotient.split()
+    place = quotient.places[single.pair_at]
+    giving = np.full(quotient.n_nodes, -1)
+    giving[quotient.pair_node[quotient.gives_up]] = np.flatnonzero(quotient.gives_up)
+    nodes = quotient.node_of[single.first_states[single.pair_node]]
+    place = np.where(single.gives_up, giving[nodes], place)
+    return Spread(single, place, np.where(place >= 0, departs[place], 1.0))
+
+
+@dataclass(frozen=True, eq=False)
 class ModelFlow:
     """How often each pair of the model is taken, and each state gives up, in expectation."""
 

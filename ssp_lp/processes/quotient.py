@@ -87,9 +87,25 @@ class Quotient:
             return self.first_member(int(self.pair_node[pair])), GIVE_UP
         return self.model.states[int(self.model.pair_state[acting])], self.model.action_of(acting)
 
+    @cached_property
+    def first_states(self) -> IntArray:
+        """The first state of each node, [nodes]."""
+        live = (self.node_of >= 0).nonzero()[0]
+        return live[np.unique(self.node_of[live], return_index=True)[1]]
+
     def first_member(self, node: int) -> Hashable:
         """The label of a node's first state."""
-        return self.model.states[int(np.argmax(self.node_of == node))]
+        return self.model.states[int(self.first_states[node])]
+
+    def split(self) -> Quotient:
+        """The same live states without collapsing any: each a node, with all pairs that it has."""
+        live, none = self.node_of >= 0, np.zeros_like(self.merged)
+        kept, gives_up = self.inside.copy(), np.zeros(self.n_nodes, dtype=np.bool_)
+        kept[self.pair_at[self.pair_at >= 0]] = True
+        gives_up[self.pair_node[self.gives_up]] = True
+        node_of = _numbered_nodes(live, np.full(live.size, -1))
+        leaving, inside = live & gives_up[self.node_of], np.zeros_like(self.inside)
+        return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
     def places_of(self, pair: int, state: int) -> IntArray:
         """Where a pair of the model, or giving up in a state, stands here: one place or none.
@@ -114,7 +130,7 @@ class Quotient:
         """
         if self.merged.any():
             return None
-        kept = (self._places >= 0) & (True if usable is None else usable)
+        kept = (self.places >= 0) & (True if usable is None else usable)
         return self.placed(approach_pairs(self.model, leaving, kept))
 
     def placed(self, decision: IntArray) -> IntArray:
@@ -124,10 +140,10 @@ class Quotient:
             decision: pair of the model, negative for none, [states]; no components are merged.
         """
         taken = decision[self.node_of >= 0]
-        return np.where(taken >= 0, self._places[taken], -1)
+        return np.where(taken >= 0, self.places[taken], -1)
 
     @cached_property
-    def _places(self) -> IntArray:
+    def places(self) -> IntArray:
         """Where each pair of the model stands here, -1: nowhere, [model pairs]."""
         place = np.full(self.model.n_pairs, -1, dtype=np.int32)
         acting = (self.pair_at >= 0).nonzero()[0]

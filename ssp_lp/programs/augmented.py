@@ -6,11 +6,12 @@ Case M's process, the failure label of the paper's section 3.1.2, is the first t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
@@ -19,7 +20,13 @@ from ssp_lp.policies.policy import GIVE_UP, Policy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
-from ssp_lp.processes.flow import decisions, model_flow, moving_within
+from ssp_lp.processes.flow import (
+    ModelFlow,
+    Spread,
+    decisions,
+    model_flow,
+    moving_within,
+)
 from ssp_lp.processes.quotient import Quotient
 
 
@@ -40,11 +47,8 @@ class ColumnLabel(NamedTuple):
 START = "start"
 """Action of the column by which start mass on goals and dead-ends enters; its state is None."""
 
-GO_FOR_GOAL = "go for the goal"
-"""Action beyond the last accumulated cost that is told apart: the policy of greatest success."""
-
-FAIL = "fail"
-"""Action there: the policy that fails most."""
+STAY = "stay for ever"
+"""Action of the column by which a policy wanders for ever, at no cost, from one of its states."""
 
 
 class Augmented(ABC):
@@ -67,6 +71,23 @@ class Augmented(ABC):
     @abstractmethod
     def copies(self) -> int:
         """How often it stands in the process: once for each cost that is told apart."""
+
+    @property
+    @abstractmethod
+    def departs(self) -> FloatArray:
+        """What rows of a copy were divided by, see ``live_rows``, [quotient pairs]."""
+
+    @abstractmethod
+    def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
+        """The model's flow in each copy, moves within collapsed components included.
+
+        Args:
+            visits: expected visits, [process pairs].
+        """
+
+    @abstractmethod
+    def spread(self, spread: Spread) -> Augmented:
+        """The same with nothing collapsed and every self-loop in its place."""
 
     @abstractmethod
     def paid(self, copy: int) -> float | None:
@@ -149,10 +170,43 @@ class LabelledModel(Augmented):
         """One decision per state."""
         return self.labelled.policy(choice)
 
+    @property
+    def departs(self) -> FloatArray:
+        """As the rows of the label were divided."""
+        return self.labelled.departs
+
+    def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
+        """One flow."""
+        quotient = self.quotient
+        flow = model_flow(quotient, visits[: len(quotient.pair_at)] / self.departs)
+        yield moving_within(quotient, flow, self.start + flow.entering(quotient))
+
+    def spread(self, spread: Spread) -> LabelledModel:
+        """Rows of the live states themselves; what pairs take, whenever they are taken."""
+        process, single, width = self.process, spread.quotient, len(self.quotient.pair_at)
+        survival = 1.0  # a discount collapses nothing
+        rows, start = (
+            single.transitions(survival, departing=False).matrix,
+            single.gather(self.start),
+        )
+        beyond, offsets, shape = process.n_pairs - width, single.pair_offsets, rows.shape
+        if beyond:  # the source
+            entry = sp.csr_array(np.append(start, 0.0)[None, :])
+            rows = sp.csr_array(
+                (rows.data, rows.indices, rows.indptr), shape=(shape[0], shape[1] + 1)
+            )
+            rows, offsets = sp.csr_array(sp.vstack([rows, entry])), np.append(offsets, shape[0] + 1)
+            start = np.append(np.zeros(shape[1]), 1.0)
+        cost, failure, goal = (
+            np.append(spread.per_taking(taken[:width]), taken[width:])
+            for taken in (process.cost, process.failure, process.goal)
+        )
+        whole = ExplicitProcess(offsets, rows, start, cost, failure, goal)
+        ones = np.ones(len(single.pair_at))
+        return LabelledModel(FailureLabelled(whole, single, ones), self.start)
+
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """A stationary policy on the model's states."""
-        quotient = self.quotient
-        flow = model_flow(quotient, visits[: len(quotient.pair_at)] / self.labelled.departs)
-        flow = moving_within(quotient, flow, self.start + flow.entering(quotient))
+        (flow,) = self.flows(visits)
         otherwise = self.policy(choice).decision.astype(np.int64)
-        return StochasticPolicy.from_flows(self.model, *decisions(quotient, flow, otherwise))
+        return StochasticPolicy.from_flows(self.model, *decisions(self.quotient, flow, otherwise))

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 import cvxpy as cp
 import numpy as np
 
+from ssp_lp.dynamic_programming.leaving import leaving_choice
 from ssp_lp.errors import SolverError
 from ssp_lp.programs.decomposition import balanced_visits
-from ssp_lp.programs.occupation_measure import OccupationMeasure
+from ssp_lp.programs.occupation_measure import OccupationMeasure, Told
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
@@ -84,27 +85,22 @@ class ConvexProgram:
             raise self._bounded.infeasible()
         if status not in _SOLVED or self.x.value is None:
             raise SolverError(f"cvxpy: the program is {status}")
-        scale, ratio = 1.0, 0.0
-        if self.program.ratio:
+        scale, ratio, program = 1.0, 0.0, self._bounded
+        if program.ratio:
             scale = float(self.scale.value)
-            ratio = max(self._price("normaliser", -1.0), 0.0)
-        program = self._bounded
-        kept = [row.name for row in self.program.rows if self._is_kept(row.name)]
-        prices = {name: max(self._price(name), 0.0) for name in kept}
-        (proved, value), stated = program.proved(prices, ratio), self._is_as_stated
+            ratio = self._price("normaliser", -1.0)
+        prices = {
+            row.name: self._price(row.name) for row in program.rows if self._is_kept(row.name)
+        }
+        seconds, solver = time.perf_counter() - began, self.problem.solver_stats.solver_name
+        told = Told(prices, ratio, scale, f"cvxpy, {solver}", status, seconds)
         visits = np.asarray(self.x.value) / scale
-        visits = proved.without_noise(visits) if stated else visits
-        gives_up = program.giving_up if stated else None  # rows of the user's see visits
-        measure = OccupationMeasure(
-            program=program,
-            visits=balanced_visits(program.process, visits, proved.choice, gives_up),
-            duals={name: price * scale for name, price in prices.items()},
-            optimal_value_from_dual=value if stated else None,
-            solver=f"cvxpy, {self.problem.solver_stats.solver_name}",
-            status=status,
-            seconds=time.perf_counter() - began,
-        )
-        if stated and measure.residual > _RESIDUAL:
+        if not self._is_as_stated:  # rows of the user's see every visit
+            process = program.process
+            otherwise = leaving_choice(process.dynamics, process.goal)
+            return told.measure(program, balanced_visits(process, visits, otherwise), None)
+        measure = program.optimal(visits, told)
+        if measure.residual > _RESIDUAL:
             raise SolverError(
                 f"cvxpy: the answer breaks a row by {measure.residual:.1e}, relative to its bound"
             )
@@ -133,4 +129,4 @@ class ConvexProgram:
     def _price(self, name: str, sign: float = 1.0) -> float:
         """A row's multiplier as the solver gives it; 0 where it has none or was replaced."""
         value = self.constraints[name].dual_value if self._is_kept(name) else None
-        return 0.0 if value is None else sign * float(np.ravel(value)[0])
+        return 0.0 if value is None else max(sign * float(np.ravel(value)[0]), 0.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,6 +18,26 @@ from ssp_lp.programs.decomposition import decomposed
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
+
+
+class Told(NamedTuple):
+    """What a solver said besides the visits, scaled as the program is."""
+
+    prices: Mapping[str, float]  # of the rows, by name, >= 0
+    ratio: float  # of case S: the normaliser's dual
+    scale: float  # of case S: t
+    solver: str
+    status: str
+    seconds: float
+
+    def measure(
+        self, program: OccupationProgram, visits: FloatArray, value: float | None
+    ) -> OccupationMeasure:
+        """Balanced visits as a measure, with the optimum that the duals prove."""
+        duals = {name: price * self.scale for name, price in self.prices.items()}
+        return OccupationMeasure(
+            program, visits, duals, value, self.solver, self.status, self.seconds
+        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,6 +56,7 @@ class OccupationMeasure:
     solver: str
     status: str
     seconds: float
+    reduced: OccupationMeasure | None = None  # where it was found on the reduced program
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "duals", ByName(self.duals))
@@ -62,6 +83,20 @@ class OccupationMeasure:
         off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max([float(off), *over, float((-self.visits).max(initial=0.0)), 0.0])
+
+    @property
+    def beyond(self) -> float:
+        """Probability of succeeding at a cost beyond those that the program tells apart.
+
+        Such successes are charged as if the last of them had just been reached, too little; a
+        greater ``cost_cap`` of the problem tells more apart.
+        """
+        augmented = self.program.augmented
+        if augmented.copies == 1:
+            return 0.0
+        width = len(augmented.quotient.pair_at)
+        last = slice((augmented.copies - 1) * width, augmented.copies * width)
+        return float(self.program.process.goal[last] @ self.visits[last])
 
     @property
     def gap(self) -> float:
@@ -96,6 +131,8 @@ class OccupationMeasure:
         Raises:
             SolverError: the visits do not balance.
         """
+        if self.reduced is not None:
+            return self.reduced.mixed_policy()
         choices, weights = decomposed(self.program.process, self.visits)
         return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
 

@@ -10,7 +10,7 @@ JS3P_def; mathematics, section 3).
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ssp_lp.arrays import BELOW_RATIO, BoolArray
+from ssp_lp.arrays import BELOW_RATIO, BoolArray, FloatArray
 from ssp_lp.compiled.deadline import Stop, check_time, until
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import backends_for, run_backend
@@ -29,10 +29,11 @@ from ssp_lp.policies.deterministic import find_pair
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
+from ssp_lp.processes.flow import Spread, spread_out
 from ssp_lp.programs.augmented import Augmented, ColumnLabel
 from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
-from ssp_lp.programs.occupation_measure import OccupationMeasure
+from ssp_lp.programs.occupation_measure import OccupationMeasure, Told
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
 
 if TYPE_CHECKING:
@@ -43,12 +44,49 @@ _TRIFLE = 1e-13  # of the greatest cost: a row worth less counts as nothing, as 
 _RATIOS = 4  # steps of Dinkelbach's iteration, which begins at a solver's optimum
 
 
+@dataclass(frozen=True, eq=False)
+class Reduction:
+    """A program as methods solve it, and the way between its pairs and those that are stated."""
+
+    program: OccupationProgram
+    spread: Spread
+
+    @property
+    def _width(self) -> tuple[int, int]:
+        """Copies of the live part, and their pairs."""
+        augmented = self.program.augmented
+        return augmented.copies, len(augmented.quotient.pair_at)
+
+    def row(self, coefficients: FloatArray) -> FloatArray:
+        """What a row takes of each stated pair, [stated pairs], of what it takes here, [pairs]."""
+        copies, width = self._width
+        layers = coefficients[: copies * width].reshape(copies, width)
+        own = [self.spread.per_taking(layer) for layer in layers]
+        return np.concatenate([*own, coefficients[copies * width :]])
+
+    def departures(self, visits: FloatArray) -> FloatArray:
+        """Visits of the pairs here, [pairs], of those that are stated, [stated pairs]."""
+        (copies, _), width = self._width, len(self.spread.place)
+        layers = visits[: copies * width].reshape(copies, width)
+        own = [self.spread.departures(layer) for layer in layers]
+        return np.concatenate([*own, visits[copies * width :]])
+
+    def lifted(self, stated: OccupationProgram, found: OccupationMeasure) -> OccupationMeasure:
+        """A measure of the stated program, of one of this; moves within components included."""
+        copies, width = self._width
+        flows = self.program.augmented.flows(found.visits)
+        own = [self.spread.visits(flow) for flow in flows]
+        visits = np.concatenate([*own, found.visits[copies * width :]])
+        return replace(found, program=stated, visits=visits, reduced=found)
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class OccupationProgram:
     """A linear program over the visits of an augmented process.
 
-    Columns are the pairs of the process; in case S one more, the scale t of Charnes and Cooper, by
-    which visits are multiplied so that the goal's probability is 1.
+    Columns are the pairs of the process, self-loops and steps that cost nothing included: x is how
+    often each is taken. In case S there is one more, the scale t of Charnes and Cooper, by which
+    visits are multiplied so that the goal's probability is 1.
     """
 
     title: str  # the formulation
@@ -58,6 +96,9 @@ class OccupationProgram:
     ratio: bool = False  # <cost, x> / <goal, x>
     sense: ObjectiveSense = AS_ASKED  # how <objective, x> stands for what is asked
     wants_ends: bool = False  # a row asks for an end that is not the goal
+    at_least: bool = False  # over the actions that attain the greatest goal probability
+    reduced: Reduction | None = None  # what is solved; None: itself
+    rebound: Callable[[Mapping[str, float]], OccupationProgram] | None = None  # by the problem
 
     @property
     def process(self) -> ExplicitProcess:
@@ -65,10 +106,39 @@ class OccupationProgram:
         return self.augmented.process
 
     def bounded_by(self, bounds: Mapping[str, float]) -> OccupationProgram:
-        """The same program with other bounds, by name of the row; see :meth:`row`."""
-        other = {self.row(name).name: bound for name, bound in bounds.items()}
-        rows = tuple(replace(row, bound=other.get(row.name, row.bound)) for row in self.rows)
-        return replace(self, rows=rows)
+        """The problem's program with other bounds, by name of the row; see :meth:`row`.
+
+        What was cut off for the old ones is made anew: accumulated costs that are told apart, and
+        the actions that attain the least failure.
+
+        Raises:
+            ModelError: there is no such row.
+            InfeasibleError: the budget is below the least failure.
+        """
+        made = {row.name for row in self.rows}
+        opened = {"failure"} if self.at_least else set[str]()
+        other = {n if n in opened - made else self.row(n).name: b for n, b in bounds.items()}
+        known = {row.name: row.bound for row in self.rows} | other
+        if self.rebound is not None and (opened or self.augmented.copies > 1):
+            return self.rebound(known)
+        rows = tuple(replace(row, bound=known[row.name]) for row in self.rows)
+        reduced = self.reduced
+        if reduced is not None:
+            reduced = replace(reduced, program=reduced.program.bounded_by(other))
+        return replace(self, rows=rows, reduced=reduced)
+
+    def spread_out(self) -> OccupationProgram:
+        """The program with a column for each pair of the model, of one that methods can solve.
+
+        These collapse components in which moving is free, and leave out self-loops.
+        """
+        spread = spread_out(self.augmented.quotient, self.augmented.departs)
+        if spread is None:
+            return self
+        reduction = Reduction(self, spread)
+        augmented = self.augmented.spread(spread)
+        rows = (replace(row, coefficients=reduction.row(row.coefficients)) for row in self.rows)
+        return replace(self, augmented=augmented, rows=tuple(rows), reduced=reduction)
 
     @cached_property
     def linear(self) -> LinearProgram:
@@ -146,6 +216,9 @@ class OccupationProgram:
             InfeasibleError: no visits satisfy all rows.
             SolverError: no backend's answer has a small residual and a small proved gap.
         """
+        if self.reduced is not None:
+            found = self.reduced.program.solve(backend, time_limit=time_limit)
+            return self.reduced.lifted(self, found)
         tried, deadline, infeasible = [], time.perf_counter() + time_limit, False
         for name in backends_for(self.linear, backend):
             try:
@@ -161,7 +234,7 @@ class OccupationProgram:
             has_scale = not self.ratio or answer.x[-1] > 0.0  # to divide visits by
             if not refused and has_scale and np.isfinite(answer.x).all():
                 try:
-                    measure = self.measure(answer)
+                    measure = self._answered(answer)
                 except SolverError as error:
                     told += f", {error}"
                 else:
@@ -169,8 +242,8 @@ class OccupationProgram:
                         return measure
                     told += f", gap {measure.gap:.1e}, residual {measure.residual:.1e}"
             tried.append(told)
-        if infeasible and {row.name for row in self.rows} - {"failure"}:
-            raise self.infeasible()  # a budget alone was found feasible when it was compiled
+        if infeasible:
+            raise self.infeasible()
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
 
     @property
@@ -181,6 +254,11 @@ class OccupationProgram:
     def infeasible(self) -> InfeasibleError:
         """The error that says that no visits satisfy all rows."""
         budgets = [row.bound for row in self.rows if row.name == "failure"]
+        if self.rebound is not None:
+            try:  # names the least failure, or what contradicts what
+                self.rebound({row.name: row.bound for row in self.rows})
+            except InfeasibleError as error:
+                return error
         return InfeasibleError(
             "no expected visits satisfy all rows of the program; solve(problem) names rows that "
             "contradict each other",
@@ -188,31 +266,36 @@ class OccupationProgram:
             least_failure=float("nan"),
         )
 
-    @explained
-    def measure(self, answer: LPAnswer) -> OccupationMeasure:
+    def _answered(self, answer: LPAnswer) -> OccupationMeasure:
         """A solver's answer to ``linear`` as a measure."""
         program, dual = self.linear, answer.dual
         scale = float(answer.x[-1]) if self.ratio else 1.0
         prices = {row.name: max(-float(dual[program.rows[row.name]][0]), 0.0) for row in self.rows}
         ratio = float(dual[program.rows["normaliser"]][0]) if self.ratio else 0.0
-        proved, value = self.proved(prices, ratio)
-        visits = answer.x[: self.process.n_pairs] / scale
-        return OccupationMeasure(
-            program=self,
-            visits=balanced_visits(
-                self.process, proved.without_noise(visits), proved.choice, self.giving_up
-            ),
-            duals={name: price * scale for name, price in prices.items()},
-            optimal_value_from_dual=value,
-            solver=answer.backend,
-            status=answer.status,
-            seconds=answer.seconds,
-        )
+        told = Told(prices, ratio, scale, answer.backend, answer.status, answer.seconds)
+        return self.optimal(answer.x[: self.process.n_pairs] / scale, told)
+
+    def optimal(self, visits: FloatArray, told: Told) -> OccupationMeasure:
+        """A solver's optimum of the program as it is stated, with what its duals prove.
+
+        Args:
+            visits: not balanced yet, [pairs].
+            told: what the solver said.
+        """
+        if self.reduced is not None:
+            departures = self.reduced.departures(visits)
+            return self.reduced.lifted(self, self.reduced.program.optimal(departures, told))
+        proved, value = self.proved(told.prices, told.ratio)
+        visits = proved.without_noise(visits)
+        visits = balanced_visits(self.process, visits, proved.choice, self.giving_up)
+        return told.measure(self, visits, value)
 
     def proved(
         self, prices: Mapping[str, float], ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
         """The optimum as far as prices prove it, and what is best at them (``programs.duality``).
+
+        Of a program that nothing can be left out of.
 
         Args:
             prices: of the rows, by name, >= 0.

@@ -136,11 +136,11 @@ class CompiledConstrained:
     @cached_property
     def greatest_goal(self) -> float:
         """The greatest goal probability, discounted where the problem is, bounded from above."""
-        reach = self._greatest
+        reach = self.greatest
         return float(self.start @ np.maximum(reach.goal, reach.bound))
 
     @cached_property
-    def _greatest(self) -> GoalReach:
+    def greatest(self) -> GoalReach:
         """The greatest goal probability from the start, and the pairs that attain it."""
         return greatest_goal_reach(self.model, survival_of(self.discount), self.start)
 
@@ -154,13 +154,13 @@ class CompiledConstrained:
     def _least_goals(self) -> FloatArray:
         """A goal probability that every policy that counts attains, [states]."""
         if self.budget is None:
-            return self._greatest.goal * (1.0 - ATTAINABLE)
+            return self.greatest.goal * (1.0 - ATTAINABLE)
         return least_goal_reach(self.model, survival_of(self.discount)).bound
 
     @cached_property
     def _usable(self) -> BoolArray | None:
         """Pairs that attain the least failure, where only they may be used, [model pairs]."""
-        return None if self.budget is not None else self._greatest.usable
+        return None if self.budget is not None else self.greatest.usable
 
     @cached_property
     def augmented(self) -> FailureLabelled | OpenEnded:
@@ -232,7 +232,7 @@ class CompiledConstrained:
     def typical_cost(self) -> float:
         """The cost given success of the policy that fails least."""
         survival = survival_of(self.discount)
-        safest = cheapest_reach(self.model, self._greatest, survival)
+        safest = cheapest_reach(self.model, self.greatest, survival)
         return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
 
     @cached_property

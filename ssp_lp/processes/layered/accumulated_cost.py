@@ -23,6 +23,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
 from ssp_lp.processes.expectations import cost_means, successor_means
 from ssp_lp.processes.failure_semantics import Aim, survival_of
+from ssp_lp.processes.flow import Spread
 from ssp_lp.processes.layered.charges import Charge, TotalCostCharge
 from ssp_lp.processes.live_rows import RowChoice, live_rows, shared_live_rows
 from ssp_lp.processes.quantities.conditions import UpperRow, free_pairs
@@ -125,6 +126,33 @@ class AccumulatedCost:
         kinds, nodes = np.divmod(unsigned(steps.indices), np.uint32(n))
         kind_type = np.uint8 if self.width <= 256 else np.uint32
         return unsigned(steps.indptr), kinds.astype(kind_type), nodes.astype(np.uint32), steps.data
+
+
+def spread_layer(base: AccumulatedCost, spread: Spread, start: FloatArray) -> AccumulatedCost:
+    """One layer of the states themselves, nothing collapsed and every self-loop in its place.
+
+    Args:
+        base: the layer as methods take it, without discount.
+        spread: its quotient's pairs, each by itself.
+        start: distribution over states, [states].
+    """
+    instant, later = _steps_by_cost(spread.quotient, base.lattice, base.survival)
+    arrivals, own = base.arrivals, np.maximum(spread.place, 0)
+    if arrivals is not None:
+        factor = np.where(spread.place >= 0, spread.departs, 0.0)
+        arrivals = _scaled_rows(sp.csr_array(arrivals[own]), factor)
+    return replace(
+        base,
+        quotient=spread.quotient,
+        instant=instant,
+        later=later,
+        gain=spread.per_taking(base.gain),
+        gain_cost=spread.per_taking(base.gain_cost),
+        failure=spread.per_taking(base.failure),
+        start=spread.quotient.gather(start),
+        departs=np.ones(len(spread.place)),
+        arrivals=arrivals,
+    )
 
 
 def accumulate_cost(
