@@ -104,9 +104,10 @@ def _augmented(compiled: CompiledConstrained) -> Augmented:
     """The process of the compiled problem, with what is minimised as its cost."""
     found = compiled.augmented
     if isinstance(found, OpenEnded):
-        return LayeredModel(found)
+        return LayeredModel(found, compiled.start)
     cost = np.ascontiguousarray(compiled.pricing.rewards[:, 0])
-    return LabelledModel(replace(found, process=replace(found.process, cost=cost)), compiled.start)
+    labelled = replace(found, process=replace(found.process, cost=cost))
+    return LabelledModel(labelled, compiled.start, compiled.semantics, compiled.discount)
 
 
 def _cost_given_success(compiled: CompiledConstrained) -> LabelledModel:
@@ -120,7 +121,8 @@ def _cost_given_success(compiled: CompiledConstrained) -> LabelledModel:
     chance = np.where(model.goal_mask, 1.0, compiled.greatest.goal)
     cost = labelled.quotient.at_pairs(cost_means(model, chance)) / labelled.departs
     cost = np.append(cost, np.zeros(process.n_pairs - cost.size))
-    return LabelledModel(replace(labelled, process=replace(process, cost=cost)), start)
+    labelled = replace(labelled, process=replace(process, cost=cost))
+    return LabelledModel(labelled, start, compiled.semantics, compiled.discount)
 
 
 def _objective_of_program(problem: Problem, compiled: CompiledConstrained) -> str:

@@ -107,18 +107,6 @@ class Quotient:
         leaving, inside = live & gives_up[self.node_of], np.zeros_like(self.inside)
         return _quotient_with_pairs(self.model, self.dead, node_of, inside, none, kept, leaving)
 
-    def places_of(self, pair: int, state: int) -> IntArray:
-        """Where a pair of the model, or giving up in a state, stands here: one place or none.
-
-        Args:
-            pair: pair of the model, or GIVE_UP_CODE.
-            state: state of the model.
-        """
-        here = self.pair_at == pair
-        if pair == GIVE_UP_CODE:
-            here &= self.pair_node == self.node_of[state]
-        return np.flatnonzero(here)
-
     def nearer(self, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray | None:
         """A pair of each node by which it may come nearer to a leaving pair; -1: none, [nodes].
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +15,12 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
-from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.policies.deterministic import DeterministicPolicy, find_pair
 from ssp_lp.policies.policy import GIVE_UP, Policy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.failure_label import FailureLabelled
+from ssp_lp.processes.failure_label import FailureLabelled, counting_of
+from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.processes.flow import (
     ModelFlow,
     Spread,
@@ -27,6 +28,7 @@ from ssp_lp.processes.flow import (
     model_flow,
     moving_within,
 )
+from ssp_lp.processes.quantities.conditions import Term
 from ssp_lp.processes.quotient import Quotient
 
 
@@ -56,6 +58,8 @@ class Augmented(ABC):
 
     Its pairs are copies of the live part's, one after another, and then what lies beyond them.
     """
+
+    start: FloatArray  # [states] distribution
 
     @property
     @abstractmethod
@@ -90,6 +94,10 @@ class Augmented(ABC):
         """The same with nothing collapsed and every self-loop in its place."""
 
     @abstractmethod
+    def counted(self, term: Term) -> FloatArray:
+        """How much of what a quantity counts each pair takes, [process pairs]."""
+
+    @abstractmethod
     def paid(self, copy: int) -> float | None:
         """The cost paid before, in one of the copies; None: it is not counted."""
 
@@ -117,15 +125,21 @@ class Augmented(ABC):
         del pair
         return ColumnLabel(None, START, self.paid(0))
 
-    def pairs_of(self, pair: int, state: int) -> IntArray:
-        """The process's pairs that take a pair of the model, or give up in a state.
+    def pairs_of(self, states: IntArray, action: Hashable | None) -> IntArray:
+        """The process's pairs that act in some states of the model, an action or any.
 
         Args:
-            pair: pair of the model or GIVE_UP_CODE.
-            state: state of the model.
+            states: of the model.
+            action: an action that each of them has, ``GIVE_UP``, ``STAY``, or None for all.
         """
-        firsts = np.arange(self.copies)[:, None] * len(self.quotient.pair_at)
-        return np.asarray((firsts + self.quotient.places_of(pair, state)).ravel())
+        quotient, model = self.quotient, self.model
+        inner = np.isin(quotient.pair_node, quotient.node_of[states][quotient.node_of[states] >= 0])
+        if action is GIVE_UP or action == STAY:
+            inner &= quotient.gives_up
+        elif action is not None:
+            inner &= np.isin(quotient.pair_at, [find_pair(model, s, action) for s in states])
+        firsts = np.arange(self.copies)[:, None] * len(quotient.pair_at)
+        return np.asarray((firsts + inner.nonzero()[0]).ravel())
 
     @abstractmethod
     def policy(self, choice: IntArray) -> Policy:
@@ -151,6 +165,8 @@ class LabelledModel(Augmented):
 
     labelled: FailureLabelled
     start: FloatArray  # [states]
+    semantics: FailureSemantics
+    discount: float | None
     copies = 1
 
     @property
@@ -203,7 +219,12 @@ class LabelledModel(Augmented):
         )
         whole = ExplicitProcess(offsets, rows, start, cost, failure, goal)
         ones = np.ones(len(single.pair_at))
-        return LabelledModel(FailureLabelled(whole, single, ones), self.start)
+        return replace(self, labelled=FailureLabelled(whole, single, ones))
+
+    def counted(self, term: Term) -> FloatArray:
+        """Counted under the label of failing, [process pairs]."""
+        counting = counting_of(self.labelled, self.start, self.semantics, self.discount)
+        return np.append(*term.at(counting))[: self.process.n_pairs]
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """A stationary policy on the model's states."""

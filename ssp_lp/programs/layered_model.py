@@ -17,6 +17,7 @@ from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import ModelFlow, Spread, decisions, model_flow, moving_within
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, spread_layer
 from ssp_lp.processes.layered.open_ended import OpenEnded
+from ssp_lp.processes.quantities.conditions import Term
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.augmented import Augmented
 
@@ -73,6 +74,7 @@ class LayeredModel(Augmented):
     """States and the cost paid so far; from the cap on one policy for all costs."""
 
     layered: OpenEnded
+    start: FloatArray  # [states]
 
     @property
     def process(self) -> ExplicitProcess:
@@ -96,8 +98,12 @@ class LayeredModel(Augmented):
 
     def spread(self, spread: Spread) -> LayeredModel:
         """The layers spread out."""
-        base = spread_layer(self.layered.base, spread, self.layered.start)
-        return LayeredModel(replace(self.layered, base=base))
+        base = spread_layer(self.layered.base, spread, self.start)
+        return replace(self, layered=replace(self.layered, base=base))
+
+    def counted(self, term: Term) -> FloatArray:
+        """The same in all layers, [process pairs]."""
+        return self.layered.everywhere(*term.at(self.layered.counting()))
 
     @property
     def copies(self) -> int:

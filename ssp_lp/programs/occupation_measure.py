@@ -11,13 +11,17 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.leaving import leaving_choice
+from ssp_lp.errors import SolverError
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
-from ssp_lp.programs.decomposition import decomposed
+from ssp_lp.programs.decomposition import balanced_visits, decomposed
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
+
+
+_BEYOND = 1e-9  # probability of passing the last total from which it is told
 
 
 class Told(NamedTuple):
@@ -105,6 +109,19 @@ class OccupationMeasure:
             return float("nan")
         return abs(self.objective - self.optimal_value_from_dual) / max(abs(self.objective), 1.0)
 
+    @cached_property
+    def balanced(self) -> FloatArray:
+        """Visits of the policy that draws each pair with its share of these, [pairs].
+
+        Equal to them where they balance, but for what goes round and is never come to.
+
+        Raises:
+            SolverError: the policy never leaves.
+        """
+        process = self.program.process
+        otherwise = leaving_choice(process.dynamics, process.goal)
+        return balanced_visits(process, self.visits, otherwise)
+
     def randomised_policy(self) -> StochasticPolicy:
         """The policy that draws each action with its share of the visits: x / outflow.
 
@@ -129,11 +146,14 @@ class OccupationMeasure:
         leaves, and a member that cannot reach the goal any more has failed and pays no more.
 
         Raises:
-            SolverError: the visits do not balance.
+            SolverError: no policy that leaves has such visits.
         """
         if self.reduced is not None:
             return self.reduced.mixed_policy()
-        choices, weights = decomposed(self.program.process, self.visits)
+        try:
+            choices, weights = decomposed(self.program.process, self.visits)
+        except SolverError:
+            choices, weights = decomposed(self.program.process, self.balanced)
         return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
 
     def __repr__(self) -> str:
@@ -143,4 +163,9 @@ class OccupationMeasure:
             spent, price = self.activity[row.name], self.duals.get(row.name)
             told = "" if price is None else f"   price {price:.6g}"
             lines.append(f"  {row.name}: {spent:.9g} <= {row.bound:g}{told}")
+        if self.beyond > _BEYOND:
+            lines.append(
+                f"  {self.beyond:.3g} succeed beyond the last total that is told apart, charged "
+                "as if there: a greater cost_cap tells more"
+            )
         return "\n".join(lines)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ssp_lp.arrays import BELOW_RATIO, BoolArray, FloatArray
 from ssp_lp.compiled.deadline import Stop, check_time, until
@@ -25,12 +26,14 @@ from ssp_lp.linear_programming.backends import backends_for, run_backend
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.tables import html_text
-from ssp_lp.policies.deterministic import find_pair
-from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE
+from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
 from ssp_lp.processes.flow import Spread, spread_out
-from ssp_lp.programs.augmented import Augmented, ColumnLabel
+from ssp_lp.processes.quantities.conditions import ArrivalTerm
+from ssp_lp.processes.quantities.lookup import objective_of
+from ssp_lp.processes.quantities.quantity import Quantity
+from ssp_lp.programs.augmented import STAY, Augmented, ColumnLabel
 from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure, Told
@@ -154,22 +157,56 @@ class OccupationProgram:
         """
         if not 0 <= column < self.process.n_pairs:
             raise ModelError(f"column {column} is no pair: there are {self.process.n_pairs:,}")
-        return self.augmented.label(column)
+        label = self.augmented.label(column)
+        if label.action is GIVE_UP and self.reduced is not None:
+            merged = self.reduced.program.augmented.quotient.merged
+            if merged[self.augmented.model.index_of(label.state)]:
+                return label._replace(action=STAY)
+        return label
 
-    def columns(self, state: Hashable, action: Hashable) -> tuple[int, ...]:
-        """Indices in x of an action in a state: one in case M, one per accumulated cost in case S.
+    def columns(self, state: Hashable, action: Hashable | None = None) -> tuple[int, ...]:
+        """Indices in x of an action in a state: of all copies, one per accumulated cost in case S.
 
         Args:
-            state: a state of the model.
-            action: one of its actions, or ``GIVE_UP``.
+            state: a state of the model, or of the one that it is a product of.
+            action: one of its actions, ``GIVE_UP``, ``"stay for ever"``, or None for all of them.
 
         Raises:
             ModelError: unknown state or action.
         """
-        model = self.augmented.model
-        index = model.index_of(state)
-        pair = GIVE_UP_CODE if action is GIVE_UP else find_pair(model, index, action)
-        return tuple(self.augmented.pairs_of(pair, index).tolist())
+        augmented = self.augmented
+        return tuple(augmented.pairs_of(augmented.model.places_of(state), action).tolist())
+
+    def visits(self, state: Hashable, action: Hashable | None = None) -> FloatArray:
+        """Coefficients of x that count how often a state is visited, or acts so, [pairs].
+
+        Args:
+            state: a state of the model, or of the one that it is a product of; where episodes end,
+                arrivals there are counted.
+            action: as in :meth:`columns`.
+
+        Raises:
+            ModelError: unknown state or action.
+        """
+        counted = np.zeros(self.process.n_pairs)
+        counted[list(self.columns(state, action))] = 1.0
+        if action is None:
+            model = self.augmented.model
+            ends = np.zeros(model.n_states, dtype=np.bool_)
+            ends[model.places_of(state)] = True
+            ends &= self.augmented.quotient.node_of < 0
+            counted += self.augmented.counted(ArrivalTerm(model, ends))
+        return counted
+
+    def expression(self, quantity: Quantity) -> tuple[FloatArray, float]:
+        """A quantity as ``<coefficients, x> + constant``: coefficients, [pairs], and constant.
+
+        Raises:
+            ModelError: unknown states, actions or ends, or costs of the wrong shape.
+        """
+        found = objective_of(self.augmented.model, self.augmented.start, quantity, signed=True)
+        terms = (weight * self.augmented.counted(term) for weight, term in found.terms)
+        return sum(terms, np.zeros(self.process.n_pairs)), found.constant
 
     def column(self, state: Hashable, action: Hashable, cost: float | None = None) -> int:
         """Index in x of an action in a state, in case S at an accumulated cost.
@@ -265,6 +302,27 @@ class OccupationProgram:
             failure_budget=budgets[0] if budgets else None,
             least_failure=float("nan"),
         )
+
+    @explained
+    def measure(self, x: ArrayLike) -> OccupationMeasure:
+        """Any solution of the program's rows, however it was found, as a measure.
+
+        It is taken as it is; ``residual`` says how far it is from keeping to the rows. Nothing is
+        known of duals.
+
+        Args:
+            x: expected visits of each pair, [pairs]; or, in case S, a value of each column of
+                ``linear``, visits times the scale and then the scale, [pairs + 1].
+
+        Raises:
+            ModelError: another shape, or values that are no finite numbers.
+        """
+        values, n_pairs = np.asarray(x, dtype=np.float64), self.process.n_pairs
+        if self.ratio and values.shape == (n_pairs + 1,):
+            values = values[:-1] / values[-1]
+        if values.shape != (n_pairs,) or not np.isfinite(values).all():
+            raise ModelError(f"x must be {n_pairs:,} finite numbers, a value for each column")
+        return Told({}, 0.0, 1.0, "given", "as given", 0.0).measure(self, values, None)
 
     def _answered(self, answer: LPAnswer) -> OccupationMeasure:
         """A solver's answer to ``linear`` as a measure."""

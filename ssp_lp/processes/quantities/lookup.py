@@ -55,8 +55,16 @@ def conditions(
     return found
 
 
-def objective_of(model: SSP, start: FloatArray, quantity: Quantity) -> Condition:
+def objective_of(
+    model: SSP, start: FloatArray, quantity: Quantity, *, signed: bool = False
+) -> Condition:
     """Look up what a quantity that is to be minimised counts.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        quantity: the quantity.
+        signed: whether costs and visits may be subtracted, as in an expression.
 
     Raises:
         ModelError: no quantity, an unknown state, action, label or end, costs of the wrong shape
@@ -65,7 +73,8 @@ def objective_of(model: SSP, start: FloatArray, quantity: Quantity) -> Condition
     if not isinstance(quantity, Quantity):
         raise ModelError(f"the objective must be a quantity, such as visits(...), not {quantity!r}")
     found = _looked_up_terms(model, start, OBJECTIVE, Constraint(quantity))
-    found.minimised()
+    if not signed:
+        found.minimised()
     return found
 
 

@@ -78,6 +78,10 @@ class Quantity:
         terms = tuple((weight * times, counted) for weight, counted in self.terms)
         return Quantity(terms, self.constant * times)
 
+    def __truediv__(self, divisor: float) -> Quantity:
+        """The quotient by a number."""
+        return self * (1.0 / _quantity_number(divisor))
+
     __radd__ = __add__
     __rmul__ = __mul__
 
@@ -93,12 +97,16 @@ class Quantity:
         """The difference."""
         return -self + other
 
-    def __le__(self, bound: float) -> Constraint:
-        """At most a number."""
+    def __le__(self, bound: Quantity | float) -> Constraint:
+        """At most a number, or another quantity."""
+        if isinstance(bound, Quantity):
+            return Constraint(self - bound, upper=0.0)
         return Constraint(self, upper=_quantity_number(bound))
 
-    def __ge__(self, bound: float) -> Constraint:
-        """At least a number."""
+    def __ge__(self, bound: Quantity | float) -> Constraint:
+        """At least a number, or another quantity."""
+        if isinstance(bound, Quantity):
+            return Constraint(self - bound, lower=0.0)
         return Constraint(self, lower=_quantity_number(bound))
 
     def __eq__(self, value: float) -> Constraint:  # type: ignore[override]
