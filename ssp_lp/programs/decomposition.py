@@ -123,12 +123,8 @@ def decomposed(
     """
     left, members, weights = visits.copy(), [], []
     followed = np.zeros_like(visits)
-    most, outflow = (
-        _least_in_decomposing(process, -visits),
-        segment_sums(visits, process.pair_offsets),
-    )
-    leaving, remaining = leaving_choice(process.dynamics, process.goal), 1.0
-    safe = np.where(outflow > 0.0, most, leaving)
+    outflow, remaining = segment_sums(visits, process.pair_offsets), 1.0
+    safe = _nearer_to_leaving(process, visits, leaving_choice(process.dynamics, process.goal))
     while remaining > 0.0:
         rounding = max(_DUST * remaining, _ROUNDED) * outflow[process.pair_state]
         left[left <= rounding] = 0.0
@@ -147,7 +143,10 @@ def decomposed(
         used_up = np.abs(left - spent) <= _USED_UP * spent
         left = np.where(used_up, 0.0, np.maximum(left - spent, 0.0))
         remaining -= weight
-    excess = (followed - visits)[visits > 0.0] / outflow[process.pair_state][visits > 0.0]
+    subtracted = _ABOVE * _ROUNDED * max(float(outflow.max(initial=0.0)), 1.0)
+    excess = (followed - visits - subtracted)[visits > 0.0] / outflow[process.pair_state][
+        visits > 0.0
+    ]
     wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
         raise SolverError(f"the visits are no policy's: those of the lottery differ by {wrong:.1e}")
@@ -170,12 +169,19 @@ def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray
     choice = np.where(supported[most], most, safe)
     if not process.dynamics.chain(choice.astype(np.int32)).closed.size:
         return choice
-    leaving = supported & (process.dynamics.exits > 0.0)
+    return _nearer_to_leaving(process, visits, safe)
+
+
+def _nearer_to_leaving(
+    process: ExplicitProcess, visits: FloatArray, otherwise: IntArray
+) -> IntArray:
+    """Visited pairs by which one that leaves comes nearer; ``otherwise`` where none does."""
+    supported = visits > 0.0
     nearer = nearer_pairs(
         process.dynamics.predecessors,
         process.pair_offsets,
         process.pair_state,
-        leaving,
+        supported & (process.dynamics.exits > 0.0),
         supported,
     )
-    return np.where(nearer >= 0, nearer, safe)
+    return np.where(nearer >= 0, nearer, otherwise)

@@ -11,7 +11,6 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.leaving import leaving_choice
-from ssp_lp.errors import SolverError
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
@@ -21,6 +20,7 @@ if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
 
+_BALANCED = 1e-9  # imbalance of visits that are taken as a policy's own
 _BEYOND = 1e-9  # probability of passing the last total from which it is told
 
 
@@ -80,13 +80,18 @@ class OccupationMeasure:
         return ByName({row.name: float(row.coefficients @ self.visits) for row in rows})
 
     @cached_property
-    def residual(self) -> float:
-        """By how much flow balance, x >= 0 or, relative to its bound, a row is violated at most."""
+    def imbalance(self) -> float:
+        """By how much flow balance or x >= 0 is violated at most."""
         process = self.program.process
         outflow = np.bincount(process.pair_state, weights=self.visits, minlength=process.n_states)
         off = np.abs(outflow - process.transitions.T @ self.visits - process.start).max(initial=0.0)
+        return max(float(off), float((-self.visits).max(initial=0.0)), 0.0)
+
+    @property
+    def residual(self) -> float:
+        """By how much flow balance, x >= 0 or, relative to its bound, a row is violated at most."""
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
-        return max([float(off), *over, float((-self.visits).max(initial=0.0)), 0.0])
+        return max(self.imbalance, *over, 0.0)
 
     @property
     def beyond(self) -> float:
@@ -150,10 +155,8 @@ class OccupationMeasure:
         """
         if self.reduced is not None:
             return self.reduced.mixed_policy()
-        try:
-            choices, weights = decomposed(self.program.process, self.visits)
-        except SolverError:
-            choices, weights = decomposed(self.program.process, self.balanced)
+        visits = self.visits if self.imbalance <= _BALANCED else self.balanced
+        choices, weights = decomposed(self.program.process, visits)
         return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
 
     def __repr__(self) -> str:
