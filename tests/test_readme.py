@@ -35,12 +35,13 @@ SHOWN = {
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
     "docs/models.md": 3,
+    "docs/program.md": 8,
     "docs/solving.md": 2,
     "docs/tutorial.md": 6,
 }
 """Pages with code, and how often each shows what it prints."""
 
-BY_THEMSELVES = {"docs/tutorial.md", "docs/guides/own_simulator.md"}
+BY_THEMSELVES = {"docs/tutorial.md", "docs/program.md", "docs/guides/own_simulator.md"}
 """Pages whose code needs nothing of the README's."""
 
 

@@ -134,6 +134,7 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
         alone = places.stop - places.start == 1 and name != "balance"
         for k in range(places.start, places.stop):
             rows[k] = plain if alone else f"{plain}.{k - places.start}"
+        taken.update(rows[places])
     lp.row_names_ = rows
     if highs_solver(lp, {}).writeModel(str(path)) == highspy.HighsStatus.kError:
         raise SolverError(f"HiGHS cannot write the program to {str(path)!r}")

@@ -146,13 +146,19 @@ class ConvexProgram:
         return self._compiled[1]
 
     def solve(self, solver: str | None = None, **options: Any) -> OccupationMeasure:
-        """Solve by one of cvxpy's solvers; options are passed on to it.
+        """Solve by one of cvxpy's solvers.
+
+        Args:
+            solver: one of cvxpy's; None: as it chooses.
+            options: bounds of rows by name, ``failure=0.2``; others are passed on to the solver.
 
         Raises:
             InfeasibleError: no visits satisfy the constraints.
             SolverError: the solver failed, or stopped without an answer.
         """
         began = time.perf_counter()
+        for name in self.bounds.keys() & options.keys():
+            self.bounds[name].value = options.pop(name)
         try:
             self.problem.solve(solver=solver, **options)
         except cp.SolverError as error:

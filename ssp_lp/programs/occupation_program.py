@@ -9,10 +9,12 @@ JS3P_def; mathematics, section 3).
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -324,6 +326,33 @@ class OccupationProgram:
             raise ModelError(f"x must be {n_pairs:,} finite numbers, a value for each column")
         return Told({}, 0.0, 1.0, "given", "as given", 0.0).measure(self, values, None)
 
+    def read_solution(self, path: str | Path) -> OccupationMeasure:
+        """A solver's solution of a file that :meth:`write` wrote, columns found by their names.
+
+        Args:
+            path: a ``.sol`` of HiGHS, or any text in which a name is followed by its value; columns
+                that it does not name are 0.
+
+        Raises:
+            ModelError: the file cannot be read, or names no column of the program.
+        """
+        x, known = np.zeros(self.process.n_pairs + self.ratio), set[int]()
+        try:
+            lines = Path(path).read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ModelError(f"{str(path)!r} is no solution that can be read: {error}") from error
+        for line in lines:
+            words = line.split()
+            for name, value in pairwise(words):
+                named = re.fullmatch(r"x(\d+)\..*|(t)", name)
+                place = -1 if named is None else int(named[1] or len(x) - 1)
+                if 0 <= place < len(x) and place not in known and _is_number(value):
+                    x[place] = float(value)  # duals that follow under the same names are left
+                    known.add(place)
+        if not known:
+            raise ModelError(f"{str(path)!r} names no column of the program: is it another's?")
+        return self.measure(x)
+
     def _answered(self, answer: LPAnswer) -> OccupationMeasure:
         """A solver's answer to ``linear`` as a measure."""
         program, dual = self.linear, answer.dual
@@ -450,3 +479,12 @@ class OccupationProgram:
         sizes = f"{process.n_pairs:,} columns, {self.linear.matrix.nnz:,} entries"
         lines += [14 * " " + line for line in (*told, f"x >= 0   ({sizes})")]
         return "\n".join(lines)
+
+
+def _is_number(word: str) -> bool:
+    """Whether a word of a file is a number."""
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import cvxpy as cp
+import highspy
 import numpy as np
 import pytest
 from scipy.optimize import linprog
@@ -354,3 +355,30 @@ def test_one_action_in_each_state_by_whole_numbers() -> None:
     measure = convex.solve(solver=cp.HIGHS)
     assert measure.objective == pytest.approx(9.0)
     assert len(measure.mixed_policy().weights) == 1
+
+
+@pytest.mark.parametrize("ending", ["mps", "lp"])
+@pytest.mark.parametrize("limit", ["fuel", "balance.0", "x0"])
+def test_a_file_goes_to_another_solver_and_back(ending: str, limit: str, tmp_path) -> None:
+    limits = {limit: visits("s") <= 1.9}
+    for problem in (MCMP(SLIP, "s", 0.2, constraints=limits), S3P(TURNS, "s", 0.05)):
+        program = problem.program()
+        program.write(tmp_path / f"program.{ending}")
+        solver = highspy.Highs()
+        solver.setOptionValue("output_flag", False)
+        solver.readModel(str(tmp_path / f"program.{ending}"))
+        solver.run()
+        solver.writeSolution(str(tmp_path / "program.sol"), 0)
+        measure = program.read_solution(tmp_path / "program.sol")
+        assert measure.residual <= 1e-6
+        assert measure.objective == pytest.approx(solve(problem).objective, rel=1e-6)
+    (tmp_path / "other.sol").write_text("nothing here 1.0")
+    with pytest.raises(ModelError, match="names no column"):
+        program.read_solution(tmp_path / "other.sol")
+
+
+def test_a_bound_may_be_given_where_it_is_solved() -> None:
+    convex = MCMP(SLIP, "s", 1.0).program().to_cvxpy()
+    for budget in (0.0, 0.05):
+        best = solve(MCMP(SLIP, "s", budget)).objective
+        assert convex.solve(cp.CLARABEL, failure=budget).objective == pytest.approx(best, rel=1e-6)
