@@ -31,6 +31,7 @@ class PricedMinimum:
     choice: IntArray  # [states]
     bound: float  # certified: no policy's is less
     goal: float  # what the policy reaches the goal with
+    values: FloatArray  # [states] the least from each, the duals of balance
     excess: FloatArray  # [pairs] reduced costs: what each costs more than the best of its state
 
     def without_noise(self, visits: FloatArray) -> FloatArray:
@@ -67,8 +68,9 @@ def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMin
             choice = smaller.expanded(process, settled.choice)
             totals = settled.totals[smaller.node_of]
     except SolverError:
-        return PricedMinimum(leaving, floor, 0.0, np.zeros(process.n_pairs))
+        nothing = np.zeros(process.n_states), np.zeros(process.n_pairs)
+        return PricedMinimum(leaving, floor, 0.0, *nothing)
     values, goal = totals[:, 0], float(process.start @ totals[:, 1])
     bound = bound_of(process, smaller, pair_cost, values, floor).at(process.start)
     excess = pair_cost + process.transitions @ values - values[process.pair_state]
-    return PricedMinimum(choice, bound, goal, excess)
+    return PricedMinimum(choice, bound, goal, values, excess)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -11,6 +11,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.dynamic_programming.leaving import leaving_choice
+from ssp_lp.errors import ModelError
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
@@ -35,13 +36,16 @@ class Told(NamedTuple):
     seconds: float
 
     def measure(
-        self, program: OccupationProgram, visits: FloatArray, value: float | None
+        self,
+        program: OccupationProgram,
+        visits: FloatArray,
+        value: float | None = None,
+        values: FloatArray | None = None,
     ) -> OccupationMeasure:
-        """Balanced visits as a measure, with the optimum that the duals prove."""
+        """Visits as a measure, with the optimum that the duals prove, and those of balance."""
         duals = {name: price * self.scale for name, price in self.prices.items()}
-        return OccupationMeasure(
-            program, visits, duals, value, self.solver, self.status, self.seconds
-        )
+        told = self.solver, self.status, self.seconds
+        return OccupationMeasure(program, visits, duals, value, *told, values)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -60,6 +64,7 @@ class OccupationMeasure:
     solver: str
     status: str
     seconds: float
+    values: FloatArray | None = None  # [process states] duals of balance; None: as of c*
     reduced: OccupationMeasure | None = None  # where it was found on the reduced program
 
     def __post_init__(self) -> None:
@@ -92,6 +97,31 @@ class OccupationMeasure:
         """By how much flow balance, x >= 0 or, relative to its bound, a row is violated at most."""
         over = [row.violation(self.activity[row.name]) for row in self.program.rows]
         return max(self.imbalance, *over, 0.0)
+
+    def value(self, state: Hashable, cost: float | None = None) -> float:
+        """The dual of a state's balance: the least that can follow, at the prices of the rows.
+
+        The sum over the start, less price times bound of each row, is c*. In case S what follows is
+        the cost less c* times the goal's probability, so that the same sum is 0; prices are those
+        of the scaled program, ``duals`` for each success.
+
+        Args:
+            state: a state in which the problem is open.
+            cost: in case S the cost paid before, one that the program tells apart.
+
+        Raises:
+            ModelError: no such state, or none that the program has, or nothing is known of duals.
+        """
+        if self.values is None:
+            raise ModelError("nothing is known of duals where rows or objectives were added")
+        program = self.program
+        columns = [k for k in program.columns(state) if cost in (None, program.label(k).cost)]
+        rows = np.unique(program.process.pair_state[columns].astype(np.int64))
+        if len(rows) != 1:
+            raise ModelError(
+                f"state {state!r} has {len(rows):,} rows of balance at this cost: one is asked for"
+            )
+        return float(self.values[rows[0]])
 
     @property
     def beyond(self) -> float:

@@ -82,7 +82,13 @@ class Reduction:
         flows = self.program.augmented.flows(found.visits)
         own = [self.spread.visits(flow) for flow in flows]
         visits = np.concatenate([*own, found.visits[copies * width :]])
-        return replace(found, program=stated, visits=visits, reduced=found)
+        quotient = self.program.augmented.quotient
+        nodes, values = quotient.node_of[self.spread.quotient.first_states], found.values
+        if values is not None:
+            size = copies * quotient.n_nodes
+            layers = values[:size].reshape(copies, quotient.n_nodes)[:, nodes]
+            values = np.concatenate([layers.ravel(), values[size:]])
+        return replace(found, program=stated, visits=visits, values=values, reduced=found)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -324,7 +330,7 @@ class OccupationProgram:
             values = values[:-1] / values[-1]
         if values.shape != (n_pairs,) or not np.isfinite(values).all():
             raise ModelError(f"x must be {n_pairs:,} finite numbers, a value for each column")
-        return Told({}, 0.0, 1.0, "given", "as given", 0.0).measure(self, values, None)
+        return Told({}, 0.0, 1.0, "given", "as given", 0.0).measure(self, values)
 
     def read_solution(self, path: str | Path) -> OccupationMeasure:
         """A solver's solution of a file that :meth:`write` wrote, columns found by their names.
@@ -375,7 +381,7 @@ class OccupationProgram:
         proved, value = self.proved(told.prices, told.ratio)
         visits = proved.without_noise(visits)
         visits = balanced_visits(self.process, visits, proved.choice, self.giving_up)
-        return told.measure(self, visits, value)
+        return told.measure(self, visits, value, proved.values)
 
     def proved(
         self, prices: Mapping[str, float], ratio: float = 0.0

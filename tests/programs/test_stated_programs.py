@@ -382,3 +382,23 @@ def test_a_bound_may_be_given_where_it_is_solved() -> None:
     for budget in (0.0, 0.05):
         best = solve(MCMP(SLIP, "s", budget)).objective
         assert convex.solve(cp.CLARABEL, failure=budget).objective == pytest.approx(best, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_duals_of_balance_and_of_rows_make_the_optimum(seed: int) -> None:
+    model = drawn(seed)
+    start = {"a": 0.75, "b": 0.25}
+    least = solve(MaxProb(model, start)).failure_probability
+    if least >= 1.0:
+        return
+    limits = {"fuel": visits("b", "c") <= 50.0}
+    problem = MCMP(model, start, min(least + 0.2, 1.0), constraints=limits)
+    program = problem.program()
+    measure = program.solve()
+    paid = sum(measure.duals[row.name] * row.bound for row in program.rows)
+    worth = 0.75 * measure.value("a") + 0.25 * measure.value("b") - paid
+    assert worth == pytest.approx(measure.objective, rel=1e-7, abs=1e-9)
+    with pytest.raises(ModelError, match="0 rows of balance"):
+        measure.value("g")
+    with pytest.raises(ModelError, match="nothing is known of duals"):
+        program.measure(measure.visits).value("a")
