@@ -62,8 +62,8 @@ class Deadline:
     is_interrupted: bool = False  # by Ctrl-C
     closes: float = float("inf")  # what an answer still needs is to be done by then
     was_met: bool = False  # whether some loop ended because of it
-    prepare: Callable[[], bool] | None = None  # finds an answer where none is in hand soon
-    is_prepared: bool = False  # whether it did
+    prepare: Callable[[], Any] | None = None  # finds an answer where none is in hand soon
+    prepared: Any = None  # what it found
     due: float = 0.0  # when a look at it is due: an answer is to be prepared, or it is past
     _before: Token[Deadline | None] | None = None
 
@@ -83,7 +83,7 @@ class Deadline:
         if prepare is None or self.is_past():
             return
         with until(now + _PREPARING * (self.at - now)) as within:
-            self.is_prepared = prepare()
+            self.prepared = prepare()
         if within.is_interrupted:
             heed(KeyboardInterrupt())
 
@@ -118,15 +118,15 @@ _running: ContextVar[Deadline | None] = ContextVar("deadline", default=None)
 
 
 def until(
-    at: float, *, is_closing: bool = False, prepare: Callable[[], bool] | None = None
+    at: float, *, is_closing: bool = False, prepare: Callable[[], Any] | None = None
 ) -> Deadline:
     """Within it loops end at a point in time, or when Ctrl-C comes.
 
     Args:
         at: on the clock of ``time.perf_counter``; infinite: only Ctrl-C ends them.
         is_closing: there is no grace after that.
-        prepare: finds an answer, and says whether. It is called in the middle of a search that goes
-            on for a moment without one, with a share of the time that is left.
+        prepare: finds an answer, and says what, if any. It is called in the middle of a search that
+            goes on for a moment without one, with a share of the time that is left.
     """
     grace, more = (0.0, 0.0) if is_closing else (_GRACE, _CLOSING)
     now = time.perf_counter()
@@ -205,10 +205,10 @@ def has_answer(*, by_itself: bool = False) -> None:
         deadline.has_an_answer()
 
 
-def is_prepared() -> bool:
-    """Whether an answer was found beside the search."""
+def prepared() -> Any:
+    """What was found beside the search; None: no answer was."""
     deadline = _running.get()
-    return deadline is not None and deadline.is_prepared
+    return None if deadline is None else deadline.prepared
 
 
 def is_late() -> bool:

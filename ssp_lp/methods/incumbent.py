@@ -21,7 +21,7 @@ from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, C
 from ssp_lp.compiled.deadline import STOPS, heed
 from ssp_lp.errors import SSPError
 from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.refinement import refined_optimum
+from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
 from ssp_lp.methods.rows.rows_optimum import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -42,17 +42,22 @@ class Incumbent:
     stated: Problem
     deterministic: bool = False  # no lottery will do
     policies: dict[bool, MixedPolicy | None] = field(default_factory=dict, init=False)
+    outcome: RefinedOutcome | None = field(default=None, init=False)  # of case M
     solution: Solution | None = field(default=None, init=False)
 
-    def find(self) -> bool:
-        """Find it, where it is of use and there is none yet, as far as the time allows."""
+    def find(self) -> RefinedOutcome | Solution | None:
+        """Find it, where it is of use and there is none yet, as far as the time allows.
+
+        Returns:
+            Case M's outcome where it was solved for its policy, else what is in hand.
+        """
         if self.solution is not None or not self._is_of_use:
-            return self.solution is not None
+            return self.solution
         problem = unrolled(self.stated)
         for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
             try:
                 if at_least_failure not in self.policies:
-                    policy = _cheapest_policy(problem, at_least_failure=at_least_failure)
+                    policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
                     self.policies[at_least_failure] = policy
                 policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
@@ -64,7 +69,7 @@ class Incumbent:
                 pass
             if self.solution is not None:
                 break
-        return self.solution is not None
+        return self.solution and (self.outcome or self.solution)
 
     def improving(self, other: Solution) -> Solution:
         """A search's solution that was cut short, with this one's policy or bound where better."""
@@ -77,31 +82,33 @@ class Incumbent:
         best = min(other, mine, key=lambda solution: solution.objective)
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
+    def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
+        """A policy of about the least cost in case M within all limits; None: none is sought.
+
+        Args:
+            problem: the problem.
+            at_least_failure: among the policies of least failure.
+        """
+        model, budget = problem.model, problem.failure_budget
+        start = start_distribution(model, problem.start)
+        semantics = replace(problem.semantics, measure=None)
+        budget = None if at_least_failure else budget
+        side = tuple(row for condition in conditions_of(problem) for row in condition.rows)
+        if side:
+            rows = CompiledConstrained(model, start, semantics, problem.discount, side, budget)
+            return rows_optimum(rows, _ROUGH).policy
+        compiled = CompiledFailureLabel(model, start, semantics, problem.discount)
+        if budget is None:
+            return as_lottery(checked_least_failure(compiled, problem.failure_budget).policy)
+        if budget >= 1.0:
+            return None
+        self.outcome = refined_optimum(compiled, budget, _ROUGH)
+        return self.outcome.lottery
+
     @property
     def _is_of_use(self) -> bool:
         """Whether totals are told apart."""
         return self.stated.ratio or self.stated.semantics.measure is not None
-
-
-def _cheapest_policy(problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
-    """A policy of about the least cost in case M that keeps to all limits; None: none is sought.
-
-    Args:
-        problem: the problem.
-        at_least_failure: among the policies of least failure.
-    """
-    model, budget = problem.model, problem.failure_budget
-    start = start_distribution(model, problem.start)
-    semantics = replace(problem.semantics, measure=None)
-    budget = None if at_least_failure else budget
-    side = tuple(row for condition in conditions_of(problem) for row in condition.rows)
-    if side:
-        rows = CompiledConstrained(model, start, semantics, problem.discount, side, budget)
-        return rows_optimum(rows, _ROUGH).policy
-    compiled = CompiledFailureLabel(model, start, semantics, problem.discount)
-    if budget is None:
-        return as_lottery(checked_least_failure(compiled, problem.failure_budget).policy)
-    return None if budget >= 1.0 else refined_optimum(compiled, budget, _ROUGH).lottery
 
 
 def _judged(problem: Problem, policy: MixedPolicy, room: float) -> Solution | None:

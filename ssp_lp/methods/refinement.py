@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+
 from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+    CompiledAccumulatedCost,
+)
+from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import (
     CompiledProblem,
     LeastFailure,
@@ -13,18 +19,22 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import (
 from ssp_lp.column_generation.failure_row import FailureRow, relative_gap
 from ssp_lp.column_generation.generation import Generated, generate
 from ssp_lp.column_generation.initial_columns import DualGuess, columns_at, columns_by_pricing
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, is_prepared
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, has_answer, heed, is_late, prepared
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.methods.assembling import Found
 from ssp_lp.methods.full_program import check_agreement, solve_program
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
+from ssp_lp.processes.failure_semantics import FailureSemantics
 from ssp_lp.solution import Run
 
 _PATIENCE = 3
 
 _TRIAL_TOLERANCE = 1e-2
 """A trial only learns the price, from which the next one's size follows."""
+
+_LABEL_SPREAD = 0.25  # relative uncertainty of a price of case M in case S
+_LABEL_MARGIN = 1.5  # cap, as a multiple of it
 
 _NEAR = 1e-9  # of the budget: then it may be the least failure, whose own bound is exact
 _SPREAD = 1e-6  # relative uncertainty of a price that a search or a program ended with
@@ -96,6 +106,8 @@ def refined_optimum(
     row = FailureRow(budget, compiled.ratio)
     try:
         row = replace(row, lowest=compiled.lowest)
+        if guess is None and options.program is None:
+            compiled, guess = _begun_by_label(compiled, budget)
         outcome = _refined_attempt(compiled, row, None, options, guess)
     except STOPS as stop:
         heed(stop)
@@ -116,6 +128,29 @@ def refined_optimum(
         if refined.found is outcome.found:
             return refined
         outcome = refined
+
+
+def _begun_by_label(
+    compiled: CompiledProblem, budget: float
+) -> tuple[CompiledProblem, DualGuess | None]:
+    """The price, and with it the cap, of case M, where no policy at hand tells of either.
+
+    Its process has one layer, and failing early saves about as much in both.
+    """
+    if not (isinstance(compiled, CompiledAccumulatedCost) and compiled.is_long_shot):
+        return compiled, None
+    has_answer()
+    outcome, semantics = prepared(), FailureSemantics(charge_failing_step=False)
+    if not isinstance(outcome, RefinedOutcome):
+        model, start, discount = compiled.model, compiled.start, compiled.discount
+        label = CompiledFailureLabel(model, start, semantics, discount)
+        outcome = refined_optimum(label, budget, SolveOptions(_TRIAL_TOLERANCE))
+    price = max(outcome.found.price, outcome.found.ratio)
+    if not np.isfinite(price):
+        return compiled, None
+    return compiled.capped_at(_LABEL_MARGIN * price), DualGuess(
+        price, _LABEL_SPREAD, slack=len(outcome.found.columns) == 1
+    )
 
 
 def _refined_outcome(
@@ -147,7 +182,7 @@ def _safest_refined(
     Raises:
         Stop: there is no time for it either.
     """
-    if is_prepared():  # there is a better one already
+    if prepared() is not None:  # there is a better one already
         raise Stop from stop
     try:
         with closing():

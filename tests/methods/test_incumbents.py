@@ -137,7 +137,7 @@ def test_ctrl_c_while_an_answer_is_looked_for_ends_the_call(
         raise KeyboardInterrupt
 
     problem = CVaR(layered(6, 5, seed=2), 0, 0.7, 0.1)
-    monkeypatch.setattr(incumbent, "_cheapest_policy", interrupted)
+    monkeypatch.setattr(Incumbent, "_cheapest_policy", interrupted)
     with pytest.raises(KeyboardInterrupt):
         solve(problem, time_limit=60.0)
 

@@ -87,6 +87,21 @@ def test_least_failure_of_a_large_grid_ends_and_criteria_agree(
     assert share_of_best.objective <= cheapest.objective * (1 + 1e-9)
 
 
+@pytest.mark.parametrize("budget", [0.05, 0.2])
+def test_a_cost_given_success_is_swept_as_far_as_the_price_asks(budget: float) -> None:
+    """From the price of failure on it is best to fail: totals beyond twice as much tell nothing."""
+    pytest.importorskip("numba")
+    model = holes(40, seed=3)
+    solution = solve(S3P(model, 0, budget))
+    assert solution.gap <= 1e-9
+    assert solution.failure_probability == pytest.approx(budget, rel=1e-9)
+    price = solution.objective + (solution.failure_price or 0.0)
+    assert solution.run.work.backups <= 2.0 * (price + 2.0) * (solution.run.pricing_calls + 1)
+    until_failing = solve(MCMP(model, 0, budget, charge_failing_step=False))
+    assert solution.objective <= evaluate(until_failing.policy, solution.problem).objective
+    assert certify(solution).accepted
+
+
 def test_a_start_that_surely_reaches_the_goal_is_decided_on_the_graph() -> None:
     model = river(100, 1000)
     solution = solve(MaxProb(model, 0), time_limit=_ENDS)

@@ -107,10 +107,10 @@ class CompiledAccumulatedCost(CompiledLayered):
         return follow_rule(base, rule, _MOST_STEPS)
 
     @cached_property
-    def _has_exact_tails(self) -> bool:
-        """Whether the tails are those of the least failure, asked for or needed."""
-        if self.exact_tails or bool(self.base.quotient.merged.any()):
-            return True
+    def is_long_shot(self) -> bool:
+        """Whether a policy that goes for the goal takes too long to tell a first cap."""
+        if self.exact_tails or self.base.quotient.merged.any():
+            return False
         if self.cap is not None or self.fixed_cap is not None:
             return False
         if self._guess is not None:
@@ -120,6 +120,21 @@ class CompiledAccumulatedCost(CompiledLayered):
             goal = float(self.start @ self._directed.goal)
         steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
         return steps > _MOST_STEPS
+
+    @cached_property
+    def _has_exact_tails(self) -> bool:
+        """Whether the tails are those of the least failure, asked for or needed."""
+        return self.exact_tails or bool(self.base.quotient.merged.any()) or self.is_long_shot
+
+    def capped_at(self, cost: float) -> CompiledAccumulatedCost:
+        """The same problem with a cap of about this accumulated cost.
+
+        Where the start cannot avoid the goal no cap is beyond loss: the tails are exact at once.
+        """
+        exact = float(self.start @ self.riskiest[0].goal) > 0.0
+        most = MOST_ENTRIES // max(self.base.n_nodes, 1) - 2 * self.base.width
+        layers = int(min(np.ceil(cost / self.base.unit), max(most, 0))) + self.base.width
+        return self._carry(replace(self, cap=layers, exact_tails=exact))
 
     def least_failure(self) -> LeastFailure:
         """Greatest goal probability first, then the least E[cost; goal] among its actions.
