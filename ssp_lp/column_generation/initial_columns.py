@@ -184,7 +184,5 @@ def _initial_policy(
     if guess is not None:
         return None, guess.price
     first = pricing.first()
-    if first.goal <= 0.0:
-        return first, None
-    typical = row.objective(first.cost, first.goal)
+    typical = first.cost if first.goal <= 0.0 else row.objective(first.cost, first.goal)
     return first, _STEEP * typical if typical > 0.0 else 1.0

@@ -8,7 +8,8 @@ import pytest
 
 from examples.domains.navigation import navigation
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
-from formulations import S3P
+from formulations import MCMP, S3P
+from small_models import model_of
 from ssp_lp import SSP, certify, solve
 from ssp_lp.column_generation.compiled_problems import compiled_accumulated_cost as module
 from ssp_lp.column_generation.failure_row import FailureRow
@@ -80,3 +81,23 @@ def test_a_start_at_the_goal_costs_nothing() -> None:
     model = SSP.from_transitions({0: {"go": [(1.0, "g", 1.0)]}}, goal={"g"})
     assert S3P(model, {0: 0.5, "g": 0.5}, 0.5).compile().lowest == 0.0
     assert S3P(model, {0: 0.5, "g": 0.5}, 0.5, discount=0.9).compile().lowest == 0.0
+
+
+def test_a_first_policy_that_never_arrives_starts_the_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Dashing is nearest to the goal and arrives with 1e-400; who walks pays 800."""
+    length, budget = 400, 0.3
+    way: dict[object, object] = {}
+    for k in range(length):
+        on = k + 1 if k + 1 < length else "goal"
+        way[k] = {"dash": [(0.1, on, 1.0), (0.9, "pit", 1.0)], "walk": [(1.0, f"by {k}", 1.0)]}
+        way[f"by {k}"] = {"on": [(1.0, on, 1.0)]}
+    model = model_of({**way, "pit": {}}, "goal")
+
+    def never(*_: object) -> None:
+        raise AssertionError("the least failure is not needed")
+
+    monkeypatch.setattr("ssp_lp.methods.refinement.checked_least_failure", never)
+    problem = MCMP(model, 0, budget, give_up="anywhere", charge_failing_step=False)
+    assert solve(problem).objective == pytest.approx((1.0 - budget) * 2.0 * length, rel=1e-9)
