@@ -12,7 +12,6 @@ from examples.solver_comparison.instances.families import corridor, grid, layere
 from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
-from ssp_lp.methods import incumbent
 from ssp_lp.methods.incumbent import Incumbent, worth_bound
 
 LIMIT = 0.3
