@@ -12,7 +12,7 @@ from examples.solver_comparison.instances.families import corridor, grid, layere
 from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
-from ssp_lp.methods.incumbent import Incumbent, worth_bound
+from ssp_lp.methods.incumbent import Incumbent, _judged, worth_bound
 
 LIMIT = 0.3
 
@@ -205,5 +205,5 @@ def test_rounding_of_a_budget_is_measured_by_the_budget() -> None:
     problem = S3P(model, "x", failure_budget=1e-12)
     policy = solve(S3P(model, "x", failure_budget=1.0)).policy
     assert evaluate(policy, problem).failure_probability == pytest.approx(5e-11)
-    assert incumbent._judged(problem, policy, 0.0) is None
-    assert incumbent._judged(problem, policy, 1e-10) is not None
+    assert _judged(problem, policy, 0.0) is None
+    assert _judged(problem, policy, 1e-10) is not None
