@@ -10,8 +10,9 @@ from typing import Any, Final
 
 from numba import njit
 
-many_entries: Final = ContextVar("many_entries", default=10_000_000)
-"""Entries from which waking other cores does not matter, even where they are busy otherwise."""
+many_entries: Final = ContextVar("many_entries", default=1_000_000)
+"""Entries, a millisecond of one core, from which waking idle cores pays: with both of two cores
+busy otherwise, loops of a million take a third longer, which from ten millions on is not seen."""
 
 Loop = Callable[..., Any]
 

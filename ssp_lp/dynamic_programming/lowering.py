@@ -195,10 +195,10 @@ def _longest_run(
     """
     pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     worst_lack, met = float(lack.max()), lack > 0
-    ahead = pair_cost + transitions @ values
     backup = best_pairs(pair_offsets, transitions, pair_cost, values)
-    choice = backup.choice
-    spare = ahead - np.repeat(backup.minima, np.diff(pair_offsets))
+    choice, spare = backup.choice, transitions @ values
+    spare += pair_cost
+    spare -= np.repeat(backup.minima, np.diff(pair_offsets))
     spare[spare <= _TIED * worst_lack] = 0.0
     run: FloatArray | None = None
     for _ in range(_ROUNDS):
