@@ -21,15 +21,17 @@ from typing import Final
 from ssp_lp.errors import ModelError
 
 SWITCH: Final = "SSP_LP_ACCELERATOR"
-"""Environment variable: "numba", "none", or unset: numba where it is installed."""
+"""Environment variable: "none", "numba" (every loop is compiled, however short), or unset: long
+loops are, where numba is installed."""
 
 _CACHED: Final = 60_000
 """Entries of a loop that are worth loading compiled loops from numba's cache: about a second."""
 
-_COLD: Final = 8_000_000
-"""Entries of a loop that are worth compiling loops for the first time: some twenty seconds.
+_COLD: Final = 1_000_000
+"""Entries of a loop that are worth compiling loops for the first time: some ten seconds, once.
 
-A solve passes over them some hundred times, a second for each hundred million in numpy.
+A solve passes over them some hundred times, a second for each hundred million in numpy, and what
+is compiled is kept for every later process.
 """
 
 _CALL: Final = 3_000
@@ -103,6 +105,8 @@ def _interrupt_put_off() -> Iterator[None]:
 
 def least_entries() -> int:
     """Entries from which a loop is run compiled, the start of compiled code counted."""
+    if os.environ.get(SWITCH) == "numba":
+        return 0
     worth = _CACHED if _is_compiled_before() else _COLD
     is_loaded = worth == _CACHED and "ssp_lp.compiled.cores" in sys.modules
     return 0 if is_loaded or _interpreted.entries > _LOOPS * worth else worth

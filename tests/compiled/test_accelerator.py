@@ -153,6 +153,8 @@ def test_the_switch_knows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(accelerator.SWITCH, word)
         accelerator.has_accelerator.cache_clear()
         assert accelerator.has_accelerator() is on
+    monkeypatch.setenv(accelerator.SWITCH, "numba")
+    assert accelerator.least_entries() == 0  # nothing is too short
     monkeypatch.setenv(accelerator.SWITCH, "fortran")
     accelerator.has_accelerator.cache_clear()
     with pytest.raises(ModelError, match="SSP_LP_ACCELERATOR"):

@@ -10,6 +10,8 @@ from typing import Any
 LIBRARY, HIGHS, STORM = (f"{__package__}.{name}" for name in ("library", "highs", "storm"))
 PLAIN = {"SSP_LP_ACCELERATOR": "none"}
 """Without numba: a peer's memory is then its own, not that of compiling our model building."""
+COMPILED = {"SSP_LP_ACCELERATOR": "numba"}
+"""Compiled by the warm-up, whatever numba's cache holds: a run does not depend on earlier ones."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ def _storm(name: str, sound: bool, precision: str | None = None) -> Solver:
 
 
 SOLVERS = (
-    _method("columns", "columns"),
+    _method("columns", "columns", environment=COMPILED),
     _method("columns-numpy", "columns", environment=PLAIN),
     _method("lp-simplex", "lp", "highs-simplex"),
     _method("lp-ipx", "lp", "highs-ipx"),
