@@ -392,6 +392,7 @@ def check(name: str, seed: int) -> None:
         return
     solution = solve(problem)
     assert solution.objective == pytest.approx(expected, **SHAPE), seed
+    assert name != "LeastFuel" or solution.lower_bound >= 0.0  # a sum of nonnegative terms
     certificate = certify(solution)
     assert certificate.accepted, (seed, certificate.reason)
     assert certificate.gap < 1e-8, seed

@@ -82,7 +82,8 @@ def rows_bound(
     """
     if not compiled.ratio:
         proof = prove(np.append(1.0, prices))
-        return _beyond_paid(compiled, prices, bounds, 0.0, proof) + compiled.sense.shift, proof
+        proved = _beyond_paid(compiled, prices, bounds, 0.0, proof) + compiled.sense.shift
+        return max(proved, 0.0), proof  # what is minimised is a sum of terms of at least 0
     found = []
     for priced in (ratio, ratio * BELOW_RATIO):
         proof = prove(np.concatenate([[1.0, prices[0] + priced], prices[1:]]))
