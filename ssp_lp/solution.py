@@ -20,6 +20,7 @@ from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.remembering import on_original
 from ssp_lp.problem import Problem, has_rows, on_one_model
 from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.programs.state_values import StateValues
 
 _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call
 
@@ -81,6 +82,22 @@ class Solution(ReadOnlyCopies):
         limit = self.run.time_limit
         limit = None if limit is None else max(limit, _LEAST_LIMIT)
         return evaluate(self.policy, self.problem, time_limit=limit)
+
+    @cached_property
+    def values(self) -> StateValues:
+        """The least that can follow in each state, rows charged at ``prices``: ``values["depot"]``.
+
+        Those of the problem's program (:meth:`ssp_lp.formulation.Formulation.program`), which is
+        made for it; actions have values and advantages, too.
+
+        Raises:
+            ModelError: the criterion is no linear program, or the problem's class makes none.
+        """
+        if (make := getattr(self.problem, "program", None)) is None:
+            raise ModelError(f"a {type(self.problem).__name__} makes no program: its states' "
+                             "values are those of one")  # fmt: skip
+        found: StateValues = make().values_at(self.prices, self.objective)
+        return found
 
     @property
     def gap(self) -> float:

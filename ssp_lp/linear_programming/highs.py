@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from itertools import pairwise
 from pathlib import Path
 
 import highspy
 import numpy as np
 
+from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 
@@ -23,6 +26,7 @@ _DOUBTED = (
     highspy.HighsModelStatus.kInfeasible,
 )
 _BROKEN = 1e-6  # violation of a row of an answer that is called optimal
+_NUMBERED = "x"  # before a column's number, with which its name begins
 ENDINGS = (".mps", ".lp")
 
 
@@ -54,6 +58,32 @@ def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) ->
         status=solver.modelStatusToString(solver.getModelStatus()),
         seconds=time.perf_counter() - began,
     )
+
+
+def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple[float, float]]:
+    """How far the upper bound of each row may move before its dual changes, by HiGHS' ranging.
+
+    At a vertex where more meet than need to, it is the range of one of its bases: of one of the
+    duals that are optimal there.
+
+    Raises:
+        SolverError: HiGHS finds no optimum, or no ranges.
+    """
+    solver = highs_solver(highs_lp(program), _highs_options("highs-simplex", np.inf))
+    solver.run()
+    status, ranging = solver.getRanging()
+    if status != highspy.HighsStatus.kOk or not ranging.valid:
+        told = solver.modelStatusToString(solver.getModelStatus())
+        raise SolverError(f"HiGHS has no ranges of bounds: the program is {told.lower()}")
+    basis, activity = solver.getBasis().row_status, solver.getSolution().row_value
+    found = {}
+    for name in rows:
+        row = program.rows[name].start
+        if basis[row] == highspy.HighsBasisStatus.kBasic:  # not met with equality
+            found[name] = activity[row], np.inf
+        else:
+            found[name] = ranging.row_bound_dn.value_[row], ranging.row_bound_up.value_[row]
+    return found
 
 
 def _is_doubtful(solver: highspy.Highs) -> bool:
@@ -115,7 +145,7 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
     Args:
         program: the program.
         path: ends in ``.mps`` or ``.lp``.
-        columns: names; what the formats do not allow becomes an underscore.
+        columns: names, behind their numbers; what the formats do not allow becomes an underscore.
 
     Raises:
         ModelError: another ending.
@@ -124,7 +154,8 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
     if path.suffix not in ENDINGS:
         raise ModelError(f"a program is written as {' or '.join(ENDINGS)}, not {path.name!r}")
     lp = highs_lp(program)
-    lp.col_names_ = [_allowed_in_highs(name) for name in columns]
+    numbered = (f"{_NUMBERED}{k}.{name}" for k, name in enumerate(columns))
+    lp.col_names_ = [_allowed_in_highs(name) for name in numbered]
     rows, taken = [""] * program.matrix.shape[0], set[str]()
     for number, (name, places) in enumerate(program.rows.items()):
         plain = _allowed_in_highs(name)
@@ -138,6 +169,35 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
     lp.row_names_ = rows
     if highs_solver(lp, {}).writeModel(str(path)) == highspy.HighsStatus.kError:
         raise SolverError(f"HiGHS cannot write the program to {str(path)!r}")
+
+
+def read_columns(path: Path, n_columns: int) -> FloatArray:
+    """A solution of a program that :func:`write_program` wrote, columns found by their names.
+
+    Args:
+        path: text in which a column's name is followed by its value; columns that it does not name
+            are 0.
+        n_columns: of the program.
+
+    Raises:
+        ModelError: the file cannot be read, or names no column.
+    """
+    x, known = np.zeros(n_columns), set[int]()
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ModelError(f"{str(path)!r} is no solution that can be read: {error}") from error
+    for line in lines:
+        for name, word in pairwise(line.split()):
+            named = re.fullmatch(rf"{_NUMBERED}(\d+)\..*", name)
+            place = n_columns if named is None else int(named[1])
+            if place < n_columns and place not in known:
+                with suppress(ValueError):  # no number
+                    x[place] = float(word)
+                    known.add(place)  # duals that follow under the same names are left
+    if not known:
+        raise ModelError(f"{str(path)!r} names no column of the program: is it another's?")
+    return x
 
 
 def _allowed_in_highs(name: str) -> str:

@@ -39,11 +39,15 @@ class ColumnLabel(NamedTuple):
     action: Hashable  # an action of the model, ``GIVE_UP``, or one of the words below
     cost: float | None = None  # the cost paid before, where the process counts it
 
+    @property
+    def paid(self) -> str:
+        """The cost paid before in words, where there is one."""
+        return "" if self.cost is None else f" at cost {self.cost:g}"
+
     def __str__(self) -> str:
         """The state and the action, and the cost where there is one."""
-        paid = "" if self.cost is None else f" at cost {self.cost:g}"
         action = "give up" if self.action is GIVE_UP else self.action
-        return f"({self.state}, {action}){paid}"
+        return f"({self.state}, {action}){self.paid}"
 
 
 START = "start"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Hashable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
@@ -12,7 +13,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import SolverError
 from ssp_lp.processes.quantities.quantity import Quantity
-from ssp_lp.programs.occupation_measure import OccupationMeasure, Told
+from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
@@ -176,10 +177,11 @@ class ConvexProgram:
             row.name: self._price(row.name) for row in program.rows if self._is_stated(row.name)
         }
         seconds, solver = time.perf_counter() - began, self.problem.solver_stats.solver_name
-        told = Told(prices, ratio, scale, f"cvxpy, {solver}", status, seconds)
+        visits, told = np.asarray(self.x.value) / scale, (f"cvxpy, {solver}", status, seconds)
+        measure = OccupationMeasure(program, visits, prices, None, *told)
         if not self._is_as_stated:
-            return self._kept_by(told.measure(program, self.measure().balanced, None))
-        measure = program.optimal(np.asarray(self.x.value) / scale, told)
+            return self._kept_by(replace(measure, visits=measure.balanced))
+        measure = program.optimal(measure, ratio)
         if measure.residual > _RESIDUAL:
             raise SolverError(
                 f"cvxpy: the answer breaks a row by {measure.residual:.1e}, relative to its bound"

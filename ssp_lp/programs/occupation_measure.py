@@ -5,47 +5,44 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import FloatArray, segment_sums
 from ssp_lp.dynamic_programming.leaving import leaving_choice
-from ssp_lp.errors import ModelError
+from ssp_lp.errors import ModelError, optional_module
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
+from ssp_lp.programs.augmented import ColumnLabel
 from ssp_lp.programs.decomposition import balanced_visits, decomposed
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
+    from ssp_lp.programs.state_values import StateValues
 
 
 _BALANCED = 1e-9  # imbalance of visits that are taken as a policy's own
 _BEYOND = 1e-9  # probability of passing the last total from which it is told
 
 
-class Told(NamedTuple):
-    """What a solver said besides the visits, scaled as the program is."""
+class MeasuredRow(NamedTuple):
+    """A row at a measure: what is spent, and what its bound is worth."""
 
-    prices: Mapping[str, float]  # of the rows, by name, >= 0
-    ratio: float  # of case S: the normaliser's dual
-    scale: float  # of case S: t
-    solver: str
-    status: str
-    seconds: float
+    name: str
+    spent: float
+    bound: float
+    relation: str = "<="
+    price: float | None = None  # its multiplier; None: nothing is known of it
+    dual: float | None = None  # what another unit of its bound improves: the price, in case M
 
-    def measure(
-        self,
-        program: OccupationProgram,
-        visits: FloatArray,
-        value: float | None = None,
-        values: FloatArray | None = None,
-    ) -> OccupationMeasure:
-        """Visits as a measure, with the optimum that the duals prove, and those of balance."""
-        duals = {name: price * self.scale for name, price in self.prices.items()}
-        told = self.solver, self.status, self.seconds
-        return OccupationMeasure(program, visits, duals, value, *told, values)
+    def __str__(self) -> str:
+        """The row with its numbers for its words."""
+        told = "" if self.price is None else f"   price {self.price:.6g}"
+        if self.dual is not None and self.dual != self.price:
+            told += f" of the ratio: {self.dual:.6g} for another unit of the bound"
+        return f"{self.name}: {self.spent:.9g} {self.relation} {self.bound:g}{told}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,30 +56,62 @@ class OccupationMeasure:
 
     program: OccupationProgram
     visits: FloatArray  # [pairs] expected number of times that each is taken
-    duals: Mapping[str, float]  # price of each row: how much a unit of its bound improves
+    prices: Mapping[str, float]  # multiplier of each row, as ``Solution.prices``
     optimal_value_from_dual: float | None  # c*; None where rows or objectives were added
     solver: str
     status: str
     seconds: float
-    values: FloatArray | None = None  # [process states] duals of balance; None: as of c*
+    values: StateValues | None = None  # duals of balance; None where c* is
     reduced: OccupationMeasure | None = None  # where it was found on the reduced program
+    own: tuple[MeasuredRow, ...] = ()  # rows that were added
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "duals", ByName(self.duals))
+        object.__setattr__(self, "prices", ByName(self.prices))
+
+    @cached_property
+    def rows(self) -> tuple[MeasuredRow, ...]:
+        """Every row with what is spent and what its bound is worth, those that were added last.
+
+        In case S the price is that of the ratio: at it, ``cost + price * (spent - bound)`` over the
+        goal's probability is c* at least, whatever the policy. Another unit of the bound improves
+        c* by the price over the goal's probability.
+        """
+        scale = 1.0 / self._goal if self.program.ratio else 1.0
+        stated = []
+        for row in self.program.rows:
+            price = self.prices.get(row.name)
+            dual = None if price is None else price * scale
+            spent = float(row.coefficients @ self.visits)
+            stated.append(MeasuredRow(row.name, spent, row.bound, "<=", price, dual))
+        return *stated, *self.own
+
+    @cached_property
+    def duals(self) -> Mapping[str, float]:
+        """How much another unit of each row's bound improves c*, by name."""
+        return ByName({row.name: row.dual for row in self.rows if row.dual is not None})
+
+    @cached_property
+    def activity(self) -> Mapping[str, float]:
+        """What is spent of each row's quantity, by name."""
+        return ByName({row.name: row.spent for row in self.rows})
+
+    @cached_property
+    def slack(self) -> Mapping[str, float]:
+        """What each row leaves of its bound, by name."""
+        return ByName({row.name: row.bound - row.spent for row in self.rows})
+
+    @property
+    def _goal(self) -> float:
+        """The goal's probability, discounted where the problem is."""
+        return float(self.program.process.goal @ self.visits)
 
     @cached_property
     def objective(self) -> float:
         """The program's objective at these visits."""
         process = self.program.process
         cost = float(process.cost @ self.visits)
-        cost = cost / float(process.goal @ self.visits) if self.program.ratio else cost
+        cost = cost / self._goal if self.program.ratio else cost
         return self.program.sense.worth(cost)
-
-    @cached_property
-    def activity(self) -> Mapping[str, float]:
-        """What is spent of each row's quantity, by name."""
-        rows = self.program.rows
-        return ByName({row.name: float(row.coefficients @ self.visits) for row in rows})
 
     @cached_property
     def imbalance(self) -> float:
@@ -99,29 +128,14 @@ class OccupationMeasure:
         return max(self.imbalance, *over, 0.0)
 
     def value(self, state: Hashable, cost: float | None = None) -> float:
-        """The dual of a state's balance: the least that can follow, at the prices of the rows.
-
-        The sum over the start, less price times bound of each row, is c*. In case S what follows is
-        the cost less c* times the goal's probability, so that the same sum is 0; prices are those
-        of the scaled program, ``duals`` for each success.
-
-        Args:
-            state: a state in which the problem is open.
-            cost: in case S the cost paid before, one that the program tells apart.
+        """The dual of a state's balance, as :meth:`StateValues.at`.
 
         Raises:
             ModelError: no such state, or none that the program has, or nothing is known of duals.
         """
         if self.values is None:
             raise ModelError("nothing is known of duals where rows or objectives were added")
-        program = self.program
-        columns = [k for k in program.columns(state) if cost in (None, program.label(k).cost)]
-        rows = np.unique(program.process.pair_state[columns].astype(np.int64))
-        if len(rows) != 1:
-            raise ModelError(
-                f"state {state!r} has {len(rows):,} rows of balance at this cost: one is asked for"
-            )
-        return float(self.values[rows[0]])
+        return self.values.at(state, cost=cost)
 
     @property
     def beyond(self) -> float:
@@ -189,13 +203,39 @@ class OccupationMeasure:
         choices, weights = decomposed(self.program.process, visits)
         return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
 
+    def to_frame(self) -> Any:
+        """The columns as a pandas ``DataFrame``, a row for each.
+
+        Columns: state, action, cost (paid before, in case S), visits, probability (the share of the
+        visits of its state); where duals are known, value (where it is taken first) and advantage.
+
+        Raises:
+            MissingDependencyError: pandas is not installed.
+        """
+        process, labels = self.program.process, map(self.program.label, range(len(self.visits)))
+        frame = optional_module("pandas", "frames").DataFrame(labels, columns=ColumnLabel._fields)
+        outflow = segment_sums(self.visits, process.pair_offsets)[process.pair_state]
+        frame["visits"], seen = self.visits, outflow > 0.0
+        frame["probability"] = np.divide(self.visits, outflow, where=seen, out=0.0 * outflow)
+        if self.values is not None:
+            excess = self.values.reduced_costs
+            frame["value"] = self.values.states[process.pair_state] + excess
+            frame["advantage"] = excess
+        return frame
+
     def __repr__(self) -> str:
-        """The objective, and each row with what is spent and its price."""
+        """The objective, what c* is made of, and each row with what is spent and its price."""
         lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]
-        for row in self.program.rows:
-            spent, price = self.activity[row.name], self.duals.get(row.name)
-            told = "" if price is None else f"   price {price:.6g}"
-            lines.append(f"  {row.name}: {spent:.9g} <= {row.bound:g}{told}")
+        if self.values is not None and self.optimal_value_from_dual is not None:
+            begun = float(self.program.process.start @ self.values.states)
+            paid = sum(row.price * row.bound for row in self.rows if row.price is not None)
+            made, optimum = f"({begun:.9g} - {paid:.9g})", f"{self.optimal_value_from_dual:.9g}"
+            stated = self.program.aim[1].replace(f"<{self.program.objective}, x>", made)
+            told = f"c* {optimum} = {stated}"
+            if self.program.ratio:
+                told = f"c* {optimum}, taken off for success, leaves {made} = 0"
+            lines.append(f"  {told}: v(start) less price x bound of each row")
+        lines += [f"  {row}" for row in self.rows]
         if self.beyond > _BEYOND:
             lines.append(
                 f"  {self.beyond:.3g} succeed beyond the last total that is told apart, charged "

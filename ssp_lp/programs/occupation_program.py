@@ -9,12 +9,10 @@ JS3P_def; mathematics, section 3).
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,8 +23,15 @@ from ssp_lp.arrays import BELOW_RATIO, BoolArray, FloatArray
 from ssp_lp.compiled.deadline import Stop, check_time, until
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import backends_for, run_backend
+from ssp_lp.linear_programming.in_full import (
+    is_small,
+    latex_in_full,
+    latex_in_words,
+    table_in_full,
+)
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
+from ssp_lp.model.naming import ByName
 from ssp_lp.model.tables import html_text
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -35,11 +40,12 @@ from ssp_lp.processes.flow import Spread, spread_out
 from ssp_lp.processes.quantities.conditions import ArrivalTerm
 from ssp_lp.processes.quantities.lookup import objective_of
 from ssp_lp.processes.quantities.quantity import Quantity
-from ssp_lp.programs.augmented import STAY, Augmented, ColumnLabel
+from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel
 from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
-from ssp_lp.programs.occupation_measure import OccupationMeasure, Told
+from ssp_lp.programs.occupation_measure import OccupationMeasure
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
+from ssp_lp.programs.state_values import StateValues
 
 if TYPE_CHECKING:
     from ssp_lp.programs.convex_program import ConvexProgram
@@ -82,13 +88,17 @@ class Reduction:
         flows = self.program.augmented.flows(found.visits)
         own = [self.spread.visits(flow) for flow in flows]
         visits = np.concatenate([*own, found.visits[copies * width :]])
-        quotient = self.program.augmented.quotient
-        nodes, values = quotient.node_of[self.spread.quotient.first_states], found.values
-        if values is not None:
-            size = copies * quotient.n_nodes
-            layers = values[:size].reshape(copies, quotient.n_nodes)[:, nodes]
-            values = np.concatenate([layers.ravel(), values[size:]])
+        values = None if found.values is None else self.values(stated, found.values)
         return replace(found, program=stated, visits=visits, values=values, reduced=found)
+
+    def values(self, stated: OccupationProgram, found: StateValues) -> StateValues:
+        """Values of the states of the stated program, of those of this."""
+        (copies, _), quotient = self._width, self.program.augmented.quotient
+        nodes = quotient.node_of[self.spread.quotient.first_states]
+        size = copies * quotient.n_nodes
+        layers = found.states[:size].reshape(copies, quotient.n_nodes)[:, nodes]
+        states = np.concatenate([layers.ravel(), found.states[size:]])
+        return StateValues(stated, states, self.row(found.reduced_costs))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -330,7 +340,7 @@ class OccupationProgram:
             values = values[:-1] / values[-1]
         if values.shape != (n_pairs,) or not np.isfinite(values).all():
             raise ModelError(f"x must be {n_pairs:,} finite numbers, a value for each column")
-        return Told({}, 0.0, 1.0, "given", "as given", 0.0).measure(self, values)
+        return OccupationMeasure(self, values, {}, None, "given", "as given", 0.0)
 
     def read_solution(self, path: str | Path) -> OccupationMeasure:
         """A solver's solution of a file that :meth:`write` wrote, columns found by their names.
@@ -342,22 +352,9 @@ class OccupationProgram:
         Raises:
             ModelError: the file cannot be read, or names no column of the program.
         """
-        x, known = np.zeros(self.process.n_pairs + self.ratio), set[int]()
-        try:
-            lines = Path(path).read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ModelError(f"{str(path)!r} is no solution that can be read: {error}") from error
-        for line in lines:
-            words = line.split()
-            for name, value in pairwise(words):
-                named = re.fullmatch(r"x(\d+)\..*|(t)", name)
-                place = -1 if named is None else int(named[1] or len(x) - 1)
-                if 0 <= place < len(x) and place not in known and _is_number(value):
-                    x[place] = float(value)  # duals that follow under the same names are left
-                    known.add(place)
-        if not known:
-            raise ModelError(f"{str(path)!r} names no column of the program: is it another's?")
-        return self.measure(x)
+        from ssp_lp.linear_programming.highs import read_columns
+
+        return self.measure(read_columns(Path(path), self.process.n_pairs + self.ratio))
 
     def _answered(self, answer: LPAnswer) -> OccupationMeasure:
         """A solver's answer to ``linear`` as a measure."""
@@ -365,23 +362,39 @@ class OccupationProgram:
         scale = float(answer.x[-1]) if self.ratio else 1.0
         prices = {row.name: max(-float(dual[program.rows[row.name]][0]), 0.0) for row in self.rows}
         ratio = float(dual[program.rows["normaliser"]][0]) if self.ratio else 0.0
-        told = Told(prices, ratio, scale, answer.backend, answer.status, answer.seconds)
-        return self.optimal(answer.x[: self.process.n_pairs] / scale, told)
+        visits = answer.x[: self.process.n_pairs] / scale
+        told = answer.backend, answer.status, answer.seconds
+        return self.optimal(OccupationMeasure(self, visits, prices, None, *told), ratio)
 
-    def optimal(self, visits: FloatArray, told: Told) -> OccupationMeasure:
+    def optimal(self, found: OccupationMeasure, ratio: float) -> OccupationMeasure:
         """A solver's optimum of the program as it is stated, with what its duals prove.
 
         Args:
-            visits: not balanced yet, [pairs].
-            told: what the solver said.
+            found: what the solver said, its visits not balanced yet.
+            ratio: of case S: the normaliser's dual.
         """
         if self.reduced is not None:
-            departures = self.reduced.departures(visits)
-            return self.reduced.lifted(self, self.reduced.program.optimal(departures, told))
-        proved, value = self.proved(told.prices, told.ratio)
-        visits = proved.without_noise(visits)
+            departures, inner = self.reduced.departures(found.visits), self.reduced.program
+            reduced = inner.optimal(replace(found, program=inner, visits=departures), ratio)
+            return self.reduced.lifted(self, reduced)
+        proved, value = self.proved(found.prices, ratio)
+        visits = proved.without_noise(found.visits)
         visits = balanced_visits(self.process, visits, proved.choice, self.giving_up)
-        return told.measure(self, visits, value, proved.values)
+        values = StateValues(self, proved.values, proved.excess)
+        return replace(found, visits=visits, optimal_value_from_dual=value, values=values)
+
+    def values_at(self, prices: Mapping[str, float], ratio: float = 0.0) -> StateValues:
+        """The least that can follow in each state, at any prices of the rows.
+
+        Args:
+            prices: >= 0, by name; a row that is not named costs nothing.
+            ratio: in case S what success earns; c* where the prices are optimal.
+        """
+        if self.reduced is not None:
+            found = self.reduced.program.values_at(prices, ratio)
+            return self.reduced.values(self, found)
+        priced = self._priced(prices, ratio if self.ratio else 0.0)
+        return StateValues(self, priced.values, priced.excess)
 
     def proved(
         self, prices: Mapping[str, float], ratio: float = 0.0
@@ -459,38 +472,76 @@ class OccupationProgram:
         """
         from ssp_lp.linear_programming.highs import write_program
 
-        names = [f"x{k}.{self.label(k)}" for k in range(self.process.n_pairs)]
-        write_program(self.linear, Path(path), names + ["t"] * self.ratio)
+        write_program(self.linear, Path(path), self._columns)
+
+    def ranges(self) -> Mapping[str, tuple[float, float]]:
+        """How far each row's bound may move before its price changes, by name.
+
+        Worked out by HiGHS at a vertex; where the optimum has several prices, for one of them.
+
+        Raises:
+            ModelError: case S, whose bounds stand beside the scale and make prices change at once.
+            SolverError: the program has no optimum.
+        """
+        from ssp_lp.linear_programming.highs import bound_ranges
+
+        if self.ratio:
+            raise ModelError("prices of a cost given success change with every bound: where the "
+                             "policies do, trace_frontier(problem) tells")  # fmt: skip
+        program = self if self.reduced is None else self.reduced.program
+        return ByName(bound_ranges(program.linear, [row.name for row in self.rows]))
+
+    @property
+    def _columns(self) -> list[str]:
+        """Names of the columns of ``linear``."""
+        labels = map(self.label, range(self.process.n_pairs))
+        return [*map(str, labels), *["t"] * self.ratio]
+
+    @property
+    def _rows(self) -> list[str]:
+        """Names of the rows of ``linear``: states, and the cost paid there."""
+        acting = map(self.label, self.process.pair_offsets[:-1].tolist())
+        states = [START if k.state is None else f"{k.state}{k.paid}" for k in acting]
+        return [*states, *(row.name for row in self.rows), *["normaliser"] * self.ratio]
+
+    @property
+    def aim(self) -> tuple[str, str]:
+        """What is done, minimise or maximise, and to what."""
+        verb, aim = "minimise", f"<{self.objective}, x>" + " / <goal, x>" * self.ratio
+        if self.sense.offset:
+            aim = f"{aim} - {self.sense.offset:g}"
+        if self.sense.constant is not None:
+            verb, aim = "maximise", f"{self.sense.constant:g} - {aim}"
+        return verb, aim
+
+    def to_latex(self) -> str:
+        """The program in LaTeX, for a displayed equation; in full where it is small."""
+        if is_small(self.linear):
+            return latex_in_full(self.linear, self._columns, self._rows)
+        stated = [("", "<outflow, x> - <inflow, x> = start")]
+        stated += [(row.name, f"<{row.words}, x> <= {row.bound:g}") for row in self.rows]
+        return latex_in_words(*self.aim, stated)
 
     def _repr_html_(self) -> str:
-        """The same page as ``repr``, for notebooks."""
-        return html_text(repr(self))
+        """The same page as ``str``, for notebooks."""
+        return html_text(str(self))
+
+    def __str__(self) -> str:
+        """The page of ``repr``, and a small program in full: a line for each column."""
+        full = (
+            table_in_full(self.linear, self._columns, self._rows) if is_small(self.linear) else []
+        )
+        return "\n  ".join([repr(self), *full])
 
     def __repr__(self) -> str:
         """The program as the page of a paper would have it."""
-        process, verb = self.process, "minimise"
-        fraction = f"<{self.objective}, x> / <goal, x>" if self.ratio else f"<{self.objective}, x>"
-        if self.sense.offset:
-            fraction = f"{fraction} - {self.sense.offset:g}"
-        if self.sense.constant is not None:
-            verb, fraction = "maximise", f"{self.sense.constant:g} - {fraction}"
-        lines = [
-            self.title,
-            f"  {verb}    {fraction}",
-            f"  subject to  balance: outflow(x) - inflow(x) = start   ({process.n_states:,} rows)",
-        ]
-        width = max((len(row.name) for row in self.rows), default=0)
-        named = ((f"{row.name}:".ljust(width + 1), row) for row in self.rows)
-        told = [f"{name} <{row.words}, x> <= {row.bound:g}" for name, row in named]
-        sizes = f"{process.n_pairs:,} columns, {self.linear.matrix.nnz:,} entries"
-        lines += [14 * " " + line for line in (*told, f"x >= 0   ({sizes})")]
-        return "\n".join(lines)
-
-
-def _is_number(word: str) -> bool:
-    """Whether a word of a file is a number."""
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
+        process, verb_and_aim = self.process, "    ".join(self.aim)
+        width = max((len(row.name) for row in self.rows), default=0) + 1
+        told = [f"balance: outflow(x) - inflow(x) = start   ({process.n_states:,} rows)"]
+        for row in self.rows:
+            told.append(f"{f'{row.name}:':<{width}} <{row.words}, x> <= {row.bound:g}")
+        told += [f"x >= 0   ({process.n_pairs:,} columns, {self.linear.matrix.nnz:,} entries)"]
+        if self.ratio:
+            told.append("x, start and bounds times a scale t >= 0; normaliser: <goal, x> = 1")
+        rows = f"\n{'':14}".join(told)
+        return f"{self.title}\n  {verb_and_aim}\n  subject to  {rows}"

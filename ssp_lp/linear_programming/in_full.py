@@ -1,0 +1,105 @@
+"""A small linear program written out: as a table, and in LaTeX."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray
+from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.model.tables import text_table
+
+_WIDEST = 100  # characters of a table that can be read
+_MOST = 12  # columns, and as many rows
+
+_RELATIONS = {"=": "=", "<=": r"\le"}
+
+
+def is_small(program: LinearProgram) -> bool:
+    """Whether a program can be read in full."""
+    return max(program.matrix.shape) <= _MOST
+
+
+def table_in_full(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> list[str]:
+    """A line for each column, what the objective and each row take of it; then the bounds.
+
+    Nothing where that is wider than a page.
+
+    Args:
+        program: the program.
+        columns: names.
+        rows: names.
+    """
+    taken = np.vstack([program.cost, program.matrix.toarray()]).T
+    lines = [["", "minimise", *rows]]
+    for name, line in zip(columns, taken, strict=True):
+        lines.append([name, *(f"{value:.6g}" if value else "" for value in line)])
+    bounds = [f"{relation} {bound:g}" for relation, bound in _sides(program)]
+    table = text_table([*lines, ["", "", *bounds]])
+    return [line.rstrip() for line in table] if len(table[0]) <= _WIDEST else []
+
+
+def latex_in_full(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> str:
+    """LaTeX: the objective and each row as sums over the columns that they take.
+
+    Args:
+        program: the program.
+        columns: names.
+        rows: names.
+    """
+    symbols = [rf"x_{{\text{{{_latex_text(name)}}}}}" for name in columns]
+    lines = [rf"\min_{{x \ge 0}} \quad & {_sum_of(program.cost, symbols)}"]
+    for taken, name, (relation, bound) in zip(
+        program.matrix.toarray(), rows, _sides(program), strict=True
+    ):
+        told = f"{_sum_of(taken, symbols)} {_RELATIONS[relation]} {bound:g}"
+        lines.append(rf"& {told} && \text{{{_latex_text(name)}}}")
+    return _aligned(lines)
+
+
+def latex_in_words(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
+    """LaTeX of a program told in words, in which ``<cost, x>`` is a product.
+
+    Args:
+        verb: minimise or maximise.
+        aim: what.
+        rows: names, and rows in words.
+    """
+    lines = [rf"\{verb[:3]}_{{x \ge 0}} \quad & {_products(aim)}"]
+    lines += [rf"& {_products(words)} && \text{{{_latex_text(name)}}}" for name, words in rows]
+    return _aligned(lines)
+
+
+def _products(words: str) -> str:
+    """Words of a row in LaTeX."""
+    told = re.sub(r"<(.*?), x>", r"\\langle \\text{\1}, x \\rangle", _latex_text(words))
+    return told.replace(" <= ", r" \le ").replace("= start", r"= \text{start}")
+
+
+def _aligned(lines: list[str]) -> str:
+    """Lines of an equation."""
+    body = " \\\\\n".join(lines)
+    return f"\\begin{{aligned}}\n{body}\n\\end{{aligned}}"
+
+
+def _latex_text(text: str) -> str:
+    """Text for LaTeX, what has a meaning there escaped."""
+    return re.sub(r"([#$%&_{}])", r"\\\1", text.replace("\\", "/"))
+
+
+def _sides(program: LinearProgram) -> Iterator[tuple[str, float]]:
+    """How each row is bounded."""
+    equal = program.equality
+    for k, bound in enumerate(program.upper.tolist()):
+        yield "=" if equal[k] else "<=", bound
+
+
+def _sum_of(taken: FloatArray, columns: Sequence[str]) -> str:
+    """A sum over columns, in LaTeX."""
+    told = ""
+    for k in np.flatnonzero(taken).tolist():
+        sign, size = ("-" if taken[k] < 0.0 else "+"), abs(float(taken[k]))
+        told += f" {sign} " + ("" if size == 1.0 else rf"{size:.6g}\,") + columns[k]
+    return told.removeprefix(" + ").strip() or "0"
