@@ -157,19 +157,16 @@ class CostAwarePolicy(Policy):
             return None
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
         moving = np.isin(costs, self._moving_costs())
-        near = levels[:-1][levels[:-1] >= levels[-2] - costs[-1]]
-        totals = np.unique(near[:, None] + costs[moving])
-        totals = totals[_nearest_cost_level(levels, totals) == cap]
-        rank = np.searchsorted(totals, self.tail_threshold)  # the first that asks for the last tail
-        told_apart = np.unique(rank[(rank > 0) & (rank < len(totals))])
-        if len(told_apart) * self.model.n_states > _MOST_BEYOND:
+        edges = self._told_apart(levels, costs[moving])
+        if len(edges) * self.model.n_states > _MOST_BEYOND:
             return None
-        rank = np.where(rank == 0, -1, np.searchsorted(told_apart, rank))
+        asks = np.searchsorted(edges, self.tail_threshold, side="right") - 1
+        rank = np.where(self.tail_threshold > levels[-2] + costs[-1], len(edges), asks)
 
         def reached(total: FloatArray) -> IntArray:
             """The layer that each total leads to, like ``total``."""
             nearest = _nearest_cost_level(levels, total)
-            beyond = np.searchsorted(told_apart, np.searchsorted(totals, total), side="right")
+            beyond = np.searchsorted(edges, total, side="right")
             return np.where(nearest < cap, nearest, cap + beyond)
 
         shares = costs / levels[1]
@@ -194,6 +191,24 @@ class CostAwarePolicy(Policy):
             unit=None,
             width=max(int((farthest - np.arange(cap)).max(initial=1)), 1) + 1,
         )
+
+    def _told_apart(self, levels: FloatArray, costs: FloatArray) -> FloatArray:
+        """Thresholds of tails between which some total lies that is reached from below the last.
+
+        Args:
+            levels: increasing, the last one behind all layers.
+            costs: of steps after which an episode may go on, increasing.
+        """
+        near = levels[:-1][levels[:-1] >= levels[-2] - costs.max(initial=0.0)]
+        last = levels[-2] + costs.max(initial=0.0)
+        edges, end = np.unique(self.tail_threshold), 0.5 * (levels[-2] + levels[-1])
+        edges = edges[(edges > (1.0 - _TIE) * end) & (edges <= last)]
+        room = edges[:, None] - near
+        below, upto = (
+            np.searchsorted(costs, room + side * _TIE * last).sum(axis=1) for side in (-1.0, 1.0)
+        )
+        is_apart = np.append(True, upto[1:] != below[:-1])
+        return np.asarray(edges[is_apart[: len(edges)]])
 
     def _moving_costs(self) -> FloatArray:
         """Distinct costs of steps after which an episode may go on."""

@@ -79,8 +79,11 @@ class LayerMoves:
 
     def slots(self, layer: int) -> IntArray:
         """Slots of a layer's moves."""
-        leads = self.layers.leads(layer)
-        return np.where(leads > 0, (layer + leads) % self.room, -1)
+        leads, room = self.layers.leads(layer), self.room
+        slots = leads + layer % room
+        slots[slots >= room] -= room  # no step leads beyond the ring
+        slots[leads <= 0] = -1
+        return slots
 
     def expect(
         self,
