@@ -18,6 +18,9 @@ _ROUNDS = 50
 """Howard's rounds in one component: more would be spent on what lies around it."""
 
 
+_LEAST_RISE = 1e-300  # of a probability: below it rounding down would come to an end
+
+
 @njit(cache=True)
 def improve_components(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
@@ -361,3 +364,50 @@ def improve_states(
         else:
             values[s] = kept
     return changed, most
+
+
+@njit(cache=True)
+def sweep_reach(
+    offsets: Array, indptr: Array, indices: Array, data: Array, order: Array,
+    wanted: Array, epsilon: float, up: bool, follows: bool, choice: Array, values: Array,
+) -> float:  # fmt: skip
+    """Back up greatest probabilities of leaving as is wanted, in turn, in place, rounded.
+
+    Rounded down they only rise, and a state that rises takes the pair that it rises by; rounded up
+    they are at most 1, and the choice stays.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        order: the states to visit.
+        wanted: probability of leaving so, [pairs].
+        epsilon: of the machine.
+        up: whether to round up.
+        follows: look at the chosen pairs alone.
+        choice: pair of each state, [states].
+        values: [states].
+
+    Returns:
+        The greatest rise of a value.
+    """
+    most, sign = 0.0, 1.0 if up else -1.0
+    for s in order:
+        greatest, pick, first, past = -1.0, choice[s], offsets[s], offsets[s + np.uint32(1)]
+        if follows:
+            first, past = pick, pick + np.uint32(1)
+        for pair in range(first, past):
+            total, begin, end = wanted[pair], indptr[pair], indptr[pair + np.uint32(1)]
+            for k in range(begin, end):
+                total += data[k] * values[indices[k]]
+            total += sign * (float(end - begin) + 4.0) * epsilon * total
+            if total > greatest:
+                greatest, pick = total, pair
+        rise = min(greatest, 1.0) - values[s]
+        most = max(most, rise)
+        if up:
+            values[s] = min(greatest, 1.0)
+        elif rise > _LEAST_RISE:
+            values[s], choice[s] = greatest, pick
+    return most

@@ -11,24 +11,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 
 from ssp_lp.arrays import (
     FAILURE_FLOOR,
-    IMPROVEMENT,
+    MACHINE_EPSILON,
     MAXIMISER,
     BoolArray,
     FloatArray,
     IntArray,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import pieces
+from ssp_lp.compiled.deadline import STOPS, closing, heed, pieces
 from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
 from ssp_lp.dynamic_programming.bellman import best_pairs, unsigned_parts
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach_leaving, leaving_chain
+from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.advantages import precise_advantages
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES, EXACTLY_SOLVED
 from ssp_lp.dynamic_programming.linear_systems.totals import Totals
@@ -38,6 +39,11 @@ from ssp_lp.model.graph.reachability import nearer_pairs
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2
 _SWEEPS = 40  # before the first evaluation: more than most distances take to spread both ways
+_MOST_SWEEPS = 500  # where sweeps alone are to enclose the optimum
+_FOLLOWED = 4  # sweeps along the policy after each one over all pairs
+_ENCLOSED = 1e-11  # width of what encloses it, relative to it
+_NEARER = 0.1  # so much nearer it is before it is tried again from above
+_SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
 _STEPS = 1_000  # over which it is gathered what is lost where cost decides
 _PROVED = 1e-11  # gap of a probability that rounding may leave
 _PROVED_OF_MANY = 5e-10  # the same where there are many states, and each evaluation takes its time
@@ -51,7 +57,7 @@ class ExtremeReach:
     dynamics: Dynamics
     both: FloatArray  # [pairs, 2] probability of leaving as is wanted, and otherwise
     choice: IntArray  # [states] a policy that attains it
-    totals: Totals  # of both under it
+    totals: Totals | None  # of both under it, where they were worked out
     reach: FloatArray  # [states]
     bound: FloatArray  # [states] checked: no policy hits more often (greatest), or less often
     floor: float  # share of what is wanted below which probabilities are alike
@@ -76,16 +82,49 @@ def extreme_reach(
         miss: probability of leaving it otherwise, [pairs].
         greatest: or least.
         start: where the bound is to be tight, positive there, [states]; None: everywhere.
-        last_digits: whether policies are compared to the last digit where the bound asks for less.
+        last_digits: whether all that attains it is asked for, too. Else sweeps may enclose the
+            greatest from both sides, and where the time ends it is that of the policy so far.
+
+    Raises:
+        Stop: the time ended.
     """
     # what is wanted is maximised, which is to minimise the other: each is exact where it is small
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
-    wanted, other = (np.ascontiguousarray(column) for column in both.T)
+    last_digits = last_digits or not greatest or dynamics.n_states <= DIRECT_STATES
     floor = 0.0 if dynamics.components.largest <= EXACTLY_SOLVED else FAILURE_FLOOR
+    asked = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
+    choice, low, high = _swept_towards(
+        dynamics, np.ascontiguousarray(both[:, 0]), asked, last_digits
+    )
+    if high is None:
+        high = np.ones_like(low)
+        try:
+            return _settled_reach(dynamics, both, choice, floor, greatest, start, last_digits)
+        except STOPS as stop:
+            if last_digits:
+                raise
+            heed(stop)
+        if not low[asked].all():
+            with closing():
+                low = np.clip(evaluate_policy(dynamics, choice, both).values[:, 0], 0.0, 1.0)
+    return ExtremeReach(dynamics, both, choice, None, low, high, floor)
+
+
+def _settled_reach(
+    dynamics: Dynamics,
+    both: FloatArray,
+    choice: IntArray,
+    floor: float,
+    greatest: bool,
+    start: FloatArray | None,
+    last_digits: bool,
+) -> ExtremeReach:
+    """The extreme by policy iteration from a policy that leaves, and a checked bound of it."""
+    wanted, other = (np.ascontiguousarray(column) for column in both.T)
     run = partial(iterate_policy, dynamics, both, _OTHER, floor=floor)
     few = dynamics.n_states <= DIRECT_STATES
     enough = None if few or last_digits else False
-    settled = run(_swept_towards(dynamics, wanted), precise=enough)
+    settled = run(choice, precise=enough)
     if settled.totals[:, 0].min(initial=1.0) < _SMALL:  # so small that the other cannot tell
         choice = iterate_policy(dynamics, wanted[:, None], -_ONE, settled.choice).choice
         settled = run(choice, precise=enough)
@@ -135,52 +174,84 @@ def _gathers(dynamics: Dynamics, lost: FloatArray, slack: FloatArray) -> bool:
     return False
 
 
-def _swept_towards(dynamics: Dynamics, wanted: FloatArray) -> IntArray:
+def _swept_towards(
+    dynamics: Dynamics, wanted: FloatArray, asked: IntArray, last_digits: bool
+) -> tuple[IntArray, FloatArray, FloatArray | None]:
     """A policy that leaves, towards what is wanted, improved by sweeps in the order of distance.
+
+    Values rise from 0, each rounded down when it takes a better pair, so that the policy attains
+    them and leaves: what goes round loses. A little above them, values are swept on, rounded up,
+    until a sweep raises none, which proves that no policy attains more (optimistic value iteration:
+    Hartmanns and Kaminski, CAV 2020).
 
     Args:
         dynamics: the process.
         wanted: probability of leaving as is wanted, [pairs].
+        asked: states where it is to be enclosed.
+        last_digits: whether it is to be settled otherwise anyway.
+
+    Returns:
+        The policy, what it attains at least and, None where that is not proved, what encloses the
+        optimum from above where it is asked for, [states] each.
     """
     distance = np.zeros(dynamics.n_states, dtype=np.int32)
     arguments = dynamics.predecessors, dynamics.pair_offsets, dynamics.pair_state, wanted > 0.0
     choice = nearer_pairs(*arguments, distance=distance)
-    stuck = choice < 0
+    stuck, low = choice < 0, np.zeros(dynamics.n_states)
     if stuck.any():
         choice = np.where(stuck, approach_leaving(dynamics, dynamics.exits > 0.0), choice)
     choice = choice.astype(np.int32)
     if not accelerated(_SWEEPS * dynamics.transitions.nnz) or is_solved_backwards(dynamics):
-        return choice
-    from ssp_lp.compiled.improvement import improve_states
+        return choice, low, None
+    from ssp_lp.compiled.improvement import sweep_reach
 
-    parts, values = (
-        unsigned_parts(dynamics.pair_offsets, dynamics.transitions),
-        np.zeros(len(choice)),
-    )
+    parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
     order = np.argsort(distance, kind="stable").astype(np.uint32)
-    order, best = order[~stuck[order]], choice.copy()
-    for sweep in range(_SWEEPS):
-        changed, direction = 0, order if sweep % 2 == 0 else np.ascontiguousarray(order[::-1])
+    order = order[~stuck[order]]
+    directions = cycle((order, np.ascontiguousarray(order[::-1])))
+
+    def sweep(values: FloatArray, *, up: bool = False, follows: bool = False) -> float:
+        """The greatest rise of a value."""
+        direction, rise = next(directions), 0.0
         for some in pieces(order.size, dynamics.transitions.nnz):
-            changed += improve_states(
-                *parts, direction[some], -wanted, IMPROVEMENT, FAILURE_FLOOR, best.view(np.uint32),
-                values,
-            )[0]  # fmt: skip
-        if not changed and sweep > 1:
-            break
-    return leaving_chain(dynamics, best, choice)[1]
+            rise = max(rise, sweep_reach(
+                *parts, direction[some], wanted, MACHINE_EPSILON, up, follows,
+                choice.view(np.uint32), values,
+            ))  # fmt: skip
+        return rise
+
+    rise, near, size = 1.0, _NEARER * _ENCLOSED, 0.0
+    try:
+        for turn in range(_SWEEPS if last_digits else _MOST_SWEEPS):
+            rise_before, rise, size_before = rise, sweep(low), size
+            size, left = float(low[asked].min(initial=1.0)), 1.0 - rise / max(rise_before, rise)
+            if not last_digits and rise <= near * size * max(left, 1.0 - _SLOWEST):
+                high, near = np.minimum(low + 0.5 * _ENCLOSED * size, 1.0), _NEARER * near
+                for _ in range(max(turn, _SWEEPS)):
+                    if sweep(high, up=True) <= 0.0:
+                        return choice, low, high
+            if rise == 0.0 or (turn > _SWEEPS and size >= 2.0 * size_before):
+                break  # all is settled, or most of the way is still ahead
+            for _ in range(_FOLLOWED):
+                sweep(low, follows=True)
+    except STOPS as stop:
+        if last_digits or not low[asked].all():
+            raise
+        heed(stop)
+    return choice, low, None
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
     """Pairs by which nothing is lost, however often they come round, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
-    high, lost = found.totals.values.T
+    totals = found.totals or evaluate_policy(dynamics, choice, both, _PRECISE)
+    high, lost = totals.values.T
     home = dynamics.pair_state
     gain, loss = (
         precise_advantages(
             home, dynamics.transitions, dynamics.exits, *map(np.ascontiguousarray, parts)
         )[0]
-        for parts in zip(both.T, found.totals.values.T, found.totals.low.T, strict=True)
+        for parts in zip(both.T, totals.values.T, totals.low.T, strict=True)
     )
     ahead = np.where((high < lost)[home], gain, -loss)  # each is exact where it is small
     size = np.minimum(high, lost)[home]  # the smaller of both is known to that relative accuracy

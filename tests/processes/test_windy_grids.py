@@ -9,10 +9,22 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from examples.solver_comparison.instances.families import holes, racetrack, river
+from examples.solver_comparison.instances.families import (
+    corridor,
+    headings,
+    holes,
+    racetrack,
+    river,
+    sysadmin,
+    tandem,
+)
 from formulations import MCMP, S3P, AlphaMCMP, MaxProb, MinCost
 from small_models import model_of
-from ssp_lp import SSP, certify, evaluate, solve
+from ssp_lp import SSP, Status, certify, evaluate, solve
+from ssp_lp.compiled.deadline import Stop
+from ssp_lp.dynamic_programming import extreme_reach
+from ssp_lp.policies import DeterministicPolicy
+from ssp_lp.processes.goal_reach import greatest_goal_reach
 
 _ENDS = 60.0  # seconds; what is looked at here took for ever
 
@@ -121,6 +133,48 @@ def test_a_racetrack_of_seventy_thousand_states_ends() -> None:
     solution = solve(MaxProb(model, 0), time_limit=_ENDS)
     assert solution.gap <= 1e-9
     assert certify(solution).accepted
+
+
+@pytest.mark.parametrize(
+    "model",
+    [holes(40, seed=3), racetrack(10), headings(20), tandem(40), sysadmin(11), corridor(1_200)],
+    ids=["holes", "racetrack", "headings", "tandem", "sysadmin", "corridor"],
+)
+def test_sweeps_enclose_what_policy_iteration_settles(
+    model: SSP, accelerate: Callable[[bool], None]
+) -> None:
+    pytest.importorskip("numba")
+    accelerate(True)
+    start = np.zeros(model.n_states)
+    start[0] = 1.0
+    settled = greatest_goal_reach(model, start=start)
+    swept = greatest_goal_reach(model, start=start, last_digits=False)
+    assert (swept.goal <= settled.bound + 1e-12).all()
+    assert (swept.bound >= settled.goal - 1e-12).all()
+    assert swept.bound[0] - swept.goal[0] <= 1e-11
+    attained = evaluate(DeterministicPolicy(model, swept.decision), MaxProb(model, 0))
+    assert swept.goal[0] - 1e-12 <= attained.goal_probability <= swept.bound[0] + 1e-12
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_where_the_time_ends_a_policy_towards_the_goal_is_in_hand(
+    compiled: bool, accelerate: Callable[[bool], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if compiled:
+        pytest.importorskip("numba")
+    accelerate(compiled)
+
+    def late(*_: object) -> None:
+        raise Stop
+
+    monkeypatch.setattr(extreme_reach, "_settled_reach", late)
+    monkeypatch.setattr(extreme_reach, "_MOST_SWEEPS", 8)
+    problem = MaxProb(headings(20), 0)
+    solution = solve(problem)
+    assert solution.upper_bound == 1.0
+    assert solution.status is Status.TIME_LIMIT
+    attained = evaluate(solution.policy, problem).goal_probability
+    assert 0.0 < solution.objective <= attained + 1e-12
 
 
 def test_a_policy_whose_run_is_exponentially_long_is_evaluated() -> None:
