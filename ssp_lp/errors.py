@@ -60,7 +60,8 @@ class InfeasibleError(SSPError):
 
     Attributes:
         failure_budget: the budget that was asked for (``None``: none was).
-        least_failure: the least failure probability that any policy attains.
+        least_failure: the least failure probability that any policy attains; where the graph alone
+            tells that the problem has no answer, it is worked out when it is read.
         least_discounted_failure: the least discounted failure, ``None`` in the exact setting. The
             surrogate can be infeasible where the real problem is not (paper, Theorem t2-2).
         conflicting_rows: names of the fewest rows found that contradict each other: limits, and
@@ -71,15 +72,27 @@ class InfeasibleError(SSPError):
         self,
         *told: str | Argument,
         failure_budget: float | None,
-        least_failure: float,
+        least_failure: float | Callable[[], float],
         least_discounted_failure: float | None = None,
         conflicting_rows: tuple[str, ...] = (),
     ) -> None:
         super().__init__(*told)
         self.failure_budget = failure_budget
-        self.least_failure = least_failure
+        self._least_failure = least_failure
         self.least_discounted_failure = least_discounted_failure
         self.conflicting_rows = conflicting_rows
+
+    @property
+    def least_failure(self) -> float:
+        """The least failure probability that any policy attains."""
+        least = self._least_failure
+        self._least_failure = least() if callable(least) else least
+        return self._least_failure
+
+    def __reduce__(self) -> tuple[Callable[..., SSPError], tuple[object, ...], dict[str, object]]:
+        """Pickled with its numbers."""
+        self._least_failure = self.least_failure
+        return super().__reduce__()
 
 
 class SolverError(SSPError, RuntimeError):

@@ -8,7 +8,7 @@ from typing import Any, Protocol, cast, overload
 
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.compiled.deadline import is_within_call, limited
+from ssp_lp.compiled.deadline import READING, check_time, is_within_call, limited
 from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import check_product
@@ -158,7 +158,6 @@ class _WithReachFraction(Protocol):
         ...
 
 
-_READING = 10.0  # seconds that the budget of a share may take where it is only read
 _FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as it is given)"
 
 
@@ -194,7 +193,7 @@ class FailureBudget:
         if (asked := unrolled(stated)) is not stated:
             return asked.failure_budget  # kept in one place, whoever asks
         if "_budget" not in known:
-            with limited(None if is_within_call() else _READING, _FOLLOWS):
+            with limited(None if is_within_call() else READING, _FOLLOWS):
                 known["_budget"] = _Shared(budget_of_share(asked.model, asked.start, share))
         found: float = known["_budget"]
         return found
@@ -228,6 +227,7 @@ def budget_of_share(
     """
     begun = start_distribution(model, start)
     greatest = float(begun @ greatest_goal_reach(model, start=begun, last_digits=False).goal)
+    check_time()  # it is not the greatest where the time has ended
     return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
 
 

@@ -27,6 +27,9 @@ _GRACE = 0.25
 _CLOSING = 0.65
 """Seconds beyond the deadline by which what an answer still needs is done: measures, a proof."""
 
+READING = 10.0
+"""Seconds that a number may take which is worked out where it is only read."""
+
 _LEAST = 0.1  # seconds for each of them in any case
 _PREPARED = 1.0  # seconds of a search after which an answer is to be in hand
 _PREPARED_SHARE = 0.1  # of the time limit, where that is less

@@ -4,6 +4,8 @@ Reference: value iteration from below and from above, state by state in a stated
 equations written out; its two values enclose the truth but for rounding.
 """
 
+import pickle
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -20,7 +22,7 @@ from examples.solver_comparison.instances.families import (
 )
 from formulations import MCMP, S3P, AlphaMCMP, MaxProb, MinCost
 from small_models import model_of
-from ssp_lp import SSP, Status, certify, evaluate, solve
+from ssp_lp import SSP, InfeasibleError, OutOfTimeError, Status, certify, evaluate, solve
 from ssp_lp.compiled.deadline import Stop
 from ssp_lp.dynamic_programming import extreme_reach
 from ssp_lp.policies import DeterministicPolicy
@@ -175,6 +177,31 @@ def test_where_the_time_ends_a_policy_towards_the_goal_is_in_hand(
     assert solution.status is Status.TIME_LIMIT
     attained = evaluate(solution.policy, problem).goal_probability
     assert 0.0 < solution.objective <= attained + 1e-12
+
+
+def test_where_no_policy_is_sure_the_least_failure_is_worked_out_when_it_is_read() -> None:
+    problem = MinCost(headings(20), 0)
+    with pytest.raises(InfeasibleError, match="surely from state 0") as caught:
+        solve(problem)
+    best = solve(MaxProb(problem.model, 0))
+    copy = pickle.loads(pickle.dumps(caught.value))  # noqa: S301
+    assert copy.least_failure == caught.value.least_failure
+    assert copy.least_failure == pytest.approx(1.0 - best.objective, abs=1e-10)
+    assert str(copy) == str(caught.value)
+
+
+def test_a_share_of_a_greatest_probability_that_nobody_had_the_time_for_is_no_budget(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def late(*_: object) -> None:
+        time.sleep(0.3)
+        raise Stop
+
+    monkeypatch.setattr(extreme_reach, "_settled_reach", late)
+    monkeypatch.setattr(extreme_reach, "_MOST_SWEEPS", 1)
+    monkeypatch.setattr("ssp_lp.problem.READING", 0.01)
+    with pytest.raises(OutOfTimeError, match="failure_budget"):
+        _ = AlphaMCMP(headings(20), 0, 0.9).failure_budget
 
 
 def test_a_policy_whose_run_is_exponentially_long_is_evaluated() -> None:

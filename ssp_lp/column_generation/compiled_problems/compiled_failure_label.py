@@ -12,6 +12,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFai
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
+from ssp_lp.compiled.deadline import READING, check_time, limited
 from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import surely_reaching
@@ -73,16 +74,19 @@ class CompiledFailureLabel:
         unsure = np.flatnonzero(~sure & (self.start > 0.0))
         if not unsure.size:
             return
-        greatest = greatest_goal_reach(self.model, start=self.start, last_digits=False).goal
-        state = int(unsure[np.argmin(greatest[unsure])])
-        least = max(1.0 - float(self.start @ greatest), 0.0)
         raise InfeasibleError(
-            f"no policy reaches the goal surely from state {self.model.states[state]!r} (at best "
-            f"with probability {greatest[state]:.12g}): the cost is infinite; every policy fails "
-            f"with probability at least {least:.12g}",
+            f"no policy reaches the goal surely from state {self.model.states[unsure[0]]!r}: the "
+            "cost is infinite; MCMP asks for the cheapest of the policies that fail least",
             failure_budget=0.0,
-            least_failure=least,
+            least_failure=self._least_failure_alone,
         )
+
+    def _least_failure_alone(self) -> float:
+        """The least failure probability, whatever it costs."""
+        with limited(READING, "the least failure probability was worked out"):
+            greatest = greatest_goal_reach(self.model, start=self.start, last_digits=False).goal
+            check_time()  # it is not the greatest where the time has ended
+        return max(1.0 - float(self.start @ greatest), 0.0)
 
     def pricing(self) -> ExplicitPricing:
         """Policy iteration on the labelled process.
