@@ -99,6 +99,7 @@ def of_solving() -> Iterator[Any]:
             program = problem.program()
             measure = program.solve()
             made += [program, measure, measure.randomised_policy(), measure.mixed_policy()]
+            made += [measure.values, *measure.rows]
         yield from made
     convex = criteria.MCMP(MODEL, START, failure_budget=0.2).program().to_cvxpy()
     objective = convex.solve().objective

@@ -22,7 +22,7 @@ def is_small(program: LinearProgram) -> bool:
     return max(program.matrix.shape) <= _MOST
 
 
-def table_in_full(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> list[str]:
+def as_table(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> list[str]:
     """A line for each column, what the objective and each row take of it; then the bounds.
 
     Nothing where that is wider than a page.
@@ -41,7 +41,7 @@ def table_in_full(program: LinearProgram, columns: Sequence[str], rows: Sequence
     return [line.rstrip() for line in table] if len(table[0]) <= _WIDEST else []
 
 
-def latex_in_full(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> str:
+def as_latex(program: LinearProgram, columns: Sequence[str], rows: Sequence[str]) -> str:
     """LaTeX: the objective and each row as sums over the columns that they take.
 
     Args:
@@ -59,7 +59,7 @@ def latex_in_full(program: LinearProgram, columns: Sequence[str], rows: Sequence
     return _aligned(lines)
 
 
-def latex_in_words(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
+def words_as_latex(verb: str, aim: str, rows: Iterable[tuple[str, str]]) -> str:
     """LaTeX of a program told in words, in which ``<cost, x>`` is a product.
 
     Args:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -36,6 +37,29 @@ class LPAnswer:
     dual: FloatArray  # [rows]
     status: str
     seconds: float
+
+
+class MeasuredRow(NamedTuple):
+    """A row at a measure: what is spent, and what its bound is worth."""
+
+    name: str
+    spent: float
+    bound: float
+    relation: str = "<="
+    price: float | None = None  # its multiplier; None: nothing is known of it
+    dual: float | None = None  # what another unit of its bound improves: the price, in case M
+
+    @property
+    def slack(self) -> float:
+        """What is left of the bound, or spent beyond it where that is the least."""
+        return self.spent - self.bound if self.relation == ">=" else self.bound - self.spent
+
+    def __str__(self) -> str:
+        """The row with its numbers for its words."""
+        told = "" if self.price is None else f"   price {self.price:.6g}"
+        if self.dual is not None and self.dual != self.price:
+            told += f" of the ratio: {self.dual:.6g} for another unit of the bound"
+        return f"{self.name}: {self.spent:.9g} {self.relation} {self.bound:g}{told}"
 
 
 def program_residuals(program: LinearProgram, answer: LPAnswer) -> tuple[float, float, float]:

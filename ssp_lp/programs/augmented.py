@@ -117,17 +117,12 @@ class Augmented(ABC):
         return np.append(own, np.zeros(self.process.n_pairs - own.size, dtype=np.bool_))
 
     def label(self, pair: int) -> ColumnLabel:
-        """What a pair of the process stands for."""
+        """What a pair of the process stands for; one beyond the copies is the start."""
         width = len(self.quotient.pair_at)
         if pair >= self.copies * width:
-            return self.label_beyond(pair)
+            return ColumnLabel(None, START, self.paid(0))
         copy, inner = divmod(pair, width)
         return ColumnLabel(*self.quotient.named(inner), self.paid(copy))
-
-    def label_beyond(self, pair: int) -> ColumnLabel:
-        """What a pair beyond the copies stands for: the start, unless there is more."""
-        del pair
-        return ColumnLabel(None, START, self.paid(0))
 
     def pairs_of(self, states: IntArray, action: Hashable | None) -> IntArray:
         """The process's pairs that act in some states of the model, an action or any.
@@ -224,6 +219,16 @@ class LabelledModel(Augmented):
         whole = ExplicitProcess(offsets, rows, start, cost, failure, goal)
         ones = np.ones(len(single.pair_at))
         return replace(self, labelled=FailureLabelled(whole, single, ones))
+
+    def may_start(self, start: FloatArray) -> bool:
+        """Whether start mass enters at places alone, here and from elsewhere, [states]."""
+        ends = self.quotient.node_of < 0
+        return not start[ends].any() and not self.start[ends].any()
+
+    def started(self, start: FloatArray) -> LabelledModel:
+        """The same from another start, which may be one."""
+        process = replace(self.process, start=self.quotient.gather(start))
+        return replace(self, labelled=replace(self.labelled, process=process), start=start)
 
     def counted(self, term: Term) -> FloatArray:
         """Counted under the label of failing, [process pairs]."""

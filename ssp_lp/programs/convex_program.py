@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,75 +11,26 @@ import cvxpy as cp
 import numpy as np
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import SolverError
+from ssp_lp.errors import SolverError, is_number, wrong_argument
+from ssp_lp.linear_programming.convex_rows import ScaledExpression, broken_rows, measured_rows
+from ssp_lp.linear_programming.convex_solving import Conflict, contradicting, solve_stated, stated
 from ssp_lp.processes.quantities.quantity import Quantity
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
-_RESIDUAL = 1e-2  # of a row: first-order methods are far off by default, but not so far
-_SOLVED = ("optimal", "optimal_inaccurate")
-
-
-class ScaledExpression:
-    """An affine expression of the visits of a ratio: what it is compared with is scaled, too.
-
-    ``scaled`` is the expression of cvxpy's variables: the visits' value times ``scale``.
-    """
-
-    def __init__(self, scaled: Any, scale: Any) -> None:
-        """An expression that is already scaled, and the scale."""
-        self.scaled, self._scale = scaled, scale
-
-    def _other(self, other: Any) -> Any:
-        """What is added or compared: an expression of visits, a number or a parameter."""
-        return other.scaled if isinstance(other, ScaledExpression) else other * self._scale
-
-    def __add__(self, other: Any) -> ScaledExpression:
-        """The sum."""
-        return ScaledExpression(self.scaled + self._other(other), self._scale)
-
-    def __mul__(self, factor: Any) -> ScaledExpression:
-        """The multiple by a number or a parameter."""
-        return ScaledExpression(factor * self.scaled, self._scale)
-
-    __radd__, __rmul__ = __add__, __mul__
-
-    def __neg__(self) -> ScaledExpression:
-        """The opposite."""
-        return self * -1.0
-
-    def __sub__(self, other: Any) -> ScaledExpression:
-        """The difference."""
-        return ScaledExpression(self.scaled - self._other(other), self._scale)
-
-    def __rsub__(self, other: Any) -> ScaledExpression:
-        """The difference."""
-        return ScaledExpression(self._other(other) - self.scaled, self._scale)
-
-    def __le__(self, bound: Any) -> Any:
-        """A constraint of cvxpy: at most."""
-        return self.scaled <= self._other(bound)
-
-    def __ge__(self, bound: Any) -> Any:
-        """A constraint of cvxpy: at least."""
-        return self.scaled >= self._other(bound)
-
-    def __eq__(self, value: Any) -> Any:
-        """A constraint of cvxpy: equal."""
-        return self.scaled == self._other(value)
-
-    __hash__ = None  # type: ignore[assignment]
+_ACCEPTED = 1e-5  # of a row's bound: what an answer may break of it
 
 
 class ConvexProgram:
     """An occupation program stated in cvxpy.
 
     ``x`` is the variable, ``constraints`` holds the rows by name and takes further ones,
-    ``objective`` may be replaced by any convex expression, ``bounds`` holds a cvxpy parameter for
-    each row's bound: setting ``bounds[name].value`` and solving again compiles nothing anew. In
-    case S ``x`` is the visits times ``scale``, chosen so that the goal's probability is 1.
+    ``objective`` may be replaced by any convex expression. Bounds, start and costs are parameters
+    of cvxpy: setting ``bounds[name].value`` and solving again, or :meth:`solve` with a start or an
+    objective, compiles nothing anew. In case S ``x`` is the visits times ``scale``, chosen so that
+    the goal's probability is 1.
     """
 
     def __init__(self, program: OccupationProgram) -> None:
@@ -92,14 +43,15 @@ class ConvexProgram:
         self.program = program
         self.x = cp.Variable(process.n_pairs, nonneg=True, name="x")
         self.scale: Any = cp.Variable(nonneg=True, name="t") if program.ratio else 1.0
-        self.objective: Any = process.cost @ self.x
+        self.start = cp.Parameter(process.n_states, value=process.start, name="start")
+        self.cost = cp.Parameter(process.n_pairs, value=process.cost, name="cost")
+        self._constant = cp.Parameter(value=0.0, name="constant")
+        self.objective: Any = self.cost @ self.x + self._constant * self.scale
         self.bounds = {
             row.name: cp.Parameter(value=row.bound, name=row.name) for row in program.rows
         }
         balance = program.linear.matrix[program.linear.rows["balance"], : process.n_pairs]
-        self.constraints: dict[str, Any] = {
-            "balance": balance @ self.x == process.start * self.scale
-        }
+        self.constraints: dict[str, Any] = {"balance": balance @ self.x == self.start * self.scale}
         for row in program.rows:
             limit = self.bounds[row.name] * self.scale
             self.constraints[row.name] = row.coefficients @ self.x <= limit
@@ -138,55 +90,114 @@ class ConvexProgram:
 
     @property
     def problem(self) -> Any:
-        """The cvxpy problem; the same object until a constraint or the objective is changed."""
+        """The cvxpy problem; the same object until a constraint or the objective is changed.
+
+        Raises:
+            ModelError: a constraint is none, or it or the objective is not convex; says which.
+        """
         key = (id(self.objective), *(id(c) for c in self.constraints.values()))
         if self._compiled is None or self._compiled[0] != key:
             objective = getattr(self.objective, "scaled", self.objective)
-            stated = cp.Problem(cp.Minimize(objective), list(self.constraints.values()))
-            self._compiled = key, stated
+            self._compiled = key, stated(objective, self.constraints)
         return self._compiled[1]
 
-    def solve(self, solver: str | None = None, **options: Any) -> OccupationMeasure:
-        """Solve by one of cvxpy's solvers.
+    def solve(
+        self,
+        solver: str | None = None,
+        *,
+        start: Hashable | Mapping[Hashable, float] | None = None,
+        objective: Quantity | None = None,
+        **options: Any,
+    ) -> OccupationMeasure:
+        """Solve by one of cvxpy's solvers; where a row is not kept, again as exactly as it can.
+
+        Bounds, start and costs that are given here stand until others are.
 
         Args:
             solver: one of cvxpy's; None: as it chooses.
+            start: another one, as a problem has it, on states in which the problem is open.
+            objective: a quantity in place of the costs; what else the objective has is kept.
             options: bounds of rows by name, ``failure=0.2``; others are passed on to the solver.
 
         Raises:
-            InfeasibleError: no visits satisfy the constraints.
-            SolverError: the solver failed, or stopped without an answer.
+            ModelError: no such row or start, a parameter without a value, an option that is none of
+                the solver's, or something that is not convex.
+            InfeasibleError: no visits satisfy the constraints; :meth:`conflict` says which.
+            SolverError: the solver failed, stopped without an answer, or breaks a row.
         """
-        began = time.perf_counter()
-        for name in self.bounds.keys() & options.keys():
-            self.bounds[name].value = options.pop(name)
-        try:
-            self.problem.solve(solver=solver, **options)
-        except cp.SolverError as error:
-            raise SolverError(f"cvxpy: {error}") from error
-        status = str(self.problem.status)
-        if status in ("infeasible", "infeasible_inaccurate"):
-            raise self._bounded.infeasible()
-        if status not in _SOLVED or self.x.value is None:
-            raise SolverError(f"cvxpy: the program is {status}")
-        scale, ratio, program = 1.0, 0.0, self._bounded
-        if program.ratio:
-            scale = float(self.scale.value)
-            ratio = self._price("normaliser", -1.0)
-        prices = {
-            row.name: self._price(row.name) for row in program.rows if self._is_stated(row.name)
-        }
-        seconds, solver = time.perf_counter() - began, self.problem.solver_stats.solver_name
-        visits, told = np.asarray(self.x.value) / scale, (f"cvxpy, {solver}", status, seconds)
-        measure = OccupationMeasure(program, visits, prices, None, *told)
-        if not self._is_as_stated:
-            return self._kept_by(replace(measure, visits=measure.balanced))
-        measure = program.optimal(measure, ratio)
-        if measure.residual > _RESIDUAL:
-            raise SolverError(
-                f"cvxpy: the answer breaks a row by {measure.residual:.1e}, relative to its bound"
-            )
-        return measure
+        began, as_stated = time.perf_counter(), self._is_as_stated
+        opened = {"failure"} if self.program.at_least and as_stated else set[str]()
+        asked = {n: options.pop(n) for n in self.bounds.keys() | opened if n in options}
+        for name, bound in asked.items():
+            if not is_number(bound):
+                raise wrong_argument(name, "be a number, the bound of its row", bound)
+        if as_stated:
+            program = self.program.bounded_by(self._now | asked)
+            if program.augmented is not self.program.augmented:  # what was cut off is made anew
+                start = self._begun if start is None else start
+                vars(self).update(vars(ConvexProgram(program)))
+        if start is not None:
+            self.start.value = self.program.started(start).process.start
+        if objective is not None:
+            self.cost.value, self._constant.value = self.program.expression(objective)
+        for name, bound in asked.items():
+            self.bounds[name].value = bound
+        for tight in (False, True):
+            if not solve_stated(self.problem, solver, options, tight=tight):
+                raise self._bounded.infeasible()
+            measure, broken, solvers = self._answer(began)
+            if max(broken.values(), default=0.0) <= _ACCEPTED:
+                return measure
+        name = max(broken, key=lambda row: broken[row])
+        told = f"by {broken[name]:.1e}, relative to its bound"
+        if name in solvers:
+            raise SolverError(f"cvxpy: the answer breaks {name!r} {told}; another solver, or its "
+                              "options, may keep it")  # fmt: skip
+        raise SolverError(
+            f"constraint {name!r} is kept only by visits that go round for ever and that no policy "
+            f"comes to: those of the policy break it {told}"
+        )
+
+    def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
+        """The variables' values as a policy's, by how much rows are broken, and which before."""
+        problem, given, solvers = self.problem, self.measure(), broken_rows(self._added)
+        program, scale = given.program, self._scale
+        solver, status = f"cvxpy, {problem.solver_stats.solver_name}", str(problem.status)
+        prices = {row.name: self._price(row.name) for row in program.rows}
+        told = solver, status, time.perf_counter() - began
+        measure = OccupationMeasure(program, given.visits, prices, None, *told)
+        if self._is_as_stated:
+            ratio = self._price("normaliser", -1.0) if program.ratio else 0.0
+            measure = program.optimal(measure, ratio)
+        else:
+            self.x.value = measure.balanced * scale
+            objective = getattr(self.objective, "scaled", self.objective)
+            added = tuple(measured_rows(self._added, self.x, self.scale, scale))
+            minimised = float(np.asarray(objective.value).item())
+            measure = replace(measure, visits=measure.balanced, own=added, minimised=minimised)
+        stated = {row.name: row.violation(measure.activity[row.name]) for row in program.rows}
+        broken = {"balance": measure.imbalance, **stated, **broken_rows(self._added)}
+        return (
+            measure,
+            broken,
+            {"balance", *stated, *(n for n, off in solvers.items() if off > 0.0)},
+        )
+
+    def conflict(self, solver: str | None = None, **options: Any) -> Conflict:
+        """Rows that contradict each other, those that were added included; empty: none do.
+
+        Without any of them the others can be kept.
+
+        Args:
+            solver: one of cvxpy's; None: as it chooses.
+            options: of the solver.
+
+        Raises:
+            SolverError: the solver failed.
+        """
+        rows = {n: row for n, row in self.constraints.items() if n not in ("balance", "normaliser")}
+        kept = [row for name, row in self.constraints.items() if name not in rows]
+        return contradicting(rows, kept, self.x, self.scale, solver, **options)
 
     def measure(self) -> OccupationMeasure:
         """The visits that the variables' values are, after any cvxpy problem with them was solved.
@@ -196,47 +207,59 @@ class ConvexProgram:
         """
         if self.x.value is None:
             raise SolverError("the program's variables have no values yet: solve a problem first")
-        scale = self.scale.value if self.program.ratio else 1.0
-        return self._bounded.measure(np.asarray(self.x.value) / float(scale))
+        return self._bounded.measure(np.asarray(self.x.value) / self._scale)
 
-    def _kept_by(self, measure: OccupationMeasure) -> OccupationMeasure:
-        """A measure, if it keeps to the user's constraints as the solver's visits do.
-
-        Raises:
-            SolverError: only visits do that go round for ever, which no policy comes to.
-        """
-        self.x.value = measure.visits * (self.scale.value if self.program.ratio else 1.0)
-        for name, constraint in self.constraints.items():
-            size = max(float(np.abs(a.value).max(initial=0.0)) for a in constraint.args)
-            off = float(np.max(constraint.violation(), initial=0.0))
-            if not self._is_stated(name) and off > _RESIDUAL * max(size, 1e-3):
-                raise SolverError(
-                    f"constraint {name!r} is kept only by visits that go round for ever and that "
-                    f"no policy comes to: those of the policy break it by {off:.1e}"
-                )
-        return measure
+    @property
+    def _scale(self) -> float:
+        """The scale's value."""
+        return float(self.scale.value) if self.program.ratio else 1.0
 
     @property
     def _is_as_stated(self) -> bool:
-        """Whether neither the objective nor a constraint was changed or added."""
-        constraints, objective = self._stated
-        now = [(name, id(c)) for name, c in self.constraints.items()]
-        return now == [(name, id(c)) for name, c in constraints.items()] and (
-            objective is self.objective
+        """Whether objective and costs are the program's, and no constraint was changed."""
+        process, (constraints, objective) = self.program.process, self._stated
+        return (
+            list(map(id, self.constraints.values())) == list(map(id, constraints.values()))
+            and list(self.constraints) == list(constraints)
+            and objective is self.objective
+            and np.array_equal(np.asarray(self.cost.value), process.cost)
+            and self._constant.value == 0.0
         )
 
     @property
+    def _added(self) -> dict[str, Any]:
+        """The constraints that were added."""
+        return {n: row for n, row in self.constraints.items() if not self._is_stated(n)}
+
+    @property
+    def _now(self) -> dict[str, float]:
+        """The bounds that the parameters have now, by name."""
+        return {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
+
+    @property
+    def _begun(self) -> dict[Hashable, float] | None:
+        """The start that the parameter has now; None: the program's."""
+        start, augmented = np.asarray(self.start.value), self.program.augmented
+        if np.array_equal(start, self.program.process.start):
+            return None
+        states = augmented.quotient.first_states.tolist()
+        return {augmented.model.states[k]: p for k, p in zip(states, start.tolist(), strict=False)}
+
+    @property
     def _bounded(self) -> OccupationProgram:
-        """The program with the bounds that the parameters have now."""
-        return self.program.bounded_by(
-            {name: np.asarray(bound.value).item() for name, bound in self.bounds.items()}
-        )
+        """The program with the rows that are left, and with bounds and start as they are now."""
+        program = self.program if self._begun is None else self.program.started(self._begun)
+        program = program.bounded_by(self._now, anew=False)
+        if all(map(self._is_stated, self.bounds)):
+            return program
+        left = program.with_rows(lambda row: row if self._is_stated(row.name) else None)
+        return replace(left, rebound=None)
 
     def _is_stated(self, name: str) -> bool:
         """Whether a row of the convex program is still as it was stated."""
         return name in self._stated[0] and self.constraints.get(name) is self._stated[0][name]
 
     def _price(self, name: str, sign: float = 1.0) -> float:
-        """A row's multiplier as the solver gives it; 0 where it has none or was replaced."""
-        value = self.constraints[name].dual_value if self._is_stated(name) else None
+        """A row's multiplier as the solver gives it; 0 where it has none."""
+        value = self.constraints[name].dual_value
         return 0.0 if value is None else max(sign * float(np.ravel(value)[0]), 0.0)

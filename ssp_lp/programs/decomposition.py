@@ -62,9 +62,20 @@ def balanced_visits(
     unseen = outflow <= _SEEN * min(float(outflow.max(initial=0.0)), 1.0)
     share = _decomposed_shares(process, kept, unseen, otherwise)
     if gives_up is not None:
-        share = _giving_up_in_time(process, share, gives_up)
-    visited = _drawn_chain(process, share).solve_transposed(process.start)
-    return np.asarray(visited[process.pair_state] * share)
+        reaching = (share > 0.0) & (process.goal > 0.0)
+        lost = _nearer_pairs(process, reaching, share > 0.0) < 0
+        lost &= segment_sums(gives_up.astype(np.float64), process.pair_offsets) > 0.0
+        if lost.any():
+            price = np.where(gives_up, process.cost, np.inf)
+            share = _decomposed_shares(process, share, lost, _least_pairs(process, price))
+    drawn = np.flatnonzero(share)
+    draws = sp.csr_array(
+        (share[drawn], (process.pair_state[drawn], drawn)),
+        shape=(process.n_states, process.n_pairs),
+    )
+    exits = np.asarray(draws @ process.dynamics.exits)
+    chain = System(sp.csr_array(draws @ process.transitions), exits)
+    return np.asarray(chain.solve_transposed(process.start)[process.pair_state] * share)
 
 
 def _decomposed_shares(
@@ -74,36 +85,6 @@ def _decomposed_shares(
     share = np.where(unseen[process.pair_state], 0.0, visits)
     share[otherwise[unseen]] = 1.0
     return np.asarray(share / segment_sums(share, process.pair_offsets)[process.pair_state])
-
-
-def _drawn_chain(process: ExplicitProcess, share: FloatArray) -> System:
-    """The chain of a policy that draws, whose visits are decomposed."""
-    drawn = np.flatnonzero(share)
-    draws = sp.csr_array(
-        (share[drawn], (process.pair_state[drawn], drawn)),
-        shape=(process.n_states, process.n_pairs),
-    )
-    exits = np.asarray(draws @ process.dynamics.exits)
-    return System(sp.csr_array(draws @ process.transitions), exits)
-
-
-def _giving_up_in_time(
-    process: ExplicitProcess, share: FloatArray, gives_up: BoolArray
-) -> FloatArray:
-    """Visits to be decomposed, but giving up where the goal is out of reach, [pairs]."""
-    dynamics = process.dynamics
-    hopeful = nearer_pairs(
-        dynamics.predecessors,
-        process.pair_offsets,
-        process.pair_state,
-        (share > 0.0) & (process.goal > 0.0),
-        share > 0.0,
-    )
-    lost = (hopeful < 0) & (segment_sums(gives_up.astype(np.float64), process.pair_offsets) > 0.0)
-    if lost.any():
-        price = np.where(gives_up, process.cost, np.inf)
-        share = _decomposed_shares(process, share, lost, _least_in_decomposing(process, price))
-    return share
 
 
 def decomposed(
@@ -153,7 +134,7 @@ def decomposed(
     return tuple(members), np.array(weights) / np.sum(weights)
 
 
-def _least_in_decomposing(process: ExplicitProcess, values: FloatArray) -> IntArray:
+def _least_pairs(process: ExplicitProcess, values: FloatArray) -> IntArray:
     """The pair of least value in each state, [states]."""
     offsets = process.pair_offsets
     return first_minimisers(values, segment_minima(values, offsets), offsets)
@@ -165,7 +146,7 @@ def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray
     The most visited pair of each state is taken where that leaves, else one by which a visited pair
     that leaves comes nearer.
     """
-    supported, most = visits > 0.0, _least_in_decomposing(process, -visits)
+    supported, most = visits > 0.0, _least_pairs(process, -visits)
     choice = np.where(supported[most], most, safe)
     if not process.dynamics.chain(choice.astype(np.int32)).closed.size:
         return choice
@@ -177,11 +158,11 @@ def _nearer_to_leaving(
 ) -> IntArray:
     """Visited pairs by which one that leaves comes nearer; ``otherwise`` where none does."""
     supported = visits > 0.0
-    nearer = nearer_pairs(
-        process.dynamics.predecessors,
-        process.pair_offsets,
-        process.pair_state,
-        supported & (process.dynamics.exits > 0.0),
-        supported,
-    )
+    nearer = _nearer_pairs(process, supported & (process.dynamics.exits > 0.0), supported)
     return np.where(nearer >= 0, nearer, otherwise)
+
+
+def _nearer_pairs(process: ExplicitProcess, there: BoolArray, usable: BoolArray) -> IntArray:
+    """Usable pairs by which one that is there comes nearer, [states]; -1 where none does."""
+    places = process.dynamics.predecessors, process.pair_offsets, process.pair_state
+    return nearer_pairs(*places, there, usable)

@@ -5,7 +5,7 @@ Its last layer stands for all costs beyond it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,58 +15,11 @@ from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import ModelFlow, Spread, decisions, model_flow, moving_within
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, spread_layer
+from ssp_lp.processes.layered.accumulated_cost import spread_layer
 from ssp_lp.processes.layered.open_ended import OpenEnded
 from ssp_lp.processes.quantities.conditions import Term
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.augmented import Augmented
-
-
-def layer_flows(
-    base: AccumulatedCost,
-    visits: FloatArray,
-    start: FloatArray,
-    n_layers: int,
-    below: IntArray | None = None,
-) -> Iterator[ModelFlow]:
-    """The model's flow in each layer, moves within collapsed components included.
-
-    Args:
-        base: one layer of the process.
-        visits: of the process's pairs, layer by layer, [process pairs].
-        start: [states].
-        n_layers: how many layers there are.
-        below: the layer that each step leads to, [layers, steps]; None: as many ahead as it has.
-    """
-    quotient, model, n_pairs = base.quotient, base.quotient.model, len(base.gain)
-    merged = bool(quotient.merged.any())
-    entering = np.zeros((n_layers + base.width, model.n_states) if merged else (0, 0))
-    lengths = np.diff(model.outcome_offsets)
-    if merged:
-        entering[0] = start
-    for layer in range(n_layers):
-        taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
-        flow = model_flow(quotient, taken)
-        if merged:
-            mass = np.repeat(flow.pairs, lengths) * model.probabilities
-            moved = np.flatnonzero(mass)
-            ahead = base.lattice.ahead[moved]
-            reached = layer + ahead if below is None else below[layer, ahead]
-            np.add.at(entering, (reached, model.successors[moved]), mass[moved])
-            flow = moving_within(quotient, flow, entering[layer])
-        yield flow
-
-
-def _decisions_in_layers(
-    quotient: Quotient, carrier: CostAwarePolicy, flows: Iterable[ModelFlow]
-) -> list[tuple[IntArray, IntArray, FloatArray]]:
-    """Situations, pairs and shares of each layer; the carrier's where a layer is never visited."""
-    n_states, found = quotient.model.n_states, []
-    for layer, flow in enumerate(flows):
-        otherwise = carrier.branches(np.arange(n_states), np.full(n_states, layer)).pair
-        state, pair, share = decisions(quotient, flow, otherwise)
-        found.append((layer * n_states + state, pair, share))
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,9 +45,21 @@ class LayeredModel(Augmented):
         return self.layered.base.departs
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
-        """One flow for each layer, the open end included."""
-        layered = self.layered
-        return layer_flows(layered.base, visits, layered.start, self.copies, layered.leads[0])
+        """One flow for each layer, the open end included; what enters a layer left another."""
+        base, quotient, below = self.layered.base, self.quotient, self.layered.leads[0]
+        model, merged, n_pairs = quotient.model, bool(quotient.merged.any()), len(base.gain)
+        entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
+        entering[:1] = self.layered.start
+        for layer in range(self.copies):
+            taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
+            flow = model_flow(quotient, taken)
+            if merged:
+                mass = np.repeat(flow.pairs, np.diff(model.outcome_offsets)) * model.probabilities
+                moved = np.flatnonzero(mass)
+                reached = below[layer, base.lattice.ahead[moved]]
+                np.add.at(entering, (reached, model.successors[moved]), mass[moved])
+                flow = moving_within(quotient, flow, entering[layer])
+            yield flow
 
     def spread(self, spread: Spread) -> LayeredModel:
         """The layers spread out."""
@@ -120,7 +85,10 @@ class LayeredModel(Augmented):
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """A policy on states and accumulated cost."""
-        carrier = self.policy(choice)
-        found = _decisions_in_layers(self.quotient, carrier, self.flows(visits))
+        carrier, n_states, found = self.policy(choice), self.model.n_states, []
+        for layer, flow in enumerate(self.flows(visits)):  # the carrier's where none is visited
+            otherwise = carrier.branches(np.arange(n_states), np.full(n_states, layer)).pair
+            state, pair, share = decisions(self.quotient, flow, otherwise)
+            found.append((layer * n_states + state, pair, share))
         keys, pairs, shares = (np.concatenate(parts) for parts in zip(*found, strict=True))
         return StochasticPolicy.from_flows(self.model, keys, pairs, shares, carrier)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, segment_sums
 from ssp_lp.dynamic_programming.leaving import leaving_choice
 from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
@@ -25,24 +26,6 @@ if TYPE_CHECKING:
 
 _BALANCED = 1e-9  # imbalance of visits that are taken as a policy's own
 _BEYOND = 1e-9  # probability of passing the last total from which it is told
-
-
-class MeasuredRow(NamedTuple):
-    """A row at a measure: what is spent, and what its bound is worth."""
-
-    name: str
-    spent: float
-    bound: float
-    relation: str = "<="
-    price: float | None = None  # its multiplier; None: nothing is known of it
-    dual: float | None = None  # what another unit of its bound improves: the price, in case M
-
-    def __str__(self) -> str:
-        """The row with its numbers for its words."""
-        told = "" if self.price is None else f"   price {self.price:.6g}"
-        if self.dual is not None and self.dual != self.price:
-            told += f" of the ratio: {self.dual:.6g} for another unit of the bound"
-        return f"{self.name}: {self.spent:.9g} {self.relation} {self.bound:g}{told}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -64,6 +47,7 @@ class OccupationMeasure:
     values: StateValues | None = None  # duals of balance; None where c* is
     reduced: OccupationMeasure | None = None  # where it was found on the reduced program
     own: tuple[MeasuredRow, ...] = ()  # rows that were added
+    minimised: float | None = None  # the objective, where rows or objectives were changed
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))
@@ -98,7 +82,7 @@ class OccupationMeasure:
     @cached_property
     def slack(self) -> Mapping[str, float]:
         """What each row leaves of its bound, by name."""
-        return ByName({row.name: row.bound - row.spent for row in self.rows})
+        return ByName({row.name: row.slack for row in self.rows})
 
     @property
     def _goal(self) -> float:
@@ -226,6 +210,8 @@ class OccupationMeasure:
     def __repr__(self) -> str:
         """The objective, what c* is made of, and each row with what is spent and its price."""
         lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]
+        if self.minimised is not None:
+            lines.append(f"  minimised {self.minimised:.9g}")
         if self.values is not None and self.optimal_value_from_dual is not None:
             begun = float(self.program.process.start @ self.values.states)
             paid = sum(row.price * row.bound for row in self.rows if row.price is not None)

@@ -19,28 +19,23 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ssp_lp.arrays import BELOW_RATIO, BoolArray, FloatArray
+from ssp_lp.arrays import BELOW_RATIO, FloatArray
 from ssp_lp.compiled.deadline import Stop, check_time, until
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import backends_for, run_backend
-from ssp_lp.linear_programming.in_full import (
-    is_small,
-    latex_in_full,
-    latex_in_words,
-    table_in_full,
-)
+from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.naming import ByName
 from ssp_lp.model.tables import html_text
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense
+from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.flow import Spread, spread_out
 from ssp_lp.processes.quantities.conditions import ArrivalTerm
 from ssp_lp.processes.quantities.lookup import objective_of
 from ssp_lp.processes.quantities.quantity import Quantity
-from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel
+from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel, LabelledModel
 from ssp_lp.programs.decomposition import balanced_visits
 from ssp_lp.programs.duality import PricedMinimum, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure
@@ -48,6 +43,7 @@ from ssp_lp.programs.program_rows import ProgramRow, rows_program
 from ssp_lp.programs.state_values import StateValues
 
 if TYPE_CHECKING:
+    from ssp_lp.linear_programming.convex_solving import Conflict
     from ssp_lp.programs.convex_program import ConvexProgram
 
 _ACCEPTED = 1e-6  # relative gap and residual of an answer that is taken
@@ -126,27 +122,53 @@ class OccupationProgram:
         """The process, whose pairs are the columns."""
         return self.augmented.process
 
-    def bounded_by(self, bounds: Mapping[str, float]) -> OccupationProgram:
+    def bounded_by(self, bounds: Mapping[str, float], *, anew: bool = True) -> OccupationProgram:
         """The problem's program with other bounds, by name of the row; see :meth:`row`.
 
         What was cut off for the old ones is made anew: accumulated costs that are told apart, and
         the actions that attain the least failure.
 
+        Args:
+            bounds: by name of the row.
+            anew: False: with the columns that it has.
+
         Raises:
             ModelError: there is no such row.
             InfeasibleError: the budget is below the least failure.
         """
-        made = {row.name for row in self.rows}
-        opened = {"failure"} if self.at_least else set[str]()
-        other = {n if n in opened - made else self.row(n).name: b for n, b in bounds.items()}
-        known = {row.name: row.bound for row in self.rows} | other
-        if self.rebound is not None and (opened or self.augmented.copies > 1):
-            return self.rebound(known)
-        rows = tuple(replace(row, bound=known[row.name]) for row in self.rows)
-        reduced = self.reduced
+        now = {row.name: row.bound for row in self.rows}
+        make = self.rebound if anew and (self.at_least or self.augmented.copies > 1) else None
+        opened = {"failure"} if self.at_least and make is not None else set[str]()
+        known = now | {n if n in opened else self.row(n).name: b for n, b in bounds.items()}
+        if known == now:
+            return self
+        if make is not None:
+            return make(known)
+        return self.with_rows(lambda row: replace(row, bound=known[row.name]))
+
+    def with_rows(self, changed: Callable[[ProgramRow], ProgramRow | None]) -> OccupationProgram:
+        """The program with each row changed, or without those of which nothing is made."""
+        rows, reduced = tuple(filter(None, map(changed, self.rows))), self.reduced
         if reduced is not None:
-            reduced = replace(reduced, program=reduced.program.bounded_by(other))
+            reduced = replace(reduced, program=reduced.program.with_rows(changed))
         return replace(self, rows=rows, reduced=reduced)
+
+    def started(self, start: Hashable | Mapping[Hashable, float]) -> OccupationProgram:
+        """The same program from another start: a state, or a distribution.
+
+        Raises:
+            ModelError: unknown states, or no distribution; or the program is made for its start:
+                costs are told apart, or an episode may end where it begins.
+        """
+        augmented, reduced = self.augmented, self.reduced
+        begun = start_distribution(augmented.model, start)
+        if not isinstance(augmented, LabelledModel) or not augmented.may_start(begun):
+            raise ModelError("the program is made for its start, as costs are told apart or an "
+                             "episode ends where it begins: make another from there, "
+                             "replace(problem, start=...).program()")  # fmt: skip
+        if reduced is not None:
+            reduced = replace(reduced, program=reduced.program.started(start))
+        return replace(self, augmented=augmented.started(begun), reduced=reduced, rebound=None)
 
     def spread_out(self) -> OccupationProgram:
         """The program with a column for each pair of the model, of one that methods can solve.
@@ -301,11 +323,6 @@ class OccupationProgram:
             raise self.infeasible()
         raise SolverError(f"no backend's answer passes its check ({'; '.join(tried)})")
 
-    @property
-    def giving_up(self) -> BoolArray | None:
-        """Pairs by which a measure may give up in time; None: where it goes matters to the end."""
-        return None if self.wants_ends else self.augmented.gives_up
-
     def infeasible(self) -> InfeasibleError:
         """The error that says that no visits satisfy all rows."""
         budgets = [row.bound for row in self.rows if row.name == "failure"]
@@ -315,7 +332,7 @@ class OccupationProgram:
             except InfeasibleError as error:
                 return error
         return InfeasibleError(
-            "no expected visits satisfy all rows of the program; solve(problem) names rows that "
+            "no expected visits satisfy all rows of the program; its conflict() names those that "
             "contradict each other",
             failure_budget=budgets[0] if budgets else None,
             least_failure=float("nan"),
@@ -379,7 +396,8 @@ class OccupationProgram:
             return self.reduced.lifted(self, reduced)
         proved, value = self.proved(found.prices, ratio)
         visits = proved.without_noise(found.visits)
-        visits = balanced_visits(self.process, visits, proved.choice, self.giving_up)
+        gives_up = None if self.wants_ends else self.augmented.gives_up  # as it ends all the same
+        visits = balanced_visits(self.process, visits, proved.choice, gives_up)
         values = StateValues(self, proved.values, proved.excess)
         return replace(found, visits=visits, optimal_value_from_dual=value, values=values)
 
@@ -462,6 +480,10 @@ class OccupationProgram:
 
         return ConvexProgram(self)
 
+    def conflict(self, solver: str | None = None) -> Conflict:
+        """Rows that contradict each other, as :meth:`ConvexProgram.conflict`; empty: none do."""
+        return self.to_cvxpy().conflict(solver)
+
     @explained
     def write(self, path: str | Path) -> None:
         """Write the program as ``.mps`` or ``.lp``, columns and rows named.
@@ -517,10 +539,10 @@ class OccupationProgram:
     def to_latex(self) -> str:
         """The program in LaTeX, for a displayed equation; in full where it is small."""
         if is_small(self.linear):
-            return latex_in_full(self.linear, self._columns, self._rows)
+            return as_latex(self.linear, self._columns, self._rows)
         stated = [("", "<outflow, x> - <inflow, x> = start")]
         stated += [(row.name, f"<{row.words}, x> <= {row.bound:g}") for row in self.rows]
-        return latex_in_words(*self.aim, stated)
+        return words_as_latex(*self.aim, stated)
 
     def _repr_html_(self) -> str:
         """The same page as ``str``, for notebooks."""
@@ -528,9 +550,7 @@ class OccupationProgram:
 
     def __str__(self) -> str:
         """The page of ``repr``, and a small program in full: a line for each column."""
-        full = (
-            table_in_full(self.linear, self._columns, self._rows) if is_small(self.linear) else []
-        )
+        full = as_table(self.linear, self._columns, self._rows) if is_small(self.linear) else []
         return "\n  ".join([repr(self), *full])
 
     def __repr__(self) -> str:

@@ -1,0 +1,124 @@
+"""Rows of a problem in cvxpy: expressions that are scaled, and rows at the values of a solution."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+from cvxpy.constraints.nonpos import Inequality
+from cvxpy.constraints.zero import Equality
+
+from ssp_lp.linear_programming.linear_program import MeasuredRow
+
+_EXCUSED = 1e-7  # what a solver's tolerance breaks of a row
+
+
+class ScaledExpression:
+    """An affine expression of the visits of a ratio: what it is compared with is scaled, too.
+
+    ``scaled`` is the expression of cvxpy's variables: the visits' value times ``scale``.
+    """
+
+    def __init__(self, scaled: Any, scale: Any) -> None:
+        """An expression that is already scaled, and the scale."""
+        self.scaled, self._scale = scaled, scale
+
+    def _other(self, other: Any) -> Any:
+        """What is added or compared: an expression of visits, a number or a parameter."""
+        return other.scaled if isinstance(other, ScaledExpression) else other * self._scale
+
+    def __add__(self, other: Any) -> ScaledExpression:
+        """The sum."""
+        return ScaledExpression(self.scaled + self._other(other), self._scale)
+
+    def __mul__(self, factor: Any) -> ScaledExpression:
+        """The multiple by a number or a parameter."""
+        return ScaledExpression(factor * self.scaled, self._scale)
+
+    __radd__, __rmul__ = __add__, __mul__
+
+    def __neg__(self) -> ScaledExpression:
+        """The opposite."""
+        return self * -1.0
+
+    def __sub__(self, other: Any) -> ScaledExpression:
+        """The difference."""
+        return ScaledExpression(self.scaled - self._other(other), self._scale)
+
+    def __rsub__(self, other: Any) -> ScaledExpression:
+        """The difference."""
+        return ScaledExpression(self._other(other) - self.scaled, self._scale)
+
+    def __le__(self, bound: Any) -> Any:
+        """A constraint of cvxpy: at most."""
+        return self.scaled <= self._other(bound)
+
+    def __ge__(self, bound: Any) -> Any:
+        """A constraint of cvxpy: at least."""
+        return self.scaled >= self._other(bound)
+
+    def __eq__(self, value: Any) -> Any:
+        """A constraint of cvxpy: equal."""
+        return self.scaled == self._other(value)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def sides(row: Any, x: Any) -> tuple[Any, str, Any]:
+    """What a row counts of a variable, how it is compared, and with what.
+
+    Args:
+        row: a constraint of cvxpy, <= or ==.
+        x: the variable.
+    """
+    (left, right), relation = row.args, "<="
+    if id(x) not in map(id, left.variables()):
+        left, right, relation = right, left, ">="
+    elif id(x) in map(id, right.variables()):
+        left, right = left - right, cp.Constant(0.0)
+    return left, "==" if isinstance(row, Equality) else relation, right
+
+
+def bound_in_short(row: Any, x: Any) -> str:
+    """How a row is bounded, where that is one number."""
+    if isinstance(row, Equality | Inequality):
+        _, relation, bound = sides(row, x)
+        if bound.value is not None and np.size(bound.value) == 1:
+            return f"{relation} {np.ravel(bound.value)[0]:g}"
+    return "as it is stated"
+
+
+def measured_rows(
+    rows: Mapping[str, Any], x: Any, scale: Any, value: float
+) -> Iterator[MeasuredRow]:
+    """Rows at the variables' values, entry by entry; those that are no <= or == are left out.
+
+    Args:
+        rows: constraints by name.
+        x: the variable that they count.
+        scale: the variable by which rows may be scaled.
+        value: of the scale.
+    """
+    for name, row in rows.items():
+        if not isinstance(row, Equality | Inequality):
+            continue
+        spent, relation, bound = sides(row, x)
+        unit = value if id(scale) in map(id, row.variables()) else 1.0
+        worth = np.nan if row.dual_value is None else row.dual_value
+        parts = np.broadcast_arrays(spent.value, bound.value, worth)
+        for k, (each, limit, price) in enumerate(zip(*map(np.ravel, parts), strict=True)):
+            label = name if parts[0].size == 1 else f"{name}[{k}]"
+            known = (None, None) if np.isnan(price) else (float(price), float(price * unit))
+            yield MeasuredRow(label, float(each / unit), float(limit / unit), relation, *known)
+
+
+def broken_rows(rows: Mapping[str, Any]) -> dict[str, float]:
+    """By how much the variables' values break each row, relative to its sides; 0 where little."""
+    found = dict[str, float]()
+    for name, row in rows.items():
+        off = max(float(np.max(row.violation(), initial=0.0)) - _EXCUSED, 0.0)
+        largest = (float(np.abs(side.value).max(initial=0.0)) for side in row.args)
+        found[name] = off / max(*largest, off, _EXCUSED)
+    return found
