@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import time
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
+from shutil import copyfileobj
+from string import ascii_letters, digits
+from tempfile import TemporaryDirectory
 
 import highspy
 import numpy as np
@@ -27,7 +32,7 @@ _DOUBTED = (
 )
 _BROKEN = 1e-6  # violation of a row of an answer that is called optimal
 _NUMBERED = "x"  # before a column's number, with which its name begins
-ENDINGS = (".mps", ".lp")
+ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
 
 
 def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
@@ -144,21 +149,21 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
 
     Args:
         program: the program.
-        path: ends in ``.mps`` or ``.lp``.
+        path: ends in ``.mps`` or ``.lp``, or in these and ``.gz``.
         columns: names, behind their numbers; what the formats do not allow becomes an underscore.
 
     Raises:
         ModelError: another ending.
         SolverError: HiGHS cannot write there.
     """
-    if path.suffix not in ENDINGS:
+    if not path.name.endswith(ENDINGS):
         raise ModelError(f"a program is written as {' or '.join(ENDINGS)}, not {path.name!r}")
     lp = highs_lp(program)
-    numbered = (f"{_NUMBERED}{k}.{name}" for k, name in enumerate(columns))
-    lp.col_names_ = [_allowed_in_highs(name) for name in numbered]
+    lp.col_names_ = _allowed_in_highs(f"{_NUMBERED}{k}.{name}" for k, name in enumerate(columns))
     rows, taken = [""] * program.matrix.shape[0], set[str]()
+    allowed = _allowed_in_highs(program.rows)
     for number, (name, places) in enumerate(program.rows.items()):
-        plain = _allowed_in_highs(name)
+        plain = allowed[number]
         if plain in taken or not plain[0].isalpha():
             plain = f"row{number}.{plain}"
         taken.add(plain)
@@ -167,8 +172,14 @@ def write_program(program: LinearProgram, path: Path, columns: Sequence[str]) ->
             rows[k] = plain if alone else f"{plain}.{k - places.start}"
         taken.update(rows[places])
     lp.row_names_ = rows
-    if highs_solver(lp, {}).writeModel(str(path)) == highspy.HighsStatus.kError:
-        raise SolverError(f"HiGHS cannot write the program to {str(path)!r}")
+    with TemporaryDirectory() as folder:
+        packs = path.suffix == ".gz"
+        target = Path(folder) / path.stem if packs else path
+        if highs_solver(lp, {}).writeModel(str(target)) == highspy.HighsStatus.kError:
+            raise SolverError(f"HiGHS cannot write the program to {str(path)!r}")
+        if packs:
+            with target.open("rb") as text, gzip.open(path, "wb", compresslevel=1) as packed:
+                copyfileobj(text, packed)
 
 
 def read_columns(path: Path, n_columns: int) -> FloatArray:
@@ -200,6 +211,11 @@ def read_columns(path: Path, n_columns: int) -> FloatArray:
     return x
 
 
-def _allowed_in_highs(name: str) -> str:
-    """A name that HiGHS may write: letters, digits, dots and underscores."""
-    return re.sub(r"[^A-Za-z0-9_.]+", "_", name).strip("_") or "_"
+def _allowed_in_highs(names: Iterable[str]) -> list[str]:
+    """Names that HiGHS may write: letters, digits, dots and underscores; a million a second."""
+    known = {ord(letter): letter for letter in f"{ascii_letters}{digits}._\n"}
+    plain = "\n".join(name.replace("\n", "_") for name in names)
+    plain = plain.translate(defaultdict(lambda: "_", known))
+    while "__" in plain:
+        plain = plain.replace("__", "_")
+    return [name.strip("_") or "_" for name in plain.split("\n")]

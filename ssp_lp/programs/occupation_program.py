@@ -486,7 +486,7 @@ class OccupationProgram:
 
     @explained
     def write(self, path: str | Path) -> None:
-        """Write the program as ``.mps`` or ``.lp``, columns and rows named.
+        """Write the program as ``.mps``, ``.mps.gz`` or ``.lp``, columns and rows named.
 
         Raises:
             ModelError: another ending.

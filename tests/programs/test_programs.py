@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from collections.abc import Iterator
 
 import cvxpy as cp
@@ -397,6 +398,9 @@ def test_a_written_program_has_names(tmp_path) -> None:
     text = (tmp_path / "depot.mps").read_text()
     assert "failure" in text
     assert "depot_road" in text
+    packed = tmp_path / "depot.mps.gz"
+    MCMP(DEPOT, "depot", failure_budget=0.05).program().write(packed)
+    assert gzip.decompress(packed.read_bytes()).decode() == text
 
 
 def test_limits_that_contradict_each_other() -> None:
