@@ -65,6 +65,8 @@ class Secant:
         if self.outside is None:
             return 0.0
         room = self.row.spare(self.inside) / excess_failure(self.outside, self.inside)
+        if room * abs(self.inside.cost - self.outside.cost) <= _SAME_COST * abs(self.inside.cost):
+            return 0.0  # what it would save is rounding
         return 1.0 if room > 1.0 - _SAME_COST else float(max(room, 0.0))
 
     @property

@@ -31,14 +31,15 @@ def back_up(
     factor: float,
     values: Array,
     held: Array,
+    tied: float,
     minima: Array,
     choice: Array,
     here: Array,
 ) -> None:
-    """Least value of each state, the first pair that attains it, and the held pair's value."""
+    """Least value of each state, the first pair tied with it, and the held pair's value."""
     keeps = held.size > 0
     for s in prange(offsets.size - 1):
-        least, pick, kept = np.inf, offsets[s], np.inf
+        least, pick, kept, below = np.inf, offsets[s], np.inf, np.inf
         own = held[s] if keeps else offsets[s]
         for pair in range(offsets[s], offsets[s + 1]):
             total, first, begin = 0.0, indptr[pair], begins[pair]
@@ -49,7 +50,9 @@ def back_up(
                 stage += factor * slope[pair]
             total = stage + total
             if total < least:
-                least, pick = total, pair
+                least = total
+                if total < below:
+                    below, pick = total - tied * abs(total), pair
             if keeps and pair == own:
                 kept = total
         minima[s], choice[s] = least, pick
@@ -102,14 +105,14 @@ def back_up_safely(
             position[s] = pick - offsets[s]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _best_of_layers(
     pick: Any, past: Any, indptr: Array, kinds: Array, nodes: Array, data: Array,
     begin: Array, charge: Array, slot: Array, growth: Array, factor: float, owed: Array,
-    values: Array,
+    values: Array, tied: float,
 ) -> tuple[float, Any]:  # fmt: skip
-    """The least value of some pairs of a layer, and the first of them that attains it."""
-    least = np.inf
+    """The least value of some pairs of a layer, and the first of them that is tied with it."""
+    least, below = np.inf, np.inf
     for pair in range(pick, past):
         total = 0.0
         for k in range(indptr[pair], indptr[pair + 1]):
@@ -119,7 +122,9 @@ def _best_of_layers(
             stage += factor * growth[pair]
         total = stage + total
         if total < least:
-            least, pick = total, pair
+            least = total
+            if total < below:
+                below, pick = total - tied * abs(total), pair
     return least, pick
 
 
@@ -128,7 +133,7 @@ def back_up_layers(
     order: Array, most: int, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
     leads: Array, paid: Array, charge: Array, slot: Array, growth: Array,
     first: int, end: int, owed: Array,
-    gain: Array, failure: Array, survival: float, accuracy: float,
+    gain: Array, failure: Array, survival: float, accuracy: float, tied: float,
     values: Array, measured: Array, position: Array, keeps: bool,
 ) -> None:  # fmt: skip
     """All layers of a process in one pass, the last of them first.
@@ -157,6 +162,7 @@ def back_up_layers(
         failure: [pairs].
         survival: the discount.
         accuracy: relative change at which a layer is left.
+        tied: relative distance to the least value at which the first pair is taken.
         values: of all layers, those beyond the cap given, [all layers * nodes].
         measured: charge, failure and goal, likewise, [all layers * nodes, 3].
         position: the choice among each node's pairs, [layers, nodes].
@@ -185,6 +191,7 @@ def back_up_layers(
                         np.uint64(offsets[s + 1]) if is_greedy else pick + np.uint64(1),
                         indptr, kinds, nodes, data,
                         begin, charged, slot, growth, factor, owed, values,
+                        tied if most == 1 else 0.0,
                     )  # fmt: skip
                     change, scale = max(change, abs(least - values[here])), max(scale, abs(least))
                     values[here], position[layer, s] = least, pick - begins
@@ -253,7 +260,7 @@ def back_up_layers_safely(
                         np.uint64(offsets[s]) if is_greedy else picks[s],
                         np.uint64(offsets[s + 1]) if is_greedy else picks[s] + np.uint64(1),
                         indptr, kinds, nodes, data,
-                        begin, charged, slot, growth, factor, due, values,
+                        begin, charged, slot, growth, factor, due, values, 0.0,
                     )  # fmt: skip
                     change = max(change, abs(least - values[row + s]))
                     scale = max(scale, abs(least))

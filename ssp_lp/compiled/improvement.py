@@ -24,7 +24,7 @@ _LEAST_RISE = 1e-300  # of a probability: below it rounding down would come to a
 @njit(cache=True)
 def improve_components(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    order: Array, components: Array, most: int, cost: Array, noise: float,
+    order: Array, components: Array, most: int, cost: Array, noise: float, tied: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
     """Least values of a process with small components, each solved once and for all, ends first.
@@ -43,6 +43,7 @@ def improve_components(
         most: states of the largest component.
         cost: [pairs].
         noise: relative gain up to which a pair is kept.
+        tied: relative distance to a state's least value at which its first pair is taken.
         choice: pairs of a policy that leaves, improved in place, [states].
         values: written, [states].
 
@@ -64,12 +65,12 @@ def improve_components(
             continue
         s = order[begin]
         pick, least, kept, _ = best_pair(
-            offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+            offsets, indptr, indices, data, exits, cost, values, s, choice[s], tied
         )
         if least == np.inf:
             return c
         values[s] = least
-        if least < kept:  # among equals the held one stays
+        if tied > 0.0 or least < kept:  # else among equals the held one stays
             choice[s] = pick
     return -1
 
@@ -182,7 +183,7 @@ def improve_component(
             s = states[i]
             held[i] = choice[s]
             pick, least, kept, terms = best_pair(
-                offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+                offsets, indptr, indices, data, exits, cost, values, s, choice[s], 0.0
             )
             if least < kept - noise * terms - floor:
                 choice[s] = pick
@@ -198,10 +199,10 @@ def improve_component(
 @njit(cache=True)
 def best_pair(
     offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    cost: Array, values: Array, s: int, held: int,
+    cost: Array, values: Array, s: int, held: int, tied: float,
 ) -> tuple[int, float, float, float]:  # fmt: skip
-    """The best pair of a state on departing, its value, that of the held one, and what it sums."""
-    pick, least, kept, size = held, np.inf, np.inf, 0.0
+    """The first of a state's best pairs, the least value, the held pair's, and what it sums."""
+    pick, least, kept, size, below = held, np.inf, np.inf, 0.0, np.inf
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
         total, departs, whole = cost[pair], exits[pair], abs(cost[pair])
         for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
@@ -214,7 +215,9 @@ def best_pair(
             if pair == held:
                 kept, size = total, whole / departs
             if total < least:
-                pick, least = pair, total
+                least = total
+                if total < below:
+                    pick, below = pair, total - tied * abs(total)
     return pick, least, kept, size
 
 
@@ -277,7 +280,7 @@ def improve_blocks(
         if not stale[s]:
             continue
         pick, least, kept, terms = best_pair(
-            offsets, indptr, indices, data, exits, cost, values, s, choice[s]
+            offsets, indptr, indices, data, exits, cost, values, s, choice[s], 0.0
         )
         old = values[s]
         if least < kept - noise * terms - floor:
@@ -411,3 +414,51 @@ def sweep_reach(
         elif rise > _LEAST_RISE:
             values[s], choice[s] = greatest, pick
     return most
+
+
+@njit(cache=True)
+def take_first_of_equals(
+    offsets: Array, indptr: Array, indices: Array, data: Array, rewards: Array, totals: Array,
+    slack: Array, runs: Array, nearer: float, choice: Array,
+) -> None:  # fmt: skip
+    """Change to the first pair of each state that keeps to the equations of all totals.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        rewards: [pairs, rewards].
+        totals: of the policy, [states, rewards].
+        slack: by how much the equations may be missed, [states, rewards].
+        runs: a super-solution of the run lengths, [states].
+        nearer: by how much a pair must come nearer to leaving, in steps.
+        choice: pair of each state, changed in place, [states].
+    """
+    rows = indptr, indices, data
+    for s in range(choice.size):
+        held = choice[s]
+        if held == offsets[s]:
+            continue
+        kept = rewards[held, 0] + _ahead(*rows, totals[:, 0], held)
+        for pair in range(offsets[s], held):
+            is_alike = (
+                abs(rewards[pair, 0] + _ahead(*rows, totals[:, 0], pair) - kept) <= slack[s, 0]
+            )
+            for j in range(1, totals.shape[1]):
+                if is_alike:
+                    here = rewards[pair, j] + _ahead(*rows, totals[:, j], pair)
+                    own = rewards[held, j] + _ahead(*rows, totals[:, j], held)
+                    is_alike = abs(here - own) <= slack[s, j]
+            if is_alike and runs[s] - _ahead(*rows, runs, pair) >= nearer:
+                choice[s] = pair
+                break
+
+
+@njit(cache=True)
+def _ahead(indptr: Array, indices: Array, data: Array, values: Array, pair: Any) -> float:
+    """The expected value after a pair."""
+    ahead = 0.0
+    for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
+        ahead += data[k] * values[indices[k]]
+    return ahead

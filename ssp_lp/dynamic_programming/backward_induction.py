@@ -7,6 +7,7 @@ import numpy as np
 from ssp_lp.arrays import (
     IMPROVEMENT,
     MACHINE_EPSILON,
+    TIED,
     FloatArray,
     IntArray,
     first_minimisers,
@@ -58,6 +59,7 @@ def least_backwards(
         SolverError: the policy does not leave.
     """
     values, choice = np.zeros(dynamics.n_states), choice.copy()
+    tied = TIED if dynamics.is_reused else 0.0
     if is_compiled_backwards(dynamics):
         from ssp_lp.compiled.improvement import improve_components
 
@@ -65,7 +67,7 @@ def least_backwards(
         stuck = improve_components(
             *unsigned_parts(dynamics.pair_offsets, dynamics.transitions), dynamics.exits,
             unsigned(found.order), found.offsets, max(found.largest, 1),
-            pair_cost, IMPROVEMENT, choice.view(np.uint32), values,
+            pair_cost, IMPROVEMENT, tied, choice.view(np.uint32), values,
         )  # fmt: skip
         if stuck >= 0:
             raise SolverError(HOLDS_MASS)
@@ -75,7 +77,7 @@ def least_backwards(
         ahead = np.full_like(total, np.inf)
         np.divide(total, departs, out=ahead, where=departs > 0.0)
         values[states] = segment_minima(ahead, offsets)
-        choice[states] = pairs[first_minimisers(ahead, values[states], offsets)]
+        choice[states] = pairs[first_minimisers(ahead, values[states], offsets, tied)]
     return choice, values
 
 

@@ -15,13 +15,16 @@ import numpy as np
 
 from ssp_lp.arrays import (
     MACHINE_EPSILON,
+    TIED,
     FloatArray,
     IntArray,
+    expected,
     first_minimisers,
     segment_minima,
     unsigned,
     weighted,
 )
+from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.backward_induction import (
     acyclic_totals,
@@ -29,7 +32,7 @@ from ssp_lp.dynamic_programming.backward_induction import (
     is_solved_backwards,
     least_backwards,
 )
-from ssp_lp.dynamic_programming.bellman import Work, best_pairs
+from ssp_lp.dynamic_programming.bellman import Work, best_pairs, unsigned_parts
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.dynamic_programming.howard_rounds import MOST_ROUNDS, greatest_gain, howard_rounds
 from ssp_lp.dynamic_programming.leaving import leaving_chain
@@ -53,6 +56,8 @@ _WORTHLESS = 1e-16
 """Worth of all gains, relative to the values, for which policies could go round in circles."""
 
 _CLEARLY = 1e-9  # relative: values nearer to each other may differ by rounding alone
+_MOVED = 1e-10  # relative: the most that taking the first of equal pairs may move a total
+_NEARER = 0.25  # of a step: by so much at least each pair that is taken comes nearer to leaving
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,3 +270,54 @@ def switched(
     if follows.any():
         choice = leaving_chain(dynamics, choice, choices[0])[1]
     return choice, follows
+
+
+def first_of_equals(
+    dynamics: Dynamics,
+    rewards: FloatArray,
+    choice: IntArray,
+    totals: FloatArray,
+    runs: FloatArray,
+    start: FloatArray | None = None,
+) -> IntArray:
+    """The policy with the first pair of each state that is as good as its own in every total.
+
+    What rounding favoured among equals is not seen in it. No total needs to be worked out again:
+    a pair is taken where it keeps to the equations of all totals, up to ``TIED`` of the total there
+    or at the start, and comes nearer to leaving, as the run lengths measure it. So the new policy
+    leaves within four times the run length, and each of its steps moves a total by ``TIED``, or
+    by less in long runs: by no more than 1e-10 of it in all.
+
+    Args:
+        dynamics: the process.
+        rewards: [pairs, rewards].
+        choice: the policy, which leaves, [states].
+        totals: its expected totals, [states, rewards].
+        runs: as ``Totals.runs``, [states].
+        start: where an episode begins, [states]; None: anywhere.
+
+    Returns:
+        [states].
+    """
+    longest, size = float(runs.max(initial=1.0)), np.abs(totals)
+    if start is not None:
+        longest = max(float(expected(start, runs)), 1.0)
+        size = np.maximum(size, np.abs(expected(start, totals)))
+    slack = min(TIED, _MOVED * _NEARER / longest) * size
+    offsets, transitions = dynamics.pair_offsets, dynamics.transitions
+    first = choice.astype(np.int32)
+    if accelerated(len(transitions.indices)):
+        from ssp_lp.compiled.improvement import take_first_of_equals
+
+        take_first_of_equals(
+            *unsigned_parts(offsets, transitions), rewards, totals, slack, runs, _NEARER,
+            first.view(np.uint32),
+        )  # fmt: skip
+        return first
+    home = dynamics.pair_state
+    alike = runs[home] - transitions @ runs >= _NEARER
+    ahead = rewards + transitions @ totals
+    alike &= (np.abs(ahead - ahead[choice][home]) <= slack[home]).all(axis=1)
+    alike[choice] = True
+    pairs = np.flatnonzero(alike)
+    return pairs[np.flatnonzero(np.diff(home[pairs], prepend=-1))].astype(np.int32)

@@ -16,7 +16,7 @@ from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import (
     attention_states,
@@ -172,10 +172,14 @@ def _extreme_reach(
     found = extreme_reach(
         dynamics, hit, miss, greatest=greatest, start=begun, last_digits=last_digits
     )
+    first, totals = found.choice, found.totals
+    if totals is not None:
+        known = totals.values, totals.runs, begun
+        first = first_of_equals(dynamics, found.both, first, *known)
     return GoalReach(
         goal=np.where(hit_states, 1.0, quotient.lift(found.reach)),
         bound=np.where(hit_states, 1.0, quotient.lift(found.bound)),
-        decision=quotient.pull_back(found.choice),
+        decision=quotient.pull_back(first),
         surely=surely,
         solved=(quotient, found),
     )
@@ -197,16 +201,17 @@ def cheapest_reach(model: SSP, reach: GoalReach, survival: float = 1.0) -> Reach
     dynamics, departs = quotient.dynamics(survival, departing=survival == 1.0)
     gain = quotient.at_pairs(successor_means(model, model.goal_mask)) / departs
     pair_cost = quotient.at_pairs(cost_means(model, weight)) / departs
-    first = approach_leaving(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
+    leaving = approach_leaving(dynamics, (quotient.pair_at == GIVE_UP_CODE) | (gain > 0))
     missing = successor_means(model, (quotient.node_of < 0) & ~model.goal_mask)
     miss = (1.0 - survival) + survival * quotient.at_pairs(missing, 1.0) / departs
     rewards, only_cost = np.stack([pair_cost, gain, miss], axis=1), np.array([1.0, 0.0, 0.0])
-    settled = iterate_policy(dynamics, rewards, only_cost, first)
+    settled = iterate_policy(dynamics, rewards, only_cost, leaving)
     bound = dual_bound(dynamics, pair_cost, settled.totals[:, 0], choice=settled.choice).rounded
+    first = first_of_equals(dynamics, rewards, settled.choice, settled.totals, settled.runs)
     early_goal = np.clip(quotient.lift(settled.totals[:, 1]), 0.0, 1.0)
     surely = reach.goal == 1.0  # decided on the graph
     return ReachPolicy(
-        decision=quotient.pull_back(settled.choice),
+        decision=quotient.pull_back(first),
         goal=np.where(surely, 1.0, survival * early_goal),
         failure=_failing_to_reach(model, surely, quotient.node_of, settled.totals[:, 2]),
         early=np.where(surely & ~model.goal_mask, 1.0, early_goal),

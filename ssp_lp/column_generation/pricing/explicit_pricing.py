@@ -30,7 +30,12 @@ from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.leaving import leaving_choice
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
-from ssp_lp.dynamic_programming.policy_iteration import evaluate_policy, iterate_policy, switched
+from ssp_lp.dynamic_programming.policy_iteration import (
+    evaluate_policy,
+    first_of_equals,
+    iterate_policy,
+    switched,
+)
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.contraction import Contraction, bound_of, contract
@@ -113,7 +118,7 @@ class ExplicitPricing:
         run = partial(iterate_policy, precise=self.precise or None)
         if smaller is None:
             settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
-            return self._column(settled.choice, settled.totals, settled.work, at)
+            return self._column(settled.choice, settled.totals, settled.runs, settled.work, at)
         choice = smaller.begun(self.process, choice).astype(np.int32)
         priced = weighted(self.rewards, weights)[smaller.pairs, None]
         about = None if guess is None else smaller.least(weighted(guess, weights))[:, None]
@@ -168,17 +173,22 @@ class ExplicitPricing:
             found_at: a price at which no policy is worth less.
         """
         totals = evaluate_policy(self.process.dynamics, choice, self.rewards)
-        return self._column(choice, totals.values, work + Work(1, 0), found_at)
+        return self._column(choice, totals.values, totals.runs, work + Work(1, 0), found_at)
 
     def _column(
-        self, choice: IntArray, totals: FloatArray, work: Work, found_at: float | None
+        self,
+        choice: IntArray,
+        totals: FloatArray,
+        runs: FloatArray,
+        work: Work,
+        found_at: float | None,
     ) -> Column:
-        """A column of explicit pricing from its choice and totals."""
+        """A column of explicit pricing from its choice, its totals and its run lengths."""
         cost, failure, *rows = expected(self.process.start, totals).tolist()
         failure = min(max(failure, 0.0), 1.0)  # verified: beyond it lies rounding
         return Column(
-            cost, failure, 1.0 - failure, choice, totals=totals, found_at=found_at, work=work,
-            rows=tuple(rows),
+            cost, failure, 1.0 - failure, choice, totals=totals, runs=runs, found_at=found_at,
+            work=work, rows=tuple(rows),
         )  # fmt: skip
 
     def aligned(self, column: Column, price: float) -> Column:
@@ -239,10 +249,14 @@ class ExplicitPricing:
         return bound_of(process, self._contracted(counted), left, values, -paid).at(process.start)
 
     def policy(self, column: Column) -> Policy:
-        """The column's policy on the original states."""
+        """The column's policy on the original states, of equal pairs the first."""
         if column.policy is not None:
             return column.policy
-        return self.augmented.policy(required(column.choice))
+        choice, process = required(column.choice), self.process
+        if column.totals is not None and column.runs is not None:
+            known = column.totals, column.runs, process.start
+            choice = first_of_equals(process.dynamics, self.rewards, choice, *known)
+        return self.augmented.policy(choice)
 
 
 def _pricing_weights(price: float | FloatArray) -> FloatArray:

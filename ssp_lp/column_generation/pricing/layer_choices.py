@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, least_integer_type
+from ssp_lp.arrays import TIED, FloatArray, IntArray, least_integer_type
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, chosen_product
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
@@ -38,7 +38,7 @@ def best_of_layer(
         inner: pairs to begin with where the layer has free steps, [nodes].
     """
     if is_acyclic(base):
-        backup = best_pairs(base.pair_offsets, base.later, cost, ahead)
+        backup = best_pairs(base.pair_offsets, base.later, cost, ahead, tied=TIED)
         return backup.choice, backup.minima
     onward = (cost.total + base.later @ ahead)[:, None]
     settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, unsigned
+from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, unsigned
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import pieces
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
@@ -88,7 +88,7 @@ class OnePass:
 
         run: Callable[..., None] = back_up_layers
         base = self.process.base
-        own = owed, base.gain, base.failure, base.survival, _ACCURATE
+        own = owed, base.gain, base.failure, base.survival, _ACCURATE, TIED
         for some, parts, (known, measured) in self._blocks(values, measures):
             run(*parts, *own, known.ravel(), measured.reshape(-1, 3), choice[some], keeps)
         return np.asarray(measured[0])

@@ -16,8 +16,8 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach_leaving
-from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.dynamic_programming.leaving import approach_leaving, leaving_chain
+from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.processes.expectations import costless_pairs, successor_means
 from ssp_lp.processes.goal_reach import GoalReach
@@ -67,10 +67,13 @@ def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> Moment
     settled = iterate_policy(shrinking, gain[:, None], -_ONE, first)
     moment = settled.totals[:, 0]
     bound = -sub_solution(shrinking, -gain, -moment, floor=-1.0 - 1e-9)
-    reached = plain.chain(settled.choice).solve(hit[settled.choice])
+    equal = first_of_equals(shrinking, gain[:, None], settled.choice, settled.totals, settled.runs)
+    choice = np.where(moment > 0.0, equal, settled.choice)
+    chain, choice = leaving_chain(plain, choice, settled.choice)
+    reached = chain.solve(hit[choice])
     at_goal = model.goal_mask
     return MomentReach(
-        decision=quotient.pull_back(settled.choice),
+        decision=quotient.pull_back(choice),
         goal=np.where(at_goal, 1.0, quotient.lift(reached)),
         moment=np.where(at_goal, 1.0, quotient.lift(moment)),
         bound=np.where(at_goal, 1.0, quotient.lift(bound)),

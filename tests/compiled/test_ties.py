@@ -1,0 +1,137 @@
+"""Of equal actions the first is taken, whether loops run compiled or not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+import formulations as criteria
+from ssp_lp import SSP, MixedPolicy, SSPError, evaluate, solve, visits
+from tests.support.compiled import Switch
+
+pytest.importorskip("numba")
+
+Case = tuple[str, Callable[[], object]]
+
+
+def with_duplicates(seed: int) -> tuple[SSP, object]:
+    """A drawn model whose actions may stand twice, turned round or with other last digits."""
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(4, 12))
+    least = seed % 2  # where steps are free
+    table: dict[object, dict[str, list[tuple[float, object, float]]]] = {"pit": {}}
+    for state in range(n):
+        actions = []
+        for _ in range(int(rng.integers(1, 4))):
+            size = int(rng.integers(1, 4))
+            share = rng.integers(1, 6, size) / 1.0
+            after = [("goal", "pit", *range(n))[k] for k in rng.integers(0, n + 2, size)]
+            costs = rng.integers(least, 4, size).tolist()
+            actions.append(list(zip((share / share.sum()).tolist(), after, costs, strict=True)))
+        for action in list(actions):
+            if rng.random() < 0.5:
+                near = np.nextafter([p for p, _, _ in action], rng.integers(0, 2, len(action)))
+                near = near if rng.random() < 0.5 else np.array([p for p, _, _ in action])
+                again = [(float(p), x, c) for p, (_, x, c) in zip(near, action, strict=True)]
+                turned = again[::-1] if rng.random() < 0.5 else again
+                actions.insert(int(rng.integers(0, len(actions) + 1)), turned)
+        table[state] = {f"action {k}": action for k, action in enumerate(actions)}
+    model = SSP.from_transitions(table, goal={"goal"}, treat_actionless_as_dead_ends=True)
+    return model, 0
+
+
+def mirrored_grid(seed: int) -> tuple[SSP, object]:
+    """A slippery grid that is its own mirror image at the diagonal, with holes on both sides."""
+    rng = np.random.default_rng(seed)
+    n, slip = int(rng.integers(3, 6)), float(rng.choice([0.1, 0.2, 0.3]))
+    holes = set()
+    for x, y in rng.integers(0, n, (int(rng.integers(0, 3)), 2)).tolist():
+        holes |= {(x, y), (y, x)} if 0 < x + y < 2 * n - 2 else set()
+    moves = {"east": (1, 0), "north": (0, 1), "west": (-1, 0), "south": (0, -1)}
+    table: dict[object, dict[str, list[tuple[float, object, float]]]] = {}
+    for x, y in np.ndindex(n, n):
+        if (x, y) == (n - 1, n - 1) or (x, y) in holes:
+            continue
+        table[x, y] = {}
+        for name in rng.permutation(list(moves)).tolist():
+            dx, dy = moves[name]
+            chances = ((dx, dy), 1 - slip), ((dy, dx), slip / 2), ((-dy, -dx), slip / 2)
+            table[x, y][name] = [
+                (p, (min(max(x + ex, 0), n - 1), min(max(y + ey, 0), n - 1)), 1.0)
+                for (ex, ey), p in chances
+            ]
+    table |= {hole: {} for hole in holes}
+    goal = {(n - 1, n - 1)}
+    model = SSP.from_transitions(table, goal=goal, treat_actionless_as_dead_ends=True)
+    return model, (0, 0)
+
+
+def cases(model: SSP, start: object) -> Iterator[Case]:
+    """Every criterion, at budgets between the least failure and none."""
+    best = solve(criteria.MaxProb(model, start)).objective
+    is_free = bool((model.costs == 0.0).any())  # steps may go round within a layer of totals
+    budget = min(1.0 - 0.85 * best, 1.0)
+    # where failing has no price, pairs of one cost may fail differently: these are no equals
+    for chosen in (None, budget) if is_free else (None, budget, 1.0):
+        yield f"MCMP {chosen}", lambda b=chosen: criteria.MCMP(model, start, b)
+    yield "MCMP discounted", lambda: criteria.MCMP(model, start, 1.0, discount=0.95)
+    yield (
+        "MCMP limited",
+        lambda: criteria.MCMP(model, start, budget, constraints={"often": visits(start) <= 1.4}),
+    )
+    yield "MaxProb", lambda: criteria.MaxProb(model, start)
+    yield "MinProb", lambda: criteria.MinProb(model, start)
+    yield "MinCost", lambda: criteria.MinCost(model, start)
+    yield "ISSPUDE", lambda: criteria.ISSPUDE(model, start)
+    yield "FinitePenalty", lambda: criteria.FinitePenalty(model, start, 20.0)
+    yield "AlphaMCMP", lambda: criteria.AlphaMCMP(model, start, 0.9)
+    if is_free:
+        return
+    for chosen in (None, budget, 1.0):
+        yield f"S3P {chosen}", lambda b=chosen: criteria.S3P(model, start, b)
+    yield "S3P discounted", lambda: criteria.S3P(model, start, 1.0, discount=0.95)
+    yield "CVaR", lambda: criteria.CVaR(model, start, 0.8, budget)
+    yield "CostQuantile", lambda: criteria.CostQuantile(model, start, 0.5, budget)
+    yield "CostBoundedReach", lambda: criteria.CostBoundedReach(model, start, 6)
+    yield "EGUBS", lambda: criteria.EGUBS(model, start, -0.1, 1.0)
+
+
+def decisions(policy: MixedPolicy) -> list[dict[str, np.ndarray]]:
+    """The whole numbers that each member decides by."""
+    return [
+        {
+            name: part
+            for name, part in vars(member).items()
+            if isinstance(part, np.ndarray) and part.dtype.kind in "iu"
+        }
+        for member in policy.policies
+    ]
+
+
+@pytest.mark.parametrize("draw", [with_duplicates, mirrored_grid])
+@pytest.mark.parametrize("seed", range(12))
+def test_compiled_loops_return_the_policy_that_numpy_does(
+    accelerate: Switch, draw: Callable[[int], tuple[SSP, object]], seed: int
+) -> None:
+    accelerate(False)
+    model, start = draw(seed)
+    for name, made in cases(model, start):
+        found = []
+        for on in (False, True):
+            accelerate(on)
+            try:
+                found.append(solve(made()))
+            except SSPError as error:
+                found.append(type(error))
+        plain, compiled = found
+        if isinstance(plain, type):
+            assert plain is compiled, name
+            continue
+        np.testing.assert_allclose(plain.policy.weights, compiled.policy.weights, rtol=1e-9)
+        for here, there in zip(decisions(plain.policy), decisions(compiled.policy), strict=True):
+            assert here.keys() == there.keys()
+            for part in here:
+                np.testing.assert_array_equal(here[part], there[part], err_msg=f"{name}, {part}")
+        assert plain.objective == pytest.approx(evaluate(plain.policy, made()).objective, rel=1e-11)
