@@ -57,6 +57,8 @@ def solve_stated(
 ) -> bool:
     """Solve a problem of cvxpy; where HiGHS fails, again without its presolve.
 
+    Where the solver that cvxpy chooses fails, by HiGHS.
+
     Args:
         problem: the problem.
         solver: one of cvxpy's; None: as it chooses.
@@ -74,16 +76,20 @@ def solve_stated(
         raise ModelError(f"parameter {missing[0]!r} has no value: set its .value before solving")
     name = str(solver or (problem.solver_stats.solver_name if tight else "")).upper()
     options = {**_TIGHT.get(name, {}), **options} if tight else dict(options)
-    attempts = [options, {**_PLAIN[name], **options}] if name in _PLAIN else [options]
+    attempts = [(solver, options)]
+    if solver is None:
+        attempts.append(("SCIPY", {}))  # HiGHS, which every version of cvxpy has
+    elif name in _PLAIN:
+        attempts.append((solver, {**_PLAIN[name], **options}))
     told = ""
-    for attempt in attempts:
+    for one, attempt in attempts:
         try:
             with warnings.catch_warnings():
                 if tight:  # an answer that is not as exact is judged as it is
                     warnings.simplefilter("ignore")
-                problem.solve(solver=solver, **attempt)
+                problem.solve(solver=one, **attempt)
         except cp.SolverError as error:
-            told = str(error)
+            told = told or str(error)
             continue
         except (TypeError, ValueError, AttributeError) as error:
             raise ModelError(f"cvxpy: {error}; what is no bound of a row by its name is an option "
@@ -91,6 +97,8 @@ def solve_stated(
         told = f"the problem is {problem.status}"
         if problem.status in _SOLVED:
             return True
+        if problem.status in _INFEASIBLE and (one is None or name not in _PLAIN):
+            return False
     if str(problem.status) in _INFEASIBLE:
         return False
     raise SolverError(f"cvxpy: {told}")

@@ -207,12 +207,12 @@ def test_conflicts_are_irreducible(seed: int) -> None:
             if row.name not in kept:
                 del convex.constraints[row.name]
         try:
-            convex.solve(cp.CLARABEL)
+            convex.solve()
         except InfeasibleError:
             return False
         return True
 
-    conflict = program.conflict(cp.CLARABEL)
+    conflict = program.conflict()
     every = tuple(row.name for row in program.rows)
     assert bool(conflict) == (not can_be_kept(every))
     if conflict:
