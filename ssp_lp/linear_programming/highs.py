@@ -49,12 +49,7 @@ def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) ->
         SolverError: HiGHS refuses an option or the model.
     """
     began = time.perf_counter()
-    solver = highs_solver(highs_lp(program), _highs_options(backend, time_limit))
-    solver.run()
-    if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
-        solver.setOptionValue("presolve", "off")
-        solver.clearSolver()
-        solver.run()
+    solver = _solved_by_highs(program, _highs_options(backend, time_limit))
     solution = solver.getSolution()
     return LPAnswer(
         backend=backend,
@@ -74,8 +69,7 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
     Raises:
         SolverError: HiGHS finds no optimum, or no ranges.
     """
-    solver = highs_solver(highs_lp(program), _highs_options("highs-simplex", np.inf))
-    solver.run()
+    solver = _solved_by_highs(program, _highs_options("highs-simplex", np.inf))
     status, ranging = solver.getRanging()
     if status != highspy.HighsStatus.kOk or not ranging.valid:
         told = solver.modelStatusToString(solver.getModelStatus())
@@ -89,6 +83,17 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
         else:
             found[name] = ranging.row_bound_dn.value_[row], ranging.row_bound_up.value_[row]
     return found
+
+
+def _solved_by_highs(program: LinearProgram, options: HighsOptions) -> highspy.Highs:
+    """HiGHS, having solved a program."""
+    solver = highs_solver(highs_lp(program), options)
+    solver.run()
+    if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
+        solver.setOptionValue("presolve", "off")
+        solver.clearSolver()
+        solver.run()
+    return solver
 
 
 def _is_doubtful(solver: highspy.Highs) -> bool:

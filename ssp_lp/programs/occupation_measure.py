@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 
 _BALANCED = 1e-9  # imbalance of visits that are taken as a policy's own
+_LISTED = 20  # rows that are printed
 _BEYOND = 1e-9  # probability of passing the last total from which it is told
 
 
@@ -221,7 +222,9 @@ class OccupationMeasure:
             if self.program.ratio:
                 told = f"c* {optimum}, taken off for success, leaves {made} = 0"
             lines.append(f"  {told}: v(start) less price x bound of each row")
-        lines += [f"  {row}" for row in self.rows]
+        lines += [f"  {row}" for row in self.rows[:_LISTED]]
+        if len(self.rows) > _LISTED:
+            lines.append(f"  and {len(self.rows) - _LISTED:,} rows more")
         if self.beyond > _BEYOND:
             lines.append(
                 f"  {self.beyond:.3g} succeed beyond the last total that is told apart, charged "

@@ -182,6 +182,9 @@ def test_rows_of_many_entries_are_told_one_by_one() -> None:
     measure = convex.solve(cp.CLARABEL)
     assert measure.slack["each[0]"] == pytest.approx(0.04, abs=1e-6)
     assert measure.slack["each[1]"] == pytest.approx(0.0, abs=1e-6)
+    convex.constraints["many"] = cp.multiply(np.ones(50), convex.x[0]) <= 3.0
+    told = repr(convex.solve(cp.CLARABEL)).splitlines()
+    assert told[-1] == "  and 33 rows more"
 
 
 @pytest.mark.parametrize("seed", range(25))
@@ -256,6 +259,17 @@ class Failing:
             if self.how is not None:
                 raise self.how
         return self.real(problem, *arguments, **options)
+
+
+def test_another_solver_is_asked_where_cvxpys_choice_fails(monkeypatch) -> None:
+    failing = Failing(1, cp.SolverError("no luck"))
+    monkeypatch.setattr(cp.Problem, "solve", lambda self, *a, **k: failing(self, *a, **k))
+    convex = MCMP(DEPOT, "depot", 0.05).program().to_cvxpy()
+    assert convex.solve().objective == pytest.approx(6.2222222)
+    assert [call["solver"] for call in failing.seen] == [None, "SCIPY"]
+    failing.left = 2
+    with pytest.raises(SolverError, match="no luck"):
+        convex.solve()
 
 
 @pytest.mark.skipif("HIGHS" not in cp.installed_solvers(), reason="as of cvxpy 1.6")
