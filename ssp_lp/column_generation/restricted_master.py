@@ -35,6 +35,9 @@ _BROKEN = 4.0 * MACHINE_EPSILON
 _TIED = 1e-14  # of the numbers that a reduced cost is made of: then it is 0
 _PIVOT = 1e-13  # of the numbers that an entry is made of: then it is 0
 _PIVOTS = 50
+_LARGEST = (
+    1e9  # entry that HiGHS is given, to which larger ones are cut: their weight is as good as 0
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +170,7 @@ def _master_basis(program: _Standard) -> IntArray | None:
     lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
     lp.a_matrix_.start_ = np.arange(n_variables + 1, dtype=np.int32) * n_rows
     lp.a_matrix_.index_ = np.tile(np.arange(n_rows, dtype=np.int32), n_variables)
-    lp.a_matrix_.value_ = program.matrix.T.ravel()
+    lp.a_matrix_.value_ = np.clip(program.matrix, -_LARGEST, _LARGEST).T.ravel()
     solver = highs_solver(lp, _OPTIONS)
     solver.run()
     status = solver.getModelStatus()

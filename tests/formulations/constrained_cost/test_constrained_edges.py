@@ -173,6 +173,21 @@ def test_the_master_program(seed):
     assert bound == pytest.approx(half.value, abs=1e-12)
 
 
+@pytest.mark.parametrize("elastic", [False, True])
+@pytest.mark.parametrize("dear", [1e12, 1e20, 1e60])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_policy_of_endless_steps_is_as_good_as_none(seed, dear, elastic):
+    """On windy grids some policies take 1e20 steps: beside others their weight is 0."""
+    rng = np.random.default_rng(seed)
+    activity, cost = rng.random((2, 6)) + 0.5, rng.random(6) + 1.0
+    bounds = activity @ rng.dirichlet(np.ones(6)) * (0.5 if elastic else 1.0)
+    known = solve_master(cost, activity, bounds, bounds, elastic=elastic)
+    endless = np.column_stack([activity, [0.0, dear]])
+    found = solve_master(np.append(cost, dear), endless, bounds, bounds, elastic=elastic)
+    assert found.value == pytest.approx(known.value, rel=1e-9, abs=1e-12)
+    assert found.weights[-1] <= 2.0 / dear
+
+
 @pytest.mark.parametrize("in_between", [0.0, 0.3, 0.9])
 def test_stabilised_prices_end_at_the_same_optimum(in_between):
     """How prices are tried decides how long it takes, not what is found."""
