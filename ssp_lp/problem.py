@@ -6,6 +6,7 @@ import logging
 from collections.abc import Hashable, Mapping
 from typing import Any, Protocol, cast, overload
 
+from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
 from ssp_lp.compiled.deadline import READING, check_time, is_within_call, limited
@@ -18,10 +19,10 @@ from ssp_lp.policies.remembering import on_original
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.in_product import on_product
-from ssp_lp.processes.layered.charges import TOTAL_COST
+from ssp_lp.processes.layered.charges import TOTAL_COST, ExponentialCharge
 from ssp_lp.processes.quantities.conditions import Condition
 from ssp_lp.processes.totals.ladder import Rungs, rungs_for
-from ssp_lp.processes.totals.step_sums import MOST_SUMS
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, sums_in
 
 
 class Problem(Protocol):
@@ -103,7 +104,21 @@ def rungs_of(problem: Problem) -> Rungs | None:
         return None
     if not of_law and asked is None and problem.failure_budget is None and not has_rows(problem):
         return None  # at least failure no cost has to be remembered
-    return rungs_for(problem.model, asked, cap, of_law=of_law)
+    rungs = rungs_for(problem.model, asked, cap, of_law=of_law)
+    few = rungs is not None and _has_few_sums(problem, min(asked or MOST_SUMS, MOST_SUMS))
+    return Rungs(most=MOST_SUMS) if few else rungs
+
+
+def _has_few_sums(problem: Problem, most: int) -> bool:
+    """Whether few totals lie below the cost from which a stationary policy is optimal."""
+    measure, known = problem.semantics.measure, problem.model.kept_facts
+    if measure is None or not isinstance(measure.charge, ExponentialCharge) or has_rows(problem):
+        return False
+    if (key := f"{most} sums: {measure.charge}") not in known:
+        start = start_distribution(problem.model, problem.start)
+        horizon = CompiledArrivalCost(problem.model, start, measure.charge).cost_horizon
+        known[key] = sums_in(problem.model, horizon, most) is not None
+    return bool(known[key])
 
 
 def by_sums(problem: Problem) -> bool:

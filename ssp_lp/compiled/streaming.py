@@ -156,9 +156,11 @@ def stream_arrivals(
 def stream_hope(
     decision: Array, acting: Array, pair_offsets: Array,
     offsets: Array, successors: Array, probabilities: Array, classes: Array,
-    leads: Array, hopeful: Array,
+    leads: Array, order: Array, hopeful: Array,
 ) -> None:  # fmt: skip
-    """Mark where decisions may lead to what is marked in later layers, from the last layer on.
+    """Mark where decisions may lead to what is marked, from the last layer on.
+
+    Where free steps go round, a layer is gone over until nothing is marked any more.
 
     Args:
         decision: position in the state's pairs, negative where none is taken, [layers, states].
@@ -169,21 +171,28 @@ def stream_hope(
         probabilities: [outcomes].
         classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
         leads: layers that each class of steps passes, [classes].
+        order: states, each after those that its free steps lead to, as far as may be, [states].
         hopeful: written, [layers and those behind them, states].
     """
     n_layers, n = decision.shape
+    stays = leads.min() == 0
     for back in range(n_layers):
-        layer = n_layers - 1 - back
-        for s in prange(n):
-            if decision[layer, s] >= 0 and acting[s] and not hopeful[layer, s]:
-                pair = pair_offsets[s] + decision[layer, s]
-                for outcome in range(offsets[pair], offsets[pair + 1]):
-                    kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                    later = layer + leads[kind]
-                    is_later = leads[kind] > 0 and probabilities[outcome] > 0.0
-                    if is_later and hopeful[later, successors[outcome]]:
-                        hopeful[layer, s] = True
-                        break
+        layer, marked = n_layers - 1 - back, 1
+        while marked > 0:
+            marked = 0
+            for i in prange(n):
+                s = order[i]
+                if decision[layer, s] >= 0 and acting[s] and not hopeful[layer, s]:
+                    pair = pair_offsets[s] + decision[layer, s]
+                    for outcome in range(offsets[pair], offsets[pair + 1]):
+                        kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                        later = layer + leads[kind]
+                        if probabilities[outcome] > 0.0 and hopeful[later, successors[outcome]]:
+                            hopeful[layer, s] = True
+                            marked += 1
+                            break
+            if not stays:
+                break
 
 
 @one_or_all_cores

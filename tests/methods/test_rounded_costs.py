@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -151,3 +152,36 @@ def test_ctrl_c_while_the_answer_is_measured_keeps_it(monkeypatch: pytest.Monkey
     check_interrupted(solution, best)
     assert solution.upper_bound == pytest.approx(best.upper_bound, rel=1e-14)
     assert solution.gap > best.gap
+
+
+@pytest.mark.parametrize("levels", [None, 5])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_stationary_optimum_needs_no_rounding(seed: int, levels: int | None) -> None:
+    """Without a bonus the moments of the 16 stationary policies say it all."""
+    draw, ways = np.random.default_rng(seed), []
+    for _ in range(4):
+        shares, costs = draw.dirichlet(np.ones(3), 2), draw.uniform(0.3, 2.0, (2, 3))
+        after = draw.integers(0, 4, (2, 3))
+        after[:, 1] = draw.integers(4, 6, 2)  # 4 is the goal, 5 the trap
+        ways.append((shares, after, costs))
+    choices = {
+        f"s{s}": {
+            f"a{a}": [
+                (p, ("s0", "s1", "s2", "s3", "home", "pit")[to], cost)
+                for p, to, cost in zip(*(part[a].tolist() for part in way), strict=True)
+            ]
+            for a in range(2)
+        }
+        for s, way in enumerate(ways)
+    }
+    best = 0.0
+    for chosen in product(range(2), repeat=4):
+        moves = np.zeros((4, 6))
+        for s, (shares, after, costs) in enumerate(ways):
+            np.add.at(moves[s], after[chosen[s]], (shares * np.exp(-costs))[chosen[s]])
+        best = max(best, float(np.linalg.solve(np.eye(4) - moves[:, :4], moves[:, 4])[0]))
+    problem = EGUBS(model_of({**choices, "pit": {}}, "home"), "s0", -1.0, 0.0, cost_levels=levels)
+    solution = solve(problem)
+    assert solution.objective == pytest.approx(best, rel=1e-12)
+    assert solution.gap <= 1e-12
+    assert certify(solution).accepted

@@ -12,6 +12,7 @@ from scipy.sparse import csgraph
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges, offsets_of
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_components
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import chunks
 from ssp_lp.model.graph.reachability import dead_ends, reached_along
@@ -125,8 +126,17 @@ class LayerMoves:
         np.bitwise_or.at(found, source, marks.reshape(-1)[place])
         return sums, found
 
+    @cached_property
+    def free_order(self) -> IntArray:
+        """States, each after those that its free moves lead to, as far as may be, [states]."""
+        model = self.model
+        staying = np.atleast_1d(self.layers.leads(0) <= 0)[self.classes if self.classes.size else 0]
+        begins = model.outcome_offsets[model.pair_offsets]
+        found = strong_components(begins, model.successors, model.probabilities * staying)
+        return found.order
+
     def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
-        """Mark where decisions of layers may lead to what is marked in later ones, in place.
+        """Mark where decisions of layers may lead to what is marked in them or later, in place.
 
         Args:
             begin: the first of the layers, which pass equally many with each class of steps.
@@ -139,13 +149,19 @@ class LayerMoves:
             from ssp_lp.compiled.streaming import stream_hope
 
             own = decision[begin:end], self.acting, model.pair_offsets
-            stream_hope(decision[begin:end].size)(*own, *self._outcomes, leads, hopeful[begin:])
+            rest = leads, self.free_order, hopeful[begin:]
+            stream_hope(decision[begin:end].size)(*own, *self._outcomes, *rest)
             return
         everywhere = np.arange(model.n_states)
         for layer in reversed(range(begin, end)):
-            source, outcome, kind = self._taken(self.pairs(layer, everywhere), leads > 0)
+            pairs = self.pairs(layer, everywhere)
+            source, outcome, kind = self._taken(pairs, leads >= 0)
             met = hopeful[layer + leads[kind], model.successors[outcome]]
             hopeful[layer, source[met]] = True
+            if (leads <= 0).any():
+                marks = np.where(hopeful[layer], HOPEFUL, 0)
+                spread_in_layer(marks, HOPEFUL, self.staying(everywhere, pairs, self.slots(layer)))
+                hopeful[layer] = marks > 0
 
     def reach(self, pairs: IntArray, slots: IntArray, arriving: BoolArray) -> None:
         """Mark where pairs, [k], may lead in later layers, in place, [slots, states]."""

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ssp_lp.analysis.layers.layer_moves import HOPEFUL, LayerMoves, spread_in_layer
+from ssp_lp.analysis.layers.layer_moves import LayerMoves
 from ssp_lp.model.graph.reachability import approach_pairs, goal_pairs
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy
@@ -48,16 +48,9 @@ def _stopping(policy: Policy) -> Policy:
     hopeful[:count] = model.goal_mask
     for layer in range(count, len(hopeful)):
         hopeful[layer] = beyond[layers.tail_at(layer), everywhere]
-    pays = layers.unit is not None and bool((layers.leads(0) > 0).all())
-    several = max(_AT_ONCE // max(model.n_states, 1), 1) if pays else 1
+    several = 1 if layers.unit is None else max(_AT_ONCE // max(model.n_states, 1), 1)
     for end in range(count, 0, -several):
-        begin = max(end - several, 0)
-        moves.meet(begin, end, hopeful)
-        if not pays and (slots := moves.slots(begin)).min() < 0:
-            marks = np.where(hopeful[begin], HOPEFUL, 0)
-            staying = moves.staying(everywhere, moves.pairs(begin, everywhere), slots)
-            spread_in_layer(marks, HOPEFUL, staying)
-            hopeful[begin] = marks > 0
+        moves.meet(max(end - several, 0), end, hopeful)
     decision[moves.acting & (decision >= 0) & ~hopeful[:count]] = GIVE_UP_CODE
     tails[moves.acting & (tails >= 0) & ~beyond] = GIVE_UP_CODE
     return replace(policy, decision=decision, tails=tails)

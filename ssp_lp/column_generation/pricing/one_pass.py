@@ -33,7 +33,7 @@ _TURNS_A_STEP = 40.0  # that a policy takes within a layer: e^-40 of what was mi
 _ACCURATE = 1e-14
 """Relative change of values and measures at which turns over a layer end: next to rounding."""
 
-_MOST_CHARGES = 4_000_000
+_MOST_CHARGES = 20_000_000
 """Charges, pairs that arrive times layers, where they do not grow evenly."""
 
 _NONE = np.zeros(0)

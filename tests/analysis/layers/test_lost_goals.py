@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
@@ -12,14 +14,14 @@ from ssp_lp.analysis.chain import policy_chain, reaching_in_chain
 from ssp_lp.processes.failure_semantics import start_distribution
 
 
-def drawn_rooms(seed: int) -> SSP:
+def drawn_rooms(seed: int, cheapest: int = 1) -> SSP:
     """Six rooms with costly ways on, back and out; from most the goal can be avoided for ever."""
     draw = np.random.default_rng(seed)
     names = [f"r{k}" for k in range(6)]
     choices: dict[str, dict[str, list]] = {"pit": {}, "g": {}}
     for k, name in enumerate(names):
         after, back = [*names, "g"][k + 1], names[max(k - 1, 0)]
-        cost = draw.integers(1, 5, size=3).tolist()
+        cost = draw.integers(cheapest, 5, size=3).tolist()
         share = round(float(draw.uniform(0.1, 0.5)), 2)
         choices[name] = {
             "on": [(1.0 - share, after, cost[0]), (share, back, cost[1])],
@@ -29,10 +31,17 @@ def drawn_rooms(seed: int) -> SSP:
     return model_of(choices, "g")
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize("cheapest", [0, 1])
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("criterion", ["S3P", "CVaR", "CostQuantile"])
-def test_nothing_is_paid_once_the_goal_is_lost(criterion: str, seed: int) -> None:
-    model = drawn_rooms(seed)
+def test_nothing_is_paid_once_the_goal_is_lost(
+    criterion: str, seed: int, cheapest: int, compiled: bool, accelerate: Callable[[bool], None]
+) -> None:
+    if compiled:
+        pytest.importorskip("numba")
+    accelerate(compiled)
+    model = drawn_rooms(seed, cheapest)
     problem = {
         "S3P": lambda: S3P(model, "r0", failure_budget=0.75),
         "CVaR": lambda: CVaR(model, "r0", 0.7, 0.75),
