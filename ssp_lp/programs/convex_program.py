@@ -51,7 +51,8 @@ class ConvexProgram:
             row.name: cp.Parameter(value=row.bound, name=row.name) for row in program.rows
         }
         balance = program.linear.matrix[program.linear.rows["balance"], : process.n_pairs]
-        self.constraints: dict[str, Any] = {"balance": balance @ self.x == self.start * self.scale}
+        begun: Any = process.start * self.scale if program.ratio else self.start  # times 1 is slow
+        self.constraints: dict[str, Any] = {"balance": balance @ self.x == begun}
         for row in program.rows:
             limit = self.bounds[row.name] * self.scale
             self.constraints[row.name] = row.coefficients @ self.x <= limit

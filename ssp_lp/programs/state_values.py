@@ -51,9 +51,10 @@ class StateValues:
         columns = [k for k in program.columns(state) if cost in (None, program.label(k).cost)]
         rows = np.unique(program.process.pair_state[columns].astype(np.int64))
         if len(rows) != 1:
-            raise ModelError(
-                f"state {state!r} has {len(rows):,} rows of balance at this cost: one is asked for"
-            )
+            like = map(program.label, columns[:1])
+            such = "".join(f", such as that of {label.state!r}{label.paid}" for label in like)
+            told = f"state {state!r} has {len(rows):,} rows of balance at this cost"
+            raise ModelError(f"{told}: one is asked for{such}")
         return float(self.states[rows[0]])
 
     def advantage(self, state: Hashable, action: Hashable, cost: float | None = None) -> float:
