@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
+from ssp_lp.compiled.deadline import seconds_left
 from ssp_lp.errors import ModelError
 
 SWITCH: Final = "SSP_LP_ACCELERATOR"
@@ -33,6 +34,9 @@ _COLD: Final = 1_000_000
 A solve passes over them some hundred times, a second for each hundred million in numpy, and what
 is compiled is kept for every later process.
 """
+
+_COMPILING: Final = 20.0
+"""Seconds that a call has left at least where loops are compiled for the first time in it."""
 
 _CALL: Final = 3_000
 """Entries that take as long as the calls around a short loop of numpy expressions."""
@@ -107,8 +111,11 @@ def least_entries() -> int:
     """Entries from which a loop is run compiled, the start of compiled code counted."""
     if os.environ.get(SWITCH) == "numba":
         return 0
-    worth = _CACHED if _is_compiled_before() else _COLD
-    is_loaded = worth == _CACHED and "ssp_lp.compiled.cores" in sys.modules
+    worth, is_loaded = _CACHED, "ssp_lp.compiled.cores" in sys.modules
+    if not _is_compiled_before():
+        if not is_loaded and seconds_left() < _COMPILING:
+            return sys.maxsize
+        worth, is_loaded = _COLD, False
     return 0 if is_loaded or _interpreted.entries > _LOOPS * worth else worth
 
 

@@ -231,6 +231,12 @@ def is_limited() -> bool:
     return deadline is not None and deadline.at < float("inf")
 
 
+def seconds_left() -> float:
+    """Until the end of the call; infinite where only Ctrl-C ends it."""
+    deadline = _running.get()
+    return float("inf") if deadline is None else deadline.at - time.perf_counter()
+
+
 def heed(stop: BaseException) -> None:
     """Say that a stop was caught by someone who has an answer: all other loops are to end, too.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import time
 from functools import cache
 
 import numpy as np
@@ -13,6 +15,7 @@ from formulations import MCMP, S3P, MaxProb
 from ssp_lp import ModelError, certify, solve
 from ssp_lp.column_generation.pricing import layer_bounds, layered_pricing
 from ssp_lp.compiled import accelerator
+from ssp_lp.compiled.deadline import until
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.model import SSP
@@ -160,6 +163,19 @@ def test_the_switch_knows_its_words(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ModelError, match="SSP_LP_ACCELERATOR"):
         accelerator.has_accelerator()
     accelerator.has_accelerator.cache_clear()
+
+
+def test_nothing_is_compiled_for_the_first_time_in_a_short_call(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Numba cannot be interrupted: a call of a second that compiled would end ten seconds late."""
+    monkeypatch.setattr(accelerator, "_is_compiled_before", lambda: False)
+    monkeypatch.setitem(sys.modules, "ssp_lp.compiled.cores", None)
+    monkeypatch.delitem(sys.modules, "ssp_lp.compiled.cores")
+    assert accelerator.least_entries() <= accelerator._COLD
+    for seconds, compiles in ((1.0, False), (100.0, True)):
+        with until(time.perf_counter() + seconds):
+            assert (accelerator.least_entries() <= accelerator._COLD) is compiles
 
 
 def test_rows_are_filled_within_their_arrays() -> None:
