@@ -76,20 +76,16 @@ def lost_costs(
     stage = chain.per_node(chain.cost) + survival * (chain.matrix @ values)
     if survival < 1.0:
         return values + chain.accumulate(np.where(lost, stage, 0.0), lost, survival)
-    endless, free = _recurrent_failures(chain, lost)
-    infinite = reaching_in_chain(chain, endless) & lost if endless.any() else endless
-    values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~free & ~infinite)
-    return np.where(infinite, np.inf, values)
-
-
-def _recurrent_failures(chain: Chain, lost: BoolArray) -> tuple[BoolArray, BoolArray]:
-    """Lost nodes in closed classes that cost something, and in ones that cost nothing."""
+    # lost nodes in closed classes that cost something, and in ones that cost nothing
     _, label = csgraph.connected_components(chain.matrix, connection="strong")
     leaves = (chain.dead > 0) | (chain.give_up > 0) | ~lost
     leaves[chain.source[label[chain.source] != label[chain.target]]] = True
     closed = ~np.isin(label, np.unique(label[leaves]))
     paying = np.isin(label, np.unique(label[chain.per_node(chain.cost) > 0]))
-    return closed & paying, closed & ~paying
+    endless, free = closed & paying, closed & ~paying
+    infinite = reaching_in_chain(chain, endless) & lost if endless.any() else endless
+    values = values + chain.accumulate(np.where(lost, stage, 0.0), lost & ~free & ~infinite)
+    return np.where(infinite, np.inf, values)
 
 
 def state_give_up_charges(

@@ -251,7 +251,16 @@ def _controller_after(
     if not memory["acting"][successor] or number >= memory["cap"]:
         return number
     if memory["levels"] is not None:
-        return _nearest_level(memory, number, successor, cost)
+        # the controller's level of cost nearest to what is paid after a step
+        levels, cap = memory["levels"], memory["cap"]
+        total = levels[number] + cost
+        above = min(max(bisect_left(levels, total), 1), cap)
+        nearer_below = total - levels[above - 1] <= levels[above] - total
+        level: int = above - 1 if nearer_below else above
+        if level < cap:
+            return level
+        threshold, last = memory["threshold"][successor], int(memory["tails"]) - 1
+        return int(cap) + (last if total >= (inf if threshold is None else threshold) else 0)
     paid = cost / memory["unit"]
     if memory["rounds_up"]:
         passed = ceil(min(paid, _FAR) * (1.0 - _SAME_TOTAL))
@@ -294,16 +303,3 @@ def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
     threshold = memory["threshold"][state]
     last: int = memory["tails"] - 1
     return cap + (last if layer >= (inf if threshold is None else threshold) else 0)
-
-
-def _nearest_level(memory: dict[str, Any], number: int, state: int, cost: float) -> int:
-    """The controller's level of cost nearest to what is paid after a step."""
-    levels, cap = memory["levels"], memory["cap"]
-    total = levels[number] + cost
-    above = min(max(bisect_left(levels, total), 1), cap)
-    nearer_below = total - levels[above - 1] <= levels[above] - total
-    level: int = above - 1 if nearer_below else above
-    if level < cap:
-        return level
-    threshold, last = memory["threshold"][state], int(memory["tails"]) - 1
-    return int(cap) + (last if total >= (inf if threshold is None else threshold) else 0)

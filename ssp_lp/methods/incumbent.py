@@ -14,7 +14,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.arrays import LEAST_BUDGET, FloatArray
+from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
 from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
@@ -149,20 +149,16 @@ def worth_bound(problem: Problem) -> float:
         problem: its cost is counted given success, or something is made of its law.
     """
     start, measure = start_distribution(problem.model, problem.start), problem.semantics.measure
-    least = _least_total(problem, start)
-    if measure is None or not measure.maximised:
-        return least
-    charge = min(float(measure.charge.at(np.array([least]))[0]), 0.0)
-    greatest = float(start @ greatest_goal_reach(problem.model).bound)
-    return problem.semantics.failing_worth - charge * min(greatest, 1.0)
-
-
-def _least_total(problem: Problem, start: FloatArray) -> float:
-    """The least cost of a way from the start to the goal; 0 where there is none."""
+    # the least cost of a way from the start to the goal; 0 where there is none
     model = problem.model
     begins = np.asarray(model.outcome_offsets)[model.pair_offsets].astype(np.int32)
     ways = model.costs, model.successors.astype(np.int32), begins
     graph = sp.csr_array(ways, shape=(model.n_states, model.n_states))
     totals = csgraph.dijkstra(graph, indices=np.flatnonzero(start > 0.0), min_only=True)
-    least = float(totals[model.goal_mask].min(initial=np.inf))
-    return _DEAREST * least if np.isfinite(least) else 0.0
+    least = _DEAREST * float(totals[model.goal_mask].min(initial=np.inf))
+    least = least if np.isfinite(least) else 0.0
+    if measure is None or not measure.maximised:
+        return least
+    charge = min(float(measure.charge.at(np.array([least]))[0]), 0.0)
+    greatest = float(start @ greatest_goal_reach(problem.model).bound)
+    return problem.semantics.failing_worth - charge * min(greatest, 1.0)

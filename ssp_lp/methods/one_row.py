@@ -114,7 +114,10 @@ def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveO
         SolverError: the linear program's answer fails its check.
     """
     if problem.failure_budget is None:
-        return _row_at_least_failure(problem, compiled)
+        least = checked_least_failure(compiled, None)
+        found = Found(least.policy, least.column.cost, least.objective_bound, least.column.failure)
+        run = Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0)
+        return assembled(problem, found, run, ObjectiveSense(problem.semantics.failing_worth))
     failing = problem.semantics.failing_worth
     outcome = refined_optimum(compiled, problem.failure_budget, options)
     gained, worth = -outcome.found.objective, failing - outcome.found.objective
@@ -139,14 +142,6 @@ def _is_met_by_row(outcome: RefinedOutcome, failing: float, options: SolveOption
     """Whether one row's outcome meets the tolerance."""
     worth, bound = failing - outcome.found.objective, failing - outcome.found.lower_bound
     return relative_gap(bound, worth) <= options.tolerance
-
-
-def _row_at_least_failure(problem: Problem, compiled: CompiledProblem) -> Solution:
-    """The answer of one row at least failure."""
-    least = checked_least_failure(compiled, None)
-    found = Found(least.policy, least.column.cost, least.objective_bound, least.column.failure)
-    run = Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0)
-    return assembled(problem, found, run, ObjectiveSense(problem.semantics.failing_worth))
 
 
 def _reason_of_row(outcome: RefinedOutcome) -> str:

@@ -99,7 +99,12 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
             near = None if best is None else _near_on_rounded_costs(problem, best)
-            found = _played(problem, unit, finer, near)
+            # the best policy of costs rounded up, on the model itself
+            found = _with_rounded_costs(problem, unit, up=True).solved(finer, near)
+            members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
+            found = replace(
+                found, policy=MixedPolicy(members, found.policy.weights), value_function=None
+            )
             if best is None or sign * found.objective < sign * best.objective:
                 best = found
             proved = lattice_bound(problem, unit, finer, near)[0]
@@ -180,13 +185,6 @@ def _near_on_rounded_costs(problem: Problem, best: Solution) -> Near | None:
             price = best.failure_price
             return Near(quantile, 0.0 if price is None else price + best.objective)
     return None
-
-
-def _played(problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None) -> Solution:
-    """The best policy of costs rounded up, on the model itself."""
-    found = _with_rounded_costs(problem, unit, up=True).solved(options, near)
-    members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
-    return replace(found, policy=MixedPolicy(members, found.policy.weights), value_function=None)
 
 
 def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:

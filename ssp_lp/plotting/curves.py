@@ -80,7 +80,12 @@ def plot_frontier(
 
 def _draw_frontier(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
     """The frontier, its turning points, and the band where the optimum may lie below."""
-    budgets = _sampled_frontier(frontier)
+    # budgets along every segment
+    failure = frontier.failure
+    each = max(_SAMPLES // len(failure), 4)
+    segments = zip(failure[:-1].tolist(), failure[1:].tolist(), strict=True)
+    found = [failure, *(_budgets_between(begin, end, each) for begin, end in segments)]
+    budgets = np.unique(np.concatenate(found))
     low, high = np.array([frontier.bounds_at(float(b)) for b in budgets]).T
     many = len(frontier.failure) > _MANY
     ax.plot(budgets, high, color=look.colour, linestyle=look.line, linewidth=2, label=label)
@@ -90,15 +95,6 @@ def _draw_frontier(ax: Axes, frontier: Frontier, look: Look, label: str) -> None
         band = None if _BAND in ax.get_legend_handles_labels()[1] else _BAND
         ax.fill_between(budgets, low, high, facecolor="none", edgecolor=look.colour,
                         hatch=look.hatch, linewidth=0.6, label=band)  # fmt: skip
-
-
-def _sampled_frontier(frontier: Frontier) -> FloatArray:
-    """Budgets along every segment."""
-    failure = frontier.failure
-    each = max(_SAMPLES // len(failure), 4)
-    segments = zip(failure[:-1].tolist(), failure[1:].tolist(), strict=True)
-    found = [failure, *(_budgets_between(begin, end, each) for begin, end in segments)]
-    return np.unique(np.concatenate(found))
 
 
 def _budgets_between(begin: float, end: float, count: int) -> FloatArray:

@@ -49,7 +49,15 @@ class Contraction:
             process: the process.
             choice: pair of the process, [states].
         """
-        order = _nearest_first(process, choice)
+        # states of a contraction by their distance from leaving under a policy
+        n = process.n_states
+        leaks = ((process.goal + process.failure)[choice] > 0).nonzero()[0]
+        entry = sp.csr_array(process.transitions[choice]).tocoo()
+        possible = entry.data > 0
+        source = np.concatenate([entry.row[possible], leaks])
+        target = np.concatenate([entry.col[possible], np.full(leaks.size, n)])
+        backward = sp.csr_array((np.ones(source.size), (target, source)), shape=(n + 1, n + 1))
+        order = csgraph.breadth_first_order(backward, n, return_predecessors=False)[1:]
         _, first = np.unique(self.node_of[order], return_index=True)
         place = np.full(process.n_pairs, -1)
         place[self.pairs] = np.arange(len(self.pairs))
@@ -70,19 +78,6 @@ class Contraction:
         home = segment_ids(process.pair_offsets)
         found = nearer_pairs(before, process.pair_offsets, home, chosen, usable)
         return found.astype(np.int32)
-
-
-def _nearest_first(process: ExplicitProcess, choice: IntArray) -> IntArray:
-    """States of a contraction by their distance from leaving under a policy, [states]."""
-    n = process.n_states
-    leaks = ((process.goal + process.failure)[choice] > 0).nonzero()[0]
-    entry = sp.csr_array(process.transitions[choice]).tocoo()
-    possible = entry.data > 0
-    source = np.concatenate([entry.row[possible], leaks])
-    target = np.concatenate([entry.col[possible], np.full(leaks.size, n)])
-    backward = sp.csr_array((np.ones(source.size), (target, source)), shape=(n + 1, n + 1))
-    order = csgraph.breadth_first_order(backward, n, return_predecessors=False)
-    return np.asarray(order[1:])
 
 
 def bound_of(

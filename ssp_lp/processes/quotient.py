@@ -212,10 +212,7 @@ class Quotient:
         decision[live[chosen[self.node_of[live]] == GIVE_UP_CODE]] = GIVE_UP_CODE
         acting = chosen[chosen >= 0]
         decision[self.model.pair_state[acting]] = acting
-        return self._routed(decision)
-
-    def _routed(self, decision: IntArray) -> IntArray:
-        """Decisions on states, with a way through the node for its members that have none."""
+        # decisions on states, with a way through the node for its members that have none
         lost = self.merged & (decision == UNDECIDED)
         if not lost.any():
             return decision

@@ -85,7 +85,27 @@ def layered_measures(
     found = int(np.bitwise_or.reduce(marks))
     if found & WRONG:
         return None
-    return _layered_measures_of(problem, names, (start[begins] @ totals).tolist(), found)
+    # the measures from the totals of ``_measured_columns`` at the start, and what may be met
+    total = (start[begins] @ totals).tolist()
+    later = len(total) - 4 if problem.discount is not None else 0  # where the discounted begin
+    goal, failure = _both_measures(total[GOAL], total[FAILED])
+    kept, surrogate = _both_measures(total[later + GOAL], total[later + FAILED])
+    stopped = float("inf") if found & (ENDLESS | FAILS) else total[STOPPED]
+    endless = found & (FAILS if later else ENDLESS | FAILS)
+    target = float("inf") if endless else total[later + STOPPED]
+    ends = dict.fromkeys(["goal", *problem.model.state_labels, "dead_end", "gave_up"], 0.0)
+    ends |= {"goal": total[GOAL]} | dict(zip(names, total[4:], strict=False))
+    return Measures(
+        goal=goal,
+        failure=failure,
+        success_cost=total[SUCCESS_COST],
+        expected_cost=stopped,
+        discounted_goal=kept,
+        discounted_failure=surrogate,
+        discounted_cost=total[later + SUCCESS_COST] if problem.ratio else target,
+        ends=ends | {"wandering": complement(sum(ends.values()))},
+        secondary={},
+    )
 
 
 def _measured_columns(
@@ -129,31 +149,6 @@ def _measured_columns(
     if gamma < 1.0:
         found += four(gamma, len(found))
     return found, names
-
-
-def _layered_measures_of(
-    problem: Problem, names: list[str], total: list[float], marks: int
-) -> Measures:
-    """The measures from the totals of ``_measured_columns`` at the start, and what may be met."""
-    later = len(total) - 4 if problem.discount is not None else 0  # where the discounted begin
-    goal, failure = _both_measures(total[GOAL], total[FAILED])
-    kept, surrogate = _both_measures(total[later + GOAL], total[later + FAILED])
-    stopped = float("inf") if marks & (ENDLESS | FAILS) else total[STOPPED]
-    endless = marks & (FAILS if later else ENDLESS | FAILS)
-    target = float("inf") if endless else total[later + STOPPED]
-    ends = dict.fromkeys(["goal", *problem.model.state_labels, "dead_end", "gave_up"], 0.0)
-    ends |= {"goal": total[GOAL]} | dict(zip(names, total[4:], strict=False))
-    return Measures(
-        goal=goal,
-        failure=failure,
-        success_cost=total[SUCCESS_COST],
-        expected_cost=stopped,
-        discounted_goal=kept,
-        discounted_failure=surrogate,
-        discounted_cost=total[later + SUCCESS_COST] if problem.ratio else target,
-        ends=ends | {"wandering": complement(sum(ends.values()))},
-        secondary={},
-    )
 
 
 def _both_measures(goal: float, failure: float) -> tuple[float, float]:

@@ -136,7 +136,7 @@ class System:
         for first, last in self._runs:
             check_time()
             if last - first == 1 and self.components.sizes[first] > EXACTLY_SOLVED:
-                self._solve_large(first, columns, x, accuracy)
+                self.products += self._block(first).solve(columns, x, accuracy)
             else:
                 self._solve_small(first, last, columns, x)
         return x.reshape(rewards.shape)
@@ -282,10 +282,6 @@ class System:
         )  # fmt: skip
         if stuck >= 0:
             raise SolverError(HOLDS_MASS)
-
-    def _solve_large(self, c: int, rewards: FloatArray, x: FloatArray, accuracy: float) -> None:
-        """Solve one large component, in place, given all that it leads to."""
-        self.products += self._block(c).solve(rewards, x, accuracy)
 
     def _block(self, c: int) -> LargeComponent:
         """One large component."""

@@ -125,7 +125,15 @@ def _verified_totals(
             return plain
     before = np.full(rewards.shape[1], np.inf)
     for _ in range(CORRECTIONS):
-        off, missed = _missed_by_totals(system, rewards, x, low)
+        # by what totals miss their equations, [states, rewards], and the most of it
+        off, missed = np.empty_like(x), np.zeros(rewards.shape[1])
+        for j in range(rewards.shape[1]):
+            check_time()
+            columns = (np.ascontiguousarray(part[:, j]) for part in (rewards, x, low))
+            off[:, j], rounding = precise_advantages(
+                system.home, system.matrix, system.exits, *columns
+            )
+            missed[j] = (np.abs(off[:, j]) + rounding).max(initial=0.0)
         scale = _sizes_of_totals(x)
         wrong = 2.0 * longest * missed
         if (wrong <= accuracy * scale).all() or not (missed < 0.5 * before).any():
@@ -145,20 +153,6 @@ def _missed_by_totals_at_most(system: System, rewards: FloatArray, x: FloatArray
         bounds = advantage_bounds(system.home, system.matrix, system.exits, *columns)
         most[j] = max(float(np.abs(bound).max(initial=0.0)) for bound in bounds)
     return most
-
-
-def _missed_by_totals(
-    system: System, rewards: FloatArray, x: FloatArray, low: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """By what totals miss their equations, [states, rewards], and the most of it, [rewards]."""
-    off = np.empty_like(x)
-    most = np.zeros(rewards.shape[1])
-    for j in range(rewards.shape[1]):
-        check_time()
-        columns = (np.ascontiguousarray(part[:, j]) for part in (rewards, x, low))
-        off[:, j], rounding = precise_advantages(system.home, system.matrix, system.exits, *columns)
-        most[j] = (np.abs(off[:, j]) + rounding).max(initial=0.0)
-    return off, most
 
 
 def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:

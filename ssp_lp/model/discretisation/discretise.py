@@ -266,7 +266,11 @@ class OutcomeStore:
     def append(self, rows: Outcomes) -> None:
         """Add the outcomes of more pairs."""
         begin, end = self._size, self._size + len(rows.successors)
-        self._reserve(end)
+        # make room for so many outcomes
+        room = len(self._successors)
+        if end > room:
+            for array in self._grown():
+                array.resize(max(end, room + room // _GROWTH), refcheck=False)
         self._lengths.append(np.diff(rows.outcome_offsets))
         self._successors[begin:end] = rows.successors
         self._probabilities[begin:end] = rows.probabilities
@@ -288,13 +292,6 @@ class OutcomeStore:
         cost = np.asarray(0.0) if self._cost is None else self._cost
         costs = cost if self._costs is None else self._costs
         return Outcomes(offsets, self._successors, self._probabilities, costs)
-
-    def _reserve(self, size: int) -> None:
-        """Make room for so many outcomes."""
-        room = len(self._successors)
-        if size > room:
-            for array in self._grown():
-                array.resize(max(size, room + room // _GROWTH), refcheck=False)
 
     def _grown(self) -> list[npt.NDArray[Any]]:
         """The arrays of outcomes that grow."""

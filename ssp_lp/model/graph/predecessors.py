@@ -61,9 +61,12 @@ def find_predecessors(
 
         offsets, pairs = transpose_graph(n_states, outcome_offsets, successors, probabilities)
     else:
-        offsets, pairs = _transposed_to_predecessors(
-            n_states, outcome_offsets, successors, probabilities
-        )
+        # offsets, [states + 1], and pairs, [entries], by scipy's conversion from rows to columns
+        ends, columns = possible_steps(outcome_offsets, successors, probabilities)
+        present = np.ones(columns.size, dtype=np.bool_)
+        shape = len(ends) - 1, n_states
+        rows = sp.csr_array((present, columns, narrow(ends)), shape=shape).tocsc()
+        offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
     return Predecessors(read_only(offsets), read_only(pairs))
 
 
@@ -104,14 +107,3 @@ def narrow(offsets: IntArray) -> IntArray:
     """Offsets of predecessors in 32 bits where they fit, to match scipy's columns."""
     fits = int(offsets[-1]) <= np.iinfo(np.int32).max
     return offsets.astype(np.int32, copy=False) if fits else offsets
-
-
-def _transposed_to_predecessors(
-    n_states: int, outcome_offsets: IntArray, successors: IntArray, probabilities: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """Offsets, [states + 1], and pairs, [entries], by scipy's conversion from rows to columns."""
-    ends, columns = possible_steps(outcome_offsets, successors, probabilities)
-    present = np.ones(columns.size, dtype=np.bool_)
-    shape = len(ends) - 1, n_states
-    rows = sp.csr_array((present, columns, narrow(ends)), shape=shape).tocsc()
-    return rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
