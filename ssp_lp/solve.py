@@ -168,7 +168,7 @@ def _solved_by_driver(problem: Problem, method: Method, options: SolveOptions) -
         return solve_on_split_costs(problem, span, options)
     if on_rows and (measure is None or measure.maximised):
         return solve_constrained(problem, options)
-    if measure is not None and measure.maximised:
+    if problem.semantics.maximises:
         return solve_for_worth(problem, problem.compile(), options)
     if measure is not None:
         return least_risk(problem, options)

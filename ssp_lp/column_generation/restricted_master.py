@@ -16,9 +16,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.sparse as sp
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.errors import SolverError
+from ssp_lp.linear_programming.linear_program import LinearProgram
 
 _OPTIONS: dict[str, bool | int | float | str] = {
     "presolve": "off",
@@ -158,20 +160,11 @@ def _master_basis(program: _Standard) -> IntArray | None:
     """
     import highspy  # only where there are rows
 
-    from ssp_lp.linear_programming.highs import highs_solver
+    from ssp_lp.linear_programming.highs import highs_lp, highs_solver
 
     n_rows, n_variables = program.matrix.shape
-    lp = highspy.HighsLp()
-    lp.num_col_, lp.num_row_ = n_variables, n_rows
-    lp.col_cost_ = program.cost
-    lp.col_lower_ = np.zeros(n_variables)
-    lp.col_upper_ = np.full(n_variables, highspy.kHighsInf)
-    lp.row_lower_ = lp.row_upper_ = program.right
-    lp.a_matrix_.format_ = highspy.MatrixFormat.kColwise
-    lp.a_matrix_.start_ = np.arange(n_variables + 1, dtype=np.int32) * n_rows
-    lp.a_matrix_.index_ = np.tile(np.arange(n_rows, dtype=np.int32), n_variables)
-    lp.a_matrix_.value_ = np.clip(program.matrix, -_LARGEST, _LARGEST).T.ravel()
-    solver = highs_solver(lp, _OPTIONS)
+    matrix, right = sp.csc_array(np.clip(program.matrix, -_LARGEST, _LARGEST)), program.right
+    solver = highs_solver(highs_lp(LinearProgram(program.cost, matrix, right, right, {})), _OPTIONS)
     solver.run()
     status = solver.getModelStatus()
     if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kUnbounded):

@@ -15,7 +15,7 @@ import numpy as np
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach_leaving
+from ssp_lp.dynamic_programming.leaving import approach_leaving, leaving_chain
 from ssp_lp.dynamic_programming.linear_systems.advantages import exact_sum, precise_advantages
 from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
 from ssp_lp.dynamic_programming.lowering import (
@@ -146,7 +146,8 @@ def _precise_bound(
     """The bound of a policy that is optimal in twice the working precision; None: there is none."""
     choice = best_pairs(dynamics.pair_offsets, dynamics.transitions, pair_cost, values).choice
     try:
-        choice = _leaving_for_bound(dynamics, choice)
+        nearest = approach_leaving(dynamics, dynamics.exits > 0.0)
+        choice = leaving_chain(dynamics, choice, nearest)[1]
         settled = iterate_policy(dynamics, pair_cost[:, None], _ONE, choice, precise=True)
         ahead = _precisely_for_bound(dynamics, pair_cost, settled.values, settled.low)
         lack = max(-float(ahead.min(initial=0.0)), 0.0)
@@ -177,14 +178,3 @@ def _precisely_for_bound(
         dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, high, low
     )
     return ahead - rounding
-
-
-def _leaving_for_bound(dynamics: Dynamics, choice: IntArray) -> IntArray:
-    """A policy that leaves: where one does not, states go by the nearest way out instead."""
-    closed = dynamics.chain(choice).closed
-    if not closed.size:
-        return choice
-    nearest = approach_leaving(dynamics, dynamics.exits > 0.0)
-    mixed = choice.copy()
-    mixed[closed] = nearest[closed]
-    return mixed if not dynamics.chain(mixed).closed.size else nearest

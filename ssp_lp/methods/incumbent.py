@@ -13,7 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
@@ -32,6 +32,7 @@ from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Run, Solution
 
 _ROUGH = SolveOptions(1e-3)  # how exactly case M is solved: its policy is not the best one anyway
+_NOTHING = 1e-290  # a bound below it is 0
 _DEAREST = 1.0 - 1e-12  # of the least total: what its sums may have been rounded by
 
 
@@ -51,7 +52,7 @@ class Incumbent:
         Returns:
             Case M's outcome where it was solved for its policy, else what is in hand.
         """
-        if self.solution is not None or not self._is_of_use:
+        if self.solution is not None or not has_totals(self.stated):
             return self.solution
         problem = unrolled(self.stated)
         for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
@@ -73,7 +74,7 @@ class Incumbent:
 
     def improving(self, other: Solution) -> Solution:
         """A search's solution that was cut short, with this one's policy or bound where better."""
-        if not self._is_of_use:
+        if not has_totals(self.stated):
             return other
         mine, bound = self.solution or other, worth_bound(unrolled(self.stated))
         if other.upper_bound is not None:
@@ -105,11 +106,6 @@ class Incumbent:
         self.outcome = refined_optimum(compiled, budget, _ROUGH)
         return self.outcome.lottery
 
-    @property
-    def _is_of_use(self) -> bool:
-        """Whether totals are told apart."""
-        return self.stated.ratio or self.stated.semantics.measure is not None
-
 
 def _judged(problem: Problem, policy: MixedPolicy, room: float) -> Solution | None:
     """What a policy is worth in a problem's own terms; None where it breaks a limit, or fails.
@@ -125,18 +121,36 @@ def _judged(problem: Problem, policy: MixedPolicy, room: float) -> Solution | No
     allowed = 1.0 if budget is None else max(budget * (1.0 + ATTAINABLE), budget + room)
     if not np.isfinite(found.objective) or failure > allowed:
         return None
-    for condition in conditions_of(problem):
-        spent = found.secondary_costs[condition.name]
-        for row in condition.rows:
-            if row.activity(spent) > row.bound + ATTAINABLE * abs(row.bound):
-                return None
-    measure, bound = problem.semantics.measure, worth_bound(problem)
-    sense, sign = AS_ASKED, 1.0
-    if measure is not None and measure.maximised:
+    if broken_limit(problem, found, ATTAINABLE):
+        return None
+    bound, sense, sign = worth_bound(problem), AS_ASKED, 1.0
+    if problem.semantics.maximises:
         sense, sign = ObjectiveSense(0.0), -1.0
     reason = "a policy of case M, as the search had none so good by then"
     answer = Found(policy, sign * found.objective, sign * bound, failure, note=CUT_SHORT)
     return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)
+
+
+def has_totals(problem: Problem) -> bool:
+    """Whether totals are told apart, so that the least of them bounds what is asked."""
+    return problem.ratio or problem.semantics.measure is not None
+
+
+def broken_limit(problem: Problem, found: Evaluation, room: float = 2.0 * ATTAINABLE) -> str:
+    """Which limit a policy breaks, in words; empty: none.
+
+    Args:
+        problem: the problem.
+        found: what its policy attains.
+        room: beyond the bound, relative to it.
+    """
+    for condition in conditions_of(problem):
+        spent = found.secondary_costs[condition.name]
+        for row in condition.rows:
+            taken = row.activity(spent)
+            if taken > row.bound + room * max(abs(row.bound), _NOTHING):
+                return f"the policy spends {taken:.12g} of {row.told!r}, {row.bound:.12g} allowed"
+    return ""
 
 
 def worth_bound(problem: Problem) -> float:

@@ -92,7 +92,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best: Solution | None = None
-    sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
+    sign = -1.0 if problem.semantics.maximises else 1.0
     bound, span = _no_worse(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
         rough = float(unit) / span if best is None else _SHARE * _rounded_gap(best.objective, bound)
@@ -137,7 +137,7 @@ def proved_on_rounded_costs(
         options: tolerance and limits.
     """
     problem = solution.problem
-    sign = -1.0 if _is_maximised_on_rounded(problem) else 1.0
+    sign = -1.0 if problem.semantics.maximises else 1.0
     rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
     enough = max(options.tolerance, (1.0 + _SHARE) * solution.gap)
     bound, allowed = _no_worse(problem), np.inf
@@ -220,11 +220,6 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> OnRoun
     return OnRoundedCosts(rounded, *asked)
 
 
-def _is_maximised_on_rounded(problem: Problem) -> bool:
-    measure = problem.semantics.measure
-    return measure is not None and measure.maximised
-
-
 def _no_worse(problem: Problem) -> float:
     """What is known of the optimum before anything is solved."""
     measure = problem.semantics.measure
@@ -242,7 +237,7 @@ def _concluded_on_rounded(
     problem: Problem, best: Solution, bound: float, options: SolveOptions, unit: Fraction
 ) -> Solution:
     """The best policy with the best bound, and what a reader should know."""
-    maximised, attained = _is_maximised_on_rounded(problem), best.objective
+    maximised, attained = problem.semantics.maximises, best.objective
     measure = problem.semantics.measure
     if measure is not None and measure.charge.settled is None and not is_late():
         try:

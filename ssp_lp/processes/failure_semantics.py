@@ -75,6 +75,11 @@ class FailureSemantics:
         return 0.0 if self.measure is None else self.measure.failing
 
     @property
+    def maximises(self) -> bool:
+        """Whether what is asked for is a worth, the greater the better."""
+        return self.measure is not None and self.measure.maximised
+
+    @property
     def counts_cost_alone(self) -> bool:
         """Whether only a budget can keep a policy from failing: no penalty, aim or measure."""
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None

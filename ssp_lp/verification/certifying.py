@@ -21,7 +21,7 @@ from ssp_lp.column_generation.pricing.explicit_pricing import LARGEST
 from ssp_lp.column_generation.pricing.pricing_problem import Proof
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError, OutOfTimeError
-from ssp_lp.methods.incumbent import worth_bound
+from ssp_lp.methods.incumbent import broken_limit, has_totals, worth_bound
 from ssp_lp.methods.risk.least_risk import risk_bound
 from ssp_lp.methods.rounded_costs import is_on_rounded_costs, proved_on_rounded_costs
 from ssp_lp.methods.rows.proof import lagrange_bound, rows_bound
@@ -38,7 +38,6 @@ from ssp_lp.verification.certificate import Certificate, certificate_of, failure
 
 _LOG = logging.getLogger("ssp_lp.certificate")
 
-_ENOUGH = 1e-290  # a bound below it is 0
 _STEEP_PRICES = (1e1, 1e3, 1e5)
 """Prices of failure, in values of the policy, at which least failure is proved best."""
 
@@ -80,9 +79,10 @@ def certify(
             with limited(left, "a bound was proved"):
                 certificate = _certificate(solution, found, members)
         except OutOfTimeError:
-            if not _is_of_totals(solution.problem):
+            problem = solution.problem
+            if problem.failure_budget is None or not has_totals(problem):
                 raise
-            certificate = _certificate_of_cheapest_way(solution.problem, found)
+            certificate = _certificate_of_cheapest_way(problem, found)
         _LOG.info("%r", certificate)
     return certificate
 
@@ -96,8 +96,7 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
         if not np.isfinite(found.objective):
             return certificate_of(found, 0.0, 1.0, "the goal is never reached")
         bound, allowed = proved_on_rounded_costs(solution, found.objective, CERTIFYING)
-        above = measure is not None and measure.maximised
-        return certificate_of(found, bound, allowed, above=above)
+        return certificate_of(found, bound, allowed, above=problem.semantics.maximises)
     span, unknown = span_to_split(problem), solution.value_function is None
     if span is None and unknown and problem.ratio and measure is None and by_sums(problem):
         span = span_of_steps(problem)  # for want of time a grid was taken in place of its sums
@@ -107,11 +106,12 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
         bound, allowed = proved_on_split_costs(solution, span, found.objective, CERTIFYING)
         return certificate_of(found, bound, allowed)
     searched = solution.value_function is not None or solution.status is Status.OPTIMAL
-    if _is_of_totals(problem) and not risk and not searched:  # an answer in hand, of no search
+    is_in_hand = problem.failure_budget is not None and not searched  # by no search
+    if is_in_hand and has_totals(problem) and not risk:
         return _certificate_of_cheapest_way(problem, found)
     if by_rows(problem):
         proved = _risk_certificate if risk else _limits_certificate
-        certificate, reason = proved(solution, found), _certified_breach(problem, found)
+        certificate, reason = proved(solution, found), broken_limit(problem, found)
         return replace(certificate, accepted=False, reason=reason) if reason else certificate
     if problem.semantics.aim is not Aim.LEAST_COST:
         return _goal_certificate(problem, found)
@@ -123,17 +123,10 @@ def _certificate(solution: Solution, found: Evaluation, members: list[Evaluation
     return _budget_certificate(solution, found, min(map(failure_of, members)))
 
 
-def _is_of_totals(problem: Problem) -> bool:
-    """Whether the cheapest way to the goal bounds what is asked, and a budget is stated."""
-    of_totals = problem.ratio or problem.semantics.measure is not None
-    return of_totals and problem.failure_budget is not None
-
-
 def _certificate_of_cheapest_way(problem: Problem, found: Evaluation) -> Certificate:
     """The bound that needs no search."""
-    measure = problem.semantics.measure
-    above, budget = measure is not None and measure.maximised, problem.failure_budget or 0.0
-    bound, reason = worth_bound(problem), _certified_breach(problem, found)
+    above, budget = problem.semantics.maximises, problem.failure_budget or 0.0
+    bound, reason = worth_bound(problem), broken_limit(problem, found)
     return certificate_of(found, bound, budget, reason, above=above)
 
 
@@ -178,17 +171,6 @@ def _budget_certificate(solution: Solution, found: Evaluation, attained: float) 
 def _allowed(budget: float, least: LeastFailure) -> float:
     """The failure that a budget allows: the least, where that lies above it by rounding only."""
     return max(budget, min(least.column.failure, budget + LEAST_BUDGET))
-
-
-def _certified_breach(problem: Problem, found: Evaluation) -> str:
-    """Which constraint the policy breaks, in words; empty: none."""
-    for condition in conditions_of(problem):
-        spent = found.secondary_costs[condition.name]
-        for row in condition.rows:
-            taken, room = row.activity(spent), 2.0 * ATTAINABLE * max(abs(row.bound), _ENOUGH)
-            if taken > row.bound + room:
-                return f"the policy spends {taken:.12g} of {row.told!r}, {row.bound:.12g} allowed"
-    return ""
 
 
 def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
