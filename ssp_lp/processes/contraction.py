@@ -17,6 +17,7 @@ import scipy.sparse as sp
 from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model.graph.predecessors import find_predecessors
@@ -121,6 +122,7 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     inside, component = _contracted_components(process, free)
     if not inside.any():
         return None
+    check_time()
     _, node_of = np.unique(component, return_inverse=True)
     kept = (~inside).nonzero()[0]
     kept = kept[np.argsort(node_of[process.pair_state[kept]], kind="stable")]
@@ -153,6 +155,7 @@ def _contracted_components(process: ExplicitProcess, free: BoolArray) -> tuple[B
     source, n = process.pair_state[pair], process.n_states
     inside = free
     while True:
+        check_time()
         step = inside[pair]
         graph = sp.csr_array(
             (np.ones(int(step.sum())), (source[step], successor[step])), shape=(n, n)

@@ -7,6 +7,7 @@ equations written out; its two values enclose the truth but for rounding.
 import pickle
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,6 +28,7 @@ from ssp_lp.compiled.deadline import Stop
 from ssp_lp.dynamic_programming import extreme_reach
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.totals.ladder import Rungs, wanted_rungs
 
 _ENDS = 60.0  # seconds; what is looked at here took for ever
 
@@ -218,3 +220,10 @@ def test_a_policy_whose_run_is_exponentially_long_is_evaluated() -> None:
     ratio = (1.0 - onward) / onward
     steps = sum(ratio**i * (length - i) for i in range(length)) / onward
     assert solution.expected_cost == pytest.approx(steps + 1.0, rel=1e-9)
+
+
+def test_a_grid_with_real_costs_has_too_many_sums_to_follow() -> None:
+    """So many kinds of steps that to number what each leads to from every sum filled the memory."""
+    model = holes(39, slip=0.2, share=0.08, seed=4)
+    costs = model.costs * np.random.default_rng(4).uniform(0.5, 2.0, model.n_outcomes)
+    assert wanted_rungs(replace(model, costs=costs)) == Rungs()

@@ -19,7 +19,7 @@ MOST_SUMS = 20_000
 
 _PRODUCTS = 50  # sums that are formed at once, times those that may be kept
 _MOST_PLACES = 300_000  # states times sums that are followed through a model
-_MOST_MARKS = 30_000_000  # states times sums, whether they are met or not
+_MOST_MARKS = 30_000_000  # sums times states, or times steps, whether they are met or not
 _UNKNOWN, _BEYOND = -2, -1  # in place of the number of a total
 _MOST_ROUNDS = 1_000
 _SAME = 1e-11
@@ -145,7 +145,7 @@ def _walked_sums(model: SSP, steps: FloatArray, cap: float, most: int) -> FloatA
         first[name[fresh]] = np.arange(len(sums), len(sums) + len(fresh))
         leads[new] = first[name[len(sums) :]]
         sums = np.append(sums, every[fresh])
-        if len(sums) > most or len(sums) * n > _MOST_MARKS:
+        if len(sums) > most or len(sums) * max(n, kinds) > _MOST_MARKS:
             return None
         leads = np.append(leads, np.full(len(fresh) * kinds, _UNKNOWN))
         known = np.append(seen, np.zeros(len(fresh) * n, dtype=np.bool_))
