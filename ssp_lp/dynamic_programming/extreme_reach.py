@@ -90,11 +90,14 @@ def extreme_reach(
     """
     # what is wanted is maximised, which is to minimise the other: each is exact where it is small
     both = np.stack([hit, miss] if greatest else [miss, hit], axis=1)
-    last_digits = last_digits or not greatest or dynamics.n_states <= DIRECT_STATES
+    last_digits = last_digits or not greatest
     floor = 0.0 if dynamics.components.largest <= EXACTLY_SOLVED else FAILURE_FLOOR
     asked = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
     choice, low, high = _swept_towards(
-        dynamics, np.ascontiguousarray(both[:, 0]), asked, last_digits
+        dynamics,
+        np.ascontiguousarray(both[:, 0]),
+        asked,
+        last_digits or dynamics.n_states <= DIRECT_STATES,
     )
     if high is None:
         high = np.ones_like(low)

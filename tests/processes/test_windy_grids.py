@@ -227,3 +227,14 @@ def test_a_grid_with_real_costs_has_too_many_sums_to_follow() -> None:
     model = holes(39, slip=0.2, share=0.08, seed=4)
     costs = model.costs * np.random.default_rng(4).uniform(0.5, 2.0, model.n_outcomes)
     assert wanted_rungs(replace(model, costs=costs)) == Rungs()
+
+
+def test_a_small_grid_whose_runs_are_long_has_an_answer() -> None:
+    """Runs of 1e8 steps: a bound by state reduction took a minute where it was not compiled."""
+    pytest.importorskip("numba")
+    problem = MaxProb(holes(27, slip=0.01, share=0.2, seed=111), 0)
+    solution = solve(problem, time_limit=_ENDS)
+    assert solution.status is not Status.TIME_LIMIT
+    attained = evaluate(solution.policy, problem).goal_probability
+    assert attained == pytest.approx(solution.objective, rel=1e-9)
+    assert solution.objective <= (solution.upper_bound or 0.0)

@@ -149,7 +149,7 @@ class System:
         """
         columns = rewards.reshape(self.size, -1)
         x, found = np.zeros(columns.shape), self.components
-        if accelerated(len(self.matrix.indices)):
+        if accelerated(max(len(self.matrix.indices), found.largest**2)):
             for first, last in self._runs:
                 if last - first == 1 and found.sizes[first] > DIRECT_STATES:
                     LargeComponent(self.matrix, self.exits, found.members(first)).reduce(columns, x)
