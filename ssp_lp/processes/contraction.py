@@ -11,6 +11,7 @@ pairs that stay are taken away, and none is added.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -20,7 +21,8 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_i
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.model.graph.predecessors import find_predecessors
+from ssp_lp.model.graph.end_components import end_components
+from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
 from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
@@ -119,10 +121,12 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     free = free & (process.goal == 0.0) & (process.failure == 0.0)
     if not free.any():
         return None
-    inside, component = _contracted_components(process, free)
+    component, inside = end_components(_graph_of(process), free)
     if not inside.any():
         return None
     check_time()
+    alone = component.max() + 1 + np.arange(process.n_states)
+    component = np.where(component < 0, alone, component)
     _, node_of = np.unique(component, return_inverse=True)
     kept = (~inside).nonzero()[0]
     kept = kept[np.argsort(node_of[process.pair_state[kept]], kind="stable")]
@@ -143,26 +147,23 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     )
 
 
-def _contracted_components(process: ExplicitProcess, free: BoolArray) -> tuple[BoolArray, IntArray]:
-    """Free pairs that stay in an end component of such pairs, and a label of each state's.
+class _Graph(NamedTuple):
+    """What leads where in a process."""
 
-    Strongly connected components of the free pairs' graph, without the pairs that may leave
-    theirs, until none does.
-    """
-    entry = process.transitions.tocoo()
-    possible = entry.data > 0
-    pair, successor = entry.row[possible], entry.col[possible]
-    source, n = process.pair_state[pair], process.n_states
-    inside = free
-    while True:
-        check_time()
-        step = inside[pair]
-        graph = sp.csr_array(
-            (np.ones(int(step.sum())), (source[step], successor[step])), shape=(n, n)
-        )
-        _, label = csgraph.connected_components(graph, directed=True, connection="strong")
-        escapes = np.zeros(process.n_pairs, dtype=np.bool_)
-        escapes[pair[step & (label[source] != label[successor])]] = True
-        if not escapes.any():
-            return inside, label
-        inside = inside & ~escapes
+    n_states: int
+    n_outcomes: int
+    pair_offsets: IntArray
+    pair_state: IntArray
+    outcome_offsets: IntArray
+    successors: IntArray
+    probabilities: FloatArray
+    predecessors: Predecessors
+
+
+def _graph_of(process: ExplicitProcess) -> _Graph:
+    """The graph of a process, in the number types of a model's."""
+    rows, home = process.transitions, process.pair_state.astype(np.int32)
+    offsets, ends = process.pair_offsets.astype(np.int64), rows.indptr.astype(np.int64)
+    before = process.dynamics.predecessors
+    entries = ends, rows.indices, rows.data, before
+    return _Graph(process.n_states, rows.nnz, offsets, home, *entries)

@@ -9,12 +9,11 @@ from scipy.sparse import csgraph
 from ssp_lp.arrays import BoolArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces_of_chunks
-from ssp_lp.model.graph.predecessors import narrow, possible_steps
+from ssp_lp.model.graph.predecessors import Graph, narrow, possible_steps
 from ssp_lp.model.graph.reachability import close_pairs, drain, edges
-from ssp_lp.model.ssp import SSP
 
 
-def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
+def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
     """Maximal end components of the model restricted to the allowed pairs.
 
     An end component is a set of states and of pairs whose successors all stay in the set, that is
@@ -22,7 +21,8 @@ def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]
     dropped, then what leaves its strong component, and components that lost a pair come again.
 
     Args:
-        allowed: pairs that may be part of a component, [pairs].
+        model: the model, or a process.
+        allowed: pairs that may be part of a component, from which nothing ends, [pairs].
 
     Returns:
         The component of each state, numbered from 0 in the order of their first states, and -1
@@ -54,7 +54,7 @@ def end_components(model: SSP, allowed: BoolArray) -> tuple[IntArray, BoolArray]
 
 
 def _label_end_components(
-    model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray
+    model: Graph, inside: BoolArray, pending: BoolArray, label: IntArray
 ) -> None:
     """Label each pending state, in place, by the first state of its strong component.
 
@@ -91,7 +91,7 @@ def _strong_components(columns: IntArray, offsets: IntArray) -> IntArray:
 
 
 def _crossing_end_components(
-    model: SSP, inside: BoolArray, pending: BoolArray, label: IntArray
+    model: Graph, inside: BoolArray, pending: BoolArray, label: IntArray
 ) -> BoolArray:
     """Inside pairs of pending states that may lead to a state of another label, [pairs]."""
     candidates = inside & pending[model.pair_state]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -43,6 +44,42 @@ class Predecessors:
             pairs = self.pairs[concatenated_ranges(first[some], lengths[some])]
             found.append(sorted_unique(pairs[among[pairs]]))
         return found[-1] if len(found) <= 2 else sorted_unique(np.concatenate(found))
+
+
+class Graph(Protocol):
+    """Which pairs lead where: of a model, or of a process."""
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+
+    @property
+    def n_outcomes(self) -> int:
+        """Number of outcomes of all pairs."""
+
+    @property
+    def pair_offsets(self) -> IntArray:
+        """The pairs of state s are ``pair_offsets[s] : pair_offsets[s + 1]``, [states + 1]."""
+
+    @property
+    def pair_state(self) -> IntArray:
+        """The state of each pair, [pairs]."""
+
+    @property
+    def outcome_offsets(self) -> IntArray:
+        """The outcomes of each pair, likewise, [pairs + 1]."""
+
+    @property
+    def successors(self) -> IntArray:
+        """Where each outcome leads, [outcomes]."""
+
+    @property
+    def probabilities(self) -> FloatArray:
+        """Of each outcome, [outcomes]."""
+
+    @property
+    def predecessors(self) -> Predecessors:
+        """The graph turned round."""
 
 
 def find_predecessors(

@@ -12,7 +12,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces_of_chunks
 from ssp_lp.model.graph.kept import kept
-from ssp_lp.model.graph.predecessors import Predecessors, narrow
+from ssp_lp.model.graph.predecessors import Graph, Predecessors, narrow
 from ssp_lp.model.ssp import SSP
 
 
@@ -213,7 +213,7 @@ def nearer_pairs(
 
 
 def drain(
-    model: SSP, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
+    model: Graph, open_pairs: BoolArray, open_counts: IntArray, closed_states: IntArray
 ) -> None:
     """Close, in place, pairs that may lead to a closed state, and states with no pair left open.
 
@@ -238,7 +238,7 @@ def drain(
 
 
 def close_pairs(
-    model: SSP, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
+    model: Graph, open_pairs: BoolArray, open_counts: IntArray, pairs: IntArray
 ) -> IntArray:
     """Close these open pairs, ascending, in place; return the states with none left open."""
     open_pairs[pairs] = False
