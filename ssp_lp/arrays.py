@@ -28,6 +28,9 @@ Linear solves leave 1e-15 to 1e-14; 1e-16 drops true maximisers on the paper's r
 the least-failure cost by 4e-4.
 """
 
+LEAST_RISE: Final = 1e-300
+"""Rise of a probability below which sweeps that round down would come to an end."""
+
 FAILURE_FLOOR: Final = 1e-15
 """Share of a state's greatest goal probability below which two failure probabilities are alike.
 

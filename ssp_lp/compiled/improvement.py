@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from ssp_lp.arrays import LEAST_RISE
 from ssp_lp.compiled.elimination import eliminate_component, gather_component
 
 Array = np.ndarray[Any, Any]
@@ -16,9 +17,6 @@ _MOST_ROUNDS = 1_000
 
 _ROUNDS = 50
 """Howard's rounds in one component: more would be spent on what lies around it."""
-
-
-_LEAST_RISE = 1e-300  # of a probability: below it rounding down would come to an end
 
 
 @njit(cache=True)
@@ -411,7 +409,7 @@ def sweep_reach(
         most = max(most, rise)
         if up:
             values[s] = min(greatest, 1.0)
-        elif rise > _LEAST_RISE:
+        elif rise > LEAST_RISE:
             values[s], choice[s] = greatest, pick
     return most
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from ssp_lp.arrays import (
     FAILURE_FLOOR,
+    LEAST_RISE,
     MACHINE_EPSILON,
     MAXIMISER,
     BoolArray,
@@ -204,17 +205,30 @@ def _swept_towards(
     if stuck.any():
         choice = np.where(stuck, approach_leaving(dynamics, dynamics.exits > 0.0), choice)
     choice = choice.astype(np.int32)
-    if not accelerated(_SWEEPS * dynamics.transitions.nnz) or is_solved_backwards(dynamics):
+    is_compiled = accelerated(_SWEEPS * dynamics.transitions.nnz)
+    if (last_digits and not is_compiled) or is_solved_backwards(dynamics):
         return choice, low, None
-    from ssp_lp.compiled.improvement import sweep_reach
-
     parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
     order = np.argsort(distance, kind="stable").astype(np.uint32)
     order = order[~stuck[order]]
     directions = cycle((order, np.ascontiguousarray(order[::-1])))
+    longest = int(np.diff(dynamics.transitions.indptr).max(initial=0))
+    slack = (longest + 5.0) * MACHINE_EPSILON
 
     def sweep(values: FloatArray, *, up: bool = False, follows: bool = False) -> float:
         """The greatest rise of a value."""
+        if not is_compiled:  # all at once
+            backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, -wanted, -values)
+            greatest = -(1.0 + slack if up else 1.0 - slack) * backup.minima
+            greatest = np.where(stuck, values, np.minimum(greatest, 1.0))
+            rises = greatest - values
+            moved = rises != 0.0 if up else rises > LEAST_RISE
+            values[moved] = greatest[moved]
+            if not up:
+                choice[moved] = backup.choice[moved]
+            return float(rises.max(initial=0.0))
+        from ssp_lp.compiled.improvement import sweep_reach
+
         direction, rise = next(directions), 0.0
         for some in pieces(order.size, dynamics.transitions.nnz):
             rise = max(rise, sweep_reach(

@@ -139,16 +139,18 @@ def test_a_racetrack_of_seventy_thousand_states_ends() -> None:
     assert certify(solution).accepted
 
 
+@pytest.mark.parametrize("compiled", [False, True])
 @pytest.mark.parametrize(
     "model",
     [holes(40, seed=3), racetrack(10), headings(20), tandem(40), sysadmin(11), corridor(1_200)],
     ids=["holes", "racetrack", "headings", "tandem", "sysadmin", "corridor"],
 )
 def test_sweeps_enclose_what_policy_iteration_settles(
-    model: SSP, accelerate: Callable[[bool], None]
+    model: SSP, compiled: bool, accelerate: Callable[[bool], None]
 ) -> None:
-    pytest.importorskip("numba")
-    accelerate(True)
+    if compiled:
+        pytest.importorskip("numba")
+    accelerate(compiled)
     start = np.zeros(model.n_states)
     start[0] = 1.0
     settled = greatest_goal_reach(model, start=start)
