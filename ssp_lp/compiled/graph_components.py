@@ -13,6 +13,7 @@ from ssp_lp.compiled.deadline import check_time
 
 Array = np.ndarray[Any, Any]
 
+_CLOSED = np.uint32(2**32 - 1)  # above every number of a state that is still open
 _TURNS = 100_000  # of a search between two looks at the time
 
 
@@ -110,7 +111,7 @@ def _search_components(
         data: [entries].
         roots: where searches begin.
         label: written, [states].
-        number: when each state was met, 0: not yet, [states].
+        number: when each state was met, 0: not yet, ``_CLOSED``: it has a component, [states].
         low: the least number that is reached from each and still open, [states].
         place: entry with which each state goes on, [states].
         opened: states without a component yet, [states].
@@ -125,7 +126,7 @@ def _search_components(
         entered = np.int64(-1)
         if depth > 0:
             state = calls[depth - 1]
-            entered = _not_entered(state, place, end, indices, data, label, number, low)
+            entered = _not_entered(state, place, end, indices, data, number, low)
         elif root == roots.size:
             goes_on = False
             break
@@ -147,7 +148,7 @@ def _search_components(
             caller = calls[depth - 1]
             low[caller] = min(low[caller], low[state])
         if low[state] == number[state]:
-            n_open = _close_component(state, opened, n_open, found, label)
+            n_open = _close_component(state, opened, n_open, found, label, number)
             found += 1
     counts[0], counts[1], counts[2] = root, depth, n_open
     counts[3], counts[4], counts[5] = n_finished, visited, found
@@ -157,30 +158,30 @@ def _search_components(
 @njit(cache=True)
 def _not_entered(
     state: int, place: Array, end: Array, indices: Array, data: Array,
-    label: Array, number: Array, low: Array,
+    number: Array, low: Array,
 ) -> np.int64:  # fmt: skip
     """The next successor that the search for components has not met, or -1."""
-    k, past = place[state], end[state]
+    k, past, least = place[state], end[state], low[state]
     while k < past:
-        successor, possible = indices[k], data[k] > 0.0
+        successor, met = indices[k], number[indices[k]]
+        if data[k] > 0.0:
+            if met == 0:
+                place[state], low[state] = k + 1, least
+                return np.int64(successor)
+            least = min(least, met)
         k += 1
-        if not possible:
-            continue
-        if number[successor] == 0:
-            place[state] = k
-            return np.int64(successor)
-        if label[successor] < 0:
-            low[state] = min(low[state], number[successor])
-    place[state] = k
+    place[state], low[state] = k, least
     return np.int64(-1)
 
 
 @njit(cache=True)
-def _close_component(state: int, opened: Array, n_open: int, found: int, label: Array) -> int:
+def _close_component(
+    state: int, opened: Array, n_open: int, found: int, label: Array, number: Array
+) -> int:
     """Give all that was opened since a state its component's label; how many states stay open."""
     while True:
         n_open -= 1
-        label[opened[n_open]] = found
+        label[opened[n_open]], number[opened[n_open]] = found, _CLOSED
         if opened[n_open] == state:
             return n_open
 
