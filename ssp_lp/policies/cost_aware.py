@@ -160,8 +160,9 @@ class CostAwarePolicy(Policy):
         edges = self._told_apart(levels, costs[moving])
         if len(edges) * self.model.n_states > _MOST_BEYOND:
             return None
+        farthest = levels[-2] + costs[moving].max(initial=0.0)
         asks = np.searchsorted(edges, self.tail_threshold, side="right") - 1
-        rank = np.where(self.tail_threshold > levels[-2] + costs[-1], len(edges), asks)
+        rank = np.where(self.tail_threshold > farthest, len(edges), asks)
 
         def reached(total: FloatArray) -> IntArray:
             """The layer that each total leads to, like ``total``."""
@@ -181,7 +182,7 @@ class CostAwarePolicy(Policy):
                 return steady
             return np.where(moving, reached(levels[level] + costs) - level, 1)
 
-        farthest = reached(levels[:cap] + costs[moving].max(initial=0.0))
+        leads_to = reached(levels[:cap] + costs[moving].max(initial=0.0))
         return CostLayers(
             decision=self.decision,
             tails=self.tails,
@@ -189,7 +190,7 @@ class CostAwarePolicy(Policy):
             costs=costs,
             leads=leads,
             unit=None,
-            width=max(int((farthest - np.arange(cap)).max(initial=1)), 1) + 1,
+            width=max(int((leads_to - np.arange(cap)).max(initial=1)), 1) + 1,
         )
 
     def _told_apart(self, levels: FloatArray, costs: FloatArray) -> FloatArray:

@@ -130,7 +130,7 @@ class LayerMoves:
     def free_order(self) -> IntArray:
         """States, each after those that its free moves lead to, as far as may be, [states]."""
         model = self.model
-        staying = np.atleast_1d(self.layers.leads(0) <= 0)[self.classes if self.classes.size else 0]
+        staying = (self.layers.leads(0) <= 0)[self.classes if self.classes.size else [0]]
         begins = model.outcome_offsets[model.pair_offsets]
         found = strong_components(begins, model.successors, model.probabilities * staying)
         return found.order
@@ -145,6 +145,8 @@ class LayerMoves:
         """
         check_time()
         model, leads, decision = self.model, self.layers.leads(begin), self.layers.decision
+        if not model.n_outcomes:
+            return
         if accelerated(model.n_outcomes * (end - begin)):
             from ssp_lp.compiled.streaming import stream_hope
 

@@ -7,9 +7,10 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
-from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
+from formulations import EGUBS, GUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from small_models import model_of
-from ssp_lp import SSP, CostAwarePolicy, simulate, solve, success_costs
+from ssp_lp import SSP, CostAwarePolicy, MixedPolicy, evaluate, simulate, solve, success_costs
+from ssp_lp.policies.policy import UNDECIDED
 
 LEFT = 1e-13  # mass of runs that are not followed
 
@@ -62,8 +63,10 @@ def utility(costs):
     return np.exp(-0.3 * costs)
 
 
+EXACT = EGUBS(one_state(), "x", -0.5, 0.1, cost_levels=5)  # its optimum remembers nothing
 CASES = [
-    (EGUBS(one_state(), "x", -0.5, 0.1, cost_levels=5), "x"),
+    (EXACT, "x"),
+    (GUBS(one_state(), "x", lambda costs: np.exp(-0.5 * costs), 0.1, cost_levels=5), "x"),
     (EGUBS(rooms(0), "r0", -0.4, 0.2, cost_levels=7), "r0"),
     (GUBS(rooms(1), "r0", utility, 0.3, cost_levels=9), "r0"),
     (CostBoundedReach(rooms(2), "r0", 4.0, 0.3, cost_levels=8), "r0"),
@@ -78,7 +81,8 @@ CASES = [
 def test_it_is_that_of_every_run(problem, start: str) -> None:
     solution = solve(problem)
     members = solution.policy.policies
-    assert any(isinstance(p, CostAwarePolicy) and p.rounds_up for p in members)
+    rounded = any(isinstance(p, CostAwarePolicy) and p.rounds_up for p in members)
+    assert rounded is (problem is not EXACT)
     truth, law = (
         paid_law(solution.policy, problem.model, start),
         success_costs(solution.policy, problem),
@@ -102,3 +106,26 @@ def test_one_step_of_two_costs() -> None:
     law = success_costs(solve(problem).policy, problem)
     assert law.conditional_mean == pytest.approx(0.25 + np.pi / 6.0)
     assert law.within(0.5) == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_tails_begin_where_their_thresholds_say(seed: int) -> None:
+    """Thresholds anywhere beyond the last level: some that only a last step's cost would reach."""
+    draw, model = np.random.default_rng(seed), rooms(seed)
+    cap, acts = int(draw.integers(2, 6)), np.diff(model.pair_offsets) > 0
+    decision = np.where(acts, draw.integers(0, 2, (cap, model.n_states)), UNDECIDED)
+    taken = model.pair_offsets[:-1] + draw.integers(0, 2, (2, model.n_states))
+    levels = np.append(0.0, np.cumsum(draw.uniform(0.3, 0.9, cap)))
+    policy = CostAwarePolicy(
+        model,
+        float(levels[1]),
+        decision,
+        np.where(acts, taken, UNDECIDED),
+        levels[-2] + draw.uniform(0.0, 4.0, model.n_states),
+        levels=levels,
+    )
+    law = paid_law(MixedPolicy((policy,), np.ones(1)), model, "r0")
+    reached = evaluate(policy, S3P(model, "r0", 0.9))
+    assert reached.goal_probability == pytest.approx(sum(law.values()), abs=1e-9)
+    mean = sum(total * mass for total, mass in law.items()) / sum(law.values())
+    assert reached.conditional_cost == pytest.approx(mean, rel=1e-8)
