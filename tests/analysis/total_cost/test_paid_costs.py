@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from formulations import EGUBS, GUBS, S3P, CostBoundedReach, CostQuantile, CVaR
 from small_models import model_of
-from ssp_lp import SSP, CostAwarePolicy, MixedPolicy, evaluate, simulate, solve, success_costs
+from ssp_lp import SSP, CostAwarePolicy, MixedPolicy, simulate, solve, success_costs
+from ssp_lp.analysis.layers.layered_measures import layered_measures
 from ssp_lp.policies.policy import UNDECIDED
 
 LEFT = 1e-13  # mass of runs that are not followed
@@ -112,20 +114,27 @@ def test_one_step_of_two_costs() -> None:
 def test_tails_begin_where_their_thresholds_say(seed: int) -> None:
     """Thresholds anywhere beyond the last level: some that only a last step's cost would reach."""
     draw, model = np.random.default_rng(seed), rooms(seed)
+    ends = model.successors == model.index_of("pit")
+    model = replace(model, costs=model.costs + 3.0 * ends)  # the dearest steps are last ones
     cap, acts = int(draw.integers(2, 6)), np.diff(model.pair_offsets) > 0
     decision = np.where(acts, draw.integers(0, 2, (cap, model.n_states)), UNDECIDED)
     taken = model.pair_offsets[:-1] + draw.integers(0, 2, (2, model.n_states))
     levels = np.append(0.0, np.cumsum(draw.uniform(0.3, 0.9, cap)))
+    early, late = draw.uniform([[0.0], [3.4]], [[1.0], [5.0]], (2, model.n_states))
+    beyond = np.where(draw.random(model.n_states) < 0.5, early, late)
     policy = CostAwarePolicy(
         model,
         float(levels[1]),
         decision,
         np.where(acts, taken, UNDECIDED),
-        levels[-2] + draw.uniform(0.0, 4.0, model.n_states),
+        levels[-2] + beyond,
         levels=levels,
     )
     law = paid_law(MixedPolicy((policy,), np.ones(1)), model, "r0")
-    reached = evaluate(policy, S3P(model, "r0", 0.9))
-    assert reached.goal_probability == pytest.approx(sum(law.values()), abs=1e-9)
-    mean = sum(total * mass for total, mass in law.items()) / sum(law.values())
-    assert reached.conditional_cost == pytest.approx(mean, rel=1e-8)
+    problem, start = S3P(model, "r0", 0.9), np.zeros(model.n_states)
+    start[model.index_of("r0")] = 1.0
+    reached = layered_measures(policy, problem, start, least_nodes=0)
+    assert reached is not None
+    assert reached.discounted_goal == pytest.approx(sum(law.values()), abs=1e-9)
+    paid = sum(total * mass for total, mass in law.items())
+    assert reached.discounted_cost == pytest.approx(paid, rel=1e-8)
