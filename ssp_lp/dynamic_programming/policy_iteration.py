@@ -56,7 +56,7 @@ _WORTHLESS = 1e-16
 """Worth of all gains, relative to the values, for which policies could go round in circles."""
 
 _CLEARLY = 1e-9  # relative: values nearer to each other may differ by rounding alone
-_MOVED = 1e-10  # relative: the most that taking the first of equal pairs may move a total
+_MOVED = 1e-12  # relative: the most that taking the first of equal pairs may move a total
 _NEARER = 0.25  # of a step: by so much at least each pair that is taken comes nearer to leaving
 
 
@@ -286,7 +286,7 @@ def first_of_equals(
     a pair is taken where it keeps to the equations of all totals, up to ``TIED`` of the total there
     or at the start, and comes nearer to leaving, as the run lengths measure it. So the new policy
     leaves within four times the run length, and each of its steps moves a total by ``TIED``, or
-    by less in long runs: by no more than 1e-10 of it in all.
+    by less in long runs: by no more than 1e-12 of it in all, which certificates let pass.
 
     Args:
         dynamics: the process.
