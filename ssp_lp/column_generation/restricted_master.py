@@ -160,12 +160,12 @@ def _master_basis(program: _Standard) -> IntArray | None:
     """
     import highspy  # only where there are rows
 
-    from ssp_lp.linear_programming.highs import highs_lp, highs_solver
+    from ssp_lp.linear_programming.highs import highs_lp, highs_solver, run_highs
 
     n_rows, n_variables = program.matrix.shape
     matrix, right = sp.csc_array(np.clip(program.matrix, -_LARGEST, _LARGEST)), program.right
     solver = highs_solver(highs_lp(LinearProgram(program.cost, matrix, right, right, {})), _OPTIONS)
-    solver.run()
+    run_highs(solver)
     status = solver.getModelStatus()
     if status not in (highspy.HighsModelStatus.kOptimal, highspy.HighsModelStatus.kUnbounded):
         return None

@@ -88,7 +88,7 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
 def _solved_by_highs(program: LinearProgram, options: HighsOptions) -> highspy.Highs:
     """HiGHS, having solved a program."""
     solver = highs_solver(highs_lp(program), options)
-    solver.run()
+    run_highs(solver)
     if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
@@ -130,6 +130,16 @@ def highs_solver(lp: highspy.HighsLp, options: HighsOptions) -> highspy.Highs:
     if solver.passModel(lp) == highspy.HighsStatus.kError:
         raise SolverError("HiGHS refuses the linear program")
     return solver
+
+
+def run_highs(solver: highspy.Highs) -> None:
+    """Run HiGHS; where it ran before in this process, as cvxpy's, on as many threads as then.
+
+    Once it has threads it refuses any other number.
+    """
+    if solver.run() == highspy.HighsStatus.kError:
+        solver.setOptionValue("threads", 0)
+        solver.run()
 
 
 def highs_lp(program: LinearProgram) -> highspy.HighsLp:

@@ -19,7 +19,7 @@ from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import SolverError
-from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver
+from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.methods.integer_programming.process_view import steps_between, within_reach
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -234,7 +234,7 @@ def _greatest_by_integers(
         return None
     solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
     solver.changeColsCost(counted.size, np.arange(counted.size, dtype=np.int32), counted)
-    solver.run()
+    run_highs(solver)
     status = solver.getModelStatus()
     if status == highspy.HighsModelStatus.kTimeLimit:
         return None
