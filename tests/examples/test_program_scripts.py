@@ -1,0 +1,213 @@
+"""The chapter "The program" as scripts: what each finds against brute force or the definition."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import replace
+
+import cvxpy as cp
+import numpy as np
+import pytest
+
+from examples.formulating import (
+    convex_objectives,
+    files,
+    one_action,
+    rows_of_ones_own,
+    stations,
+    sweep,
+    two_robots,
+)
+from ssp_lp import SSP, DeterministicPolicies, evaluate, failure_probability, solve, trace_frontier
+
+PROBLEMS = list(files.problems())
+BY_CLARABEL = {"rel": 1e-6, "abs": 1e-6}
+
+
+class Definition:
+    """Least cost over the visits of a model, by its arrays; failing is to arrive at no goal.
+
+    Every step costs something, and nobody gives up: nothing else can happen.
+    """
+
+    def __init__(self, model: SSP, start: object) -> None:
+        self.model, rows = model, model.outcome_offsets[:-1]
+        self.x = cp.Variable(model.n_pairs, nonneg=True)
+        acting = np.unique(model.pair_state)
+        lost = ~model.goal_mask & ~np.isin(np.arange(model.n_states), acting)
+        self.cost = np.add.reduceat(model.probabilities * model.costs, rows)
+        self.failing = np.add.reduceat(model.probabilities * lost[model.successors], rows)
+        pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
+        balance = np.zeros((model.n_states, model.n_pairs))
+        balance[model.pair_state, np.arange(model.n_pairs)] = 1.0
+        np.add.at(balance, (model.successors, pair), -model.probabilities)
+        begun = np.arange(model.n_states) == model.index_of(start)
+        self.rows = [balance[acting] @ self.x == begun[acting].astype(float)]
+
+    def visits(self, state: object, action: object | None = None) -> cp.Expression:
+        """How often a state acts, or acts so."""
+        pairs = np.flatnonzero(self.model.pair_state == self.model.index_of(state))
+        return cp.sum(self.x[[k for k in pairs if action in (None, self.model.action_of(k))]])
+
+    def expression(self, quantity: object) -> cp.Expression:
+        """The probability of failing, the only quantity that the scripts ask for."""
+        assert repr(quantity) == repr(failure_probability())
+        return self.failing @ self.x
+
+    def least(self) -> float:
+        """The optimum."""
+        return float(cp.Problem(cp.Minimize(self.cost @ self.x), self.rows).solve(cp.CLARABEL))
+
+
+def test_rows_of_ones_own_are_those_of_the_definition() -> None:
+    problem = rows_of_ones_own.crossing()
+    defined = Definition(problem.model, problem.start)
+    defined.rows.append(defined.failing @ defined.x <= problem.failure_budget)
+    rows, costs = iter(rows_of_ones_own.rows(defined)), []
+    for name, measure in rows_of_ones_own.crossings(problem).items():
+        if name != "none":
+            added, row = next(rows)
+            assert added == name
+            defined.rows.append(row)
+        assert measure.objective == pytest.approx(defined.least(), **BY_CLARABEL), name
+        found = evaluate(measure.randomised_policy(), problem)
+        assert found.objective == pytest.approx(measure.objective, rel=1e-9)
+        assert found.failure_probability == pytest.approx(measure.activity["failure"], abs=1e-9)
+        costs.append(measure.objective)
+    assert not list(rows)
+    assert np.all(np.diff(costs) > 1e-3)  # each of them matters
+
+
+def test_a_congested_fleet_has_equal_marginal_costs() -> None:
+    measure, theory = convex_objectives.fleet()
+    for road, share in theory.items():
+        taken = measure.program.visits("depot", road) @ measure.visits
+        assert taken == pytest.approx(share, **BY_CLARABEL)
+    assert measure.activity["failure"] == pytest.approx(convex_objectives.LOST_LORRIES)
+    assert measure.duals["failure"] > 1.0
+    assert sum(theory.values()) == pytest.approx(1.0)
+
+
+def test_entropy_is_soft_value_iteration() -> None:
+    measure, value = convex_objectives.robot()
+    assert measure.minimised == pytest.approx(value, rel=1e-6)
+    assert measure.activity["failure"] == pytest.approx(convex_objectives.LOST_ROBOTS, abs=1e-6)
+
+
+def test_the_stations_are_the_best_of_all_sets() -> None:
+    problem = stations.delivery(stations.PRICES)
+    measure, chosen = stations.built(problem)
+    costs = dict(stations.by_enumeration())
+    assert 1 < len(costs) < 2 ** len(stations.PRICES)
+    assert measure.minimised == pytest.approx(min(costs.values()), rel=1e-7)
+    assert measure.minimised == pytest.approx(costs[chosen], rel=1e-7)
+    found = evaluate(measure.mixed_policy(), problem)
+    assert found.failure_probability <= stations.CRASHES + 1e-9
+    prices = sum(map(stations.PRICES.__getitem__, chosen))
+    assert found.objective + prices == pytest.approx(costs[chosen], rel=1e-7)
+
+
+def every_policy(problem: one_action.MCMP) -> tuple[np.ndarray, np.ndarray]:
+    """Cost and failure of every deterministic policy; infinite cost where it goes on for ever."""
+    model, defined = problem.model, Definition(problem.model, problem.start)
+    acting, n = np.unique(model.pair_state), model.n_states
+    own = [np.flatnonzero(model.pair_state == s) for s in acting]
+    choices = np.array(list(itertools.product(*own)))
+    moves, pair = np.zeros((model.n_pairs, n)), np.arange(model.n_pairs)
+    outcomes = np.repeat(pair, np.diff(model.outcome_offsets))
+    np.add.at(moves, (outcomes, model.successors), model.probabilities)
+    chain = np.zeros((len(choices), n, n))
+    chain[:, acting] = moves[choices]
+    visits = np.zeros((len(choices), n))
+    visits[:, model.index_of(problem.start)] = 1.0
+    for _ in range(30):  # 2^30 steps: visits + visits P, then twice as many by P^2, ...
+        visits = visits + np.einsum("ks,kst->kt", visits, chain)
+        chain = chain @ chain
+    times = visits[:, acting]
+    cost = np.where(times.max(axis=1) < 1e6, (times * defined.cost[choices]).sum(axis=1), np.inf)
+    return cost, (times * defined.failing[choices]).sum(axis=1)
+
+
+def test_one_action_a_state_is_the_best_of_all_policies() -> None:
+    model, start = one_action.river(4, 3)
+    problem = one_action.MCMP(model, start, failure_budget=0.0, give_up="dead_ends")
+    cost, failure = every_policy(problem)
+    for budget in one_action.BUDGETS:
+        asked = replace(problem, failure_budget=budget)
+        best = cost[failure <= budget + 1e-12].min()
+        measure, way = one_action.deterministic(asked)
+        assert measure.objective == pytest.approx(best, rel=1e-6)
+        assert solve(asked, DeterministicPolicies()).objective == pytest.approx(best, rel=1e-9)
+        assert len(measure.mixed_policy().weights) == 1
+        assert len(way) == np.count_nonzero(measure.visits > one_action.TAKEN)
+
+
+def test_two_robots_share_as_their_frontiers_do() -> None:
+    problems = two_robots.robots()
+    frontiers = trace_frontier(problems[0]), trace_frontier(problems[1])
+    defined = [Definition(problem.model, problem.start) for problem in problems]
+    lost, costs = (sum(getattr(d, what) @ d.x for d in defined) for what in ("failing", "cost"))
+    rows = [row for d in defined for row in d.rows]
+    for budget in two_robots.BUDGETS:
+        first, second, price = two_robots.shared(problems, budget)
+        cost = first.objective + second.objective
+        known = float(cp.Problem(cp.Minimize(costs), [*rows, lost <= budget]).solve(cp.CLARABEL))
+        assert cost == pytest.approx(known, **BY_CLARABEL)
+        assert cost == pytest.approx(two_robots.merged(frontiers, budget), **BY_CLARABEL)
+        taken = [measure.activity["failure"] for measure in (first, second)]
+        assert sum(taken) == pytest.approx(budget, abs=1e-6)
+        less, more = (two_robots.merged(frontiers, budget + step) for step in (-1e-4, 1e-4))
+        assert (cost - more) / 1e-4 - 0.05 <= price <= (less - cost) / 1e-4 + 0.05
+
+
+@pytest.mark.parametrize("swept", [sweep.least_cost, sweep.cost_given_success])
+def test_a_sweep_walks_along_the_frontier(swept) -> None:
+    found = [(budget, measure.objective, known) for budget, measure, known in swept()]
+    assert [budget for budget, _, _ in found] == list(sweep.BUDGETS)
+    for _, objective, known in found:
+        assert objective == pytest.approx(known, **BY_CLARABEL)
+
+
+def test_a_sweep_of_least_cost_is_that_of_the_definition() -> None:
+    defined, budget = Definition(*sweep.crossing()), cp.Parameter()
+    defined.rows.append(defined.failing @ defined.x <= budget)
+    for budget.value, measure, _ in sweep.least_cost():
+        assert measure.objective == pytest.approx(defined.least(), **BY_CLARABEL)
+        assert measure.duals["failure"] == pytest.approx(
+            float(defined.rows[-1].dual_value), rel=1e-4
+        )
+
+
+@pytest.mark.parametrize(("name", "problem"), PROBLEMS, ids=[name for name, _ in PROBLEMS])
+def test_files_are_solved_elsewhere_and_read_back(name: str, problem, tmp_path) -> None:
+    known = solve(problem).objective
+    highs, clarabel = files.round_trip(problem, tmp_path)
+    for measure in (highs, clarabel):
+        assert measure.objective == pytest.approx(known, **BY_CLARABEL), name
+        assert measure.residual <= 1e-6
+
+
+SCRIPTS = {
+    convex_objectives: "by soft value iteration",
+    one_action: "the way",
+    rows_of_ones_own: "spread",
+    stations: "stations at",
+    sweep: "given success",
+    two_robots: "halves",
+}
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda script: script.__name__)
+def test_the_script_prints_what_it_finds(script, capsys) -> None:
+    script.main()
+    printed = capsys.readouterr().out
+    assert SCRIPTS[script] in printed
+    assert len(printed.splitlines()) >= 5
+    assert not re.search(r"\bnan\b", printed)
+
+
+def test_the_script_of_files_leaves_them(tmp_path, capsys) -> None:
+    files.main(["--output", str(tmp_path)])
+    assert "CostBoundedReach" in capsys.readouterr().out
+    assert len(list(tmp_path.glob("*/program.mps"))) == len(PROBLEMS)
