@@ -72,8 +72,9 @@ def problems() -> Iterator[tuple[str, Problem]]:
 def by_highs(file: Path, solution: Path) -> None:
     """Solve a file by HiGHS, and let it write its solution."""
     if (executable := shutil.which("highs")) is not None:
-        command = [executable, str(file), "--solution_file", str(solution)]
-        subprocess.run(command, check=True, capture_output=True)  # noqa: S603
+        command = [executable, str(file.resolve()), "--solution_file", str(solution.resolve())]
+        # beside the file, where it leaves its log
+        subprocess.run(command, check=True, capture_output=True, cwd=file.parent)  # noqa: S603
         return
     highs = highspy.Highs()
     highs.setOptionValue("output_flag", False)
