@@ -10,6 +10,8 @@ that go round for ever; they cost nothing where the measure is optimal, and no p
 
 from __future__ import annotations
 
+from contextlib import suppress
+
 import numpy as np
 import scipy.sparse as sp
 
@@ -28,6 +30,12 @@ from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
 _SEEN = 1e-9  # outflow that a solver's tolerance leaves meaningful
+_NOISES = (
+    _SEEN,
+    1e-8,
+    1e-7,
+    1e-6,
+)  # shares of visits that interior points leave where there are none
 _DUST = 1e-12  # of a state's visits: less is rounding
 _ROUNDED = 1e-15  # of them: what subtracting leaves
 _REST = 1e-12  # weight that is not worth a member of its own
@@ -41,6 +49,7 @@ def balanced_visits(
     visits: FloatArray,
     otherwise: IntArray,
     gives_up: BoolArray | None = None,
+    noise: float = _SEEN,
 ) -> FloatArray:
     """The visits of the policy that draws each pair with its share of a solver's visits, [pairs].
 
@@ -53,13 +62,16 @@ def balanced_visits(
         otherwise: a policy that leaves, for states that the solver's tolerance does not tell from
             unvisited ones, [states].
         gives_up: pairs by which a policy gives up, [pairs].
+        noise: outflow, and share of a state's, up to which an interior point's visits are none.
 
     Raises:
         SolverError: the policy never leaves.
     """
     kept = np.maximum(visits, 0.0)
     outflow = segment_sums(kept, process.pair_offsets)
-    unseen = outflow <= _SEEN * min(float(outflow.max(initial=0.0)), 1.0)
+    unseen = outflow <= noise * min(float(outflow.max(initial=0.0)), 1.0)
+    if noise > _SEEN:
+        kept[kept <= noise * outflow[process.pair_state]] = 0.0
     share = _decomposed_shares(process, kept, unseen, otherwise)
     if gives_up is not None:
         reaching = (share > 0.0) & (process.goal > 0.0)
@@ -85,6 +97,23 @@ def _decomposed_shares(
     share = np.where(unseen[process.pair_state], 0.0, visits)
     share[otherwise[unseen]] = 1.0
     return np.asarray(share / segment_sums(share, process.pair_offsets)[process.pair_state])
+
+
+def decomposed_of_solver(
+    process: ExplicitProcess, visits: FloatArray
+) -> tuple[tuple[IntArray, ...], FloatArray]:
+    """The same as :func:`decomposed` for visits that balance within a solver's tolerance only.
+
+    As little is taken for noise as makes them a policy's own.
+
+    Raises:
+        SolverError: the visits are not those of any policy, whatever is.
+    """
+    otherwise = leaving_choice(process.dynamics, process.goal)
+    for noise in _NOISES:
+        with suppress(SolverError):
+            return decomposed(process, balanced_visits(process, visits, otherwise, noise=noise))
+    return decomposed(process, visits)
 
 
 def decomposed(

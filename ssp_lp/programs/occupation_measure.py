@@ -17,14 +17,14 @@ from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stochastic import StochasticPolicy
 from ssp_lp.programs.augmented import ColumnLabel
-from ssp_lp.programs.decomposition import balanced_visits, decomposed
+from ssp_lp.programs.decomposition import balanced_visits, decomposed, decomposed_of_solver
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
     from ssp_lp.programs.state_values import StateValues
 
 
-_BALANCED = 1e-9  # imbalance of visits that are taken as a policy's own
+_BALANCED = 1e-13  # imbalance of visits that are taken as a policy's own
 _LISTED = 20  # rows that are printed
 _BEYOND = 1e-9  # probability of passing the last total from which it is told
 
@@ -184,8 +184,8 @@ class OccupationMeasure:
         """
         if self.reduced is not None:
             return self.reduced.mixed_policy()
-        visits = self.visits if self.imbalance <= _BALANCED else self.balanced
-        choices, weights = decomposed(self.program.process, visits)
+        split = decomposed if self.imbalance <= _BALANCED else decomposed_of_solver
+        choices, weights = split(self.program.process, self.visits)
         return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
 
     def to_frame(self) -> Any:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
+from examples.domains.river import river
+from examples.domains.windy_field import windy_field
 from formulations import MCMP, S3P, MaxProb
 from small_models import model_of
 from ssp_lp import (
@@ -406,3 +408,18 @@ def test_duals_of_balance_and_of_rows_make_the_optimum(seed: int) -> None:
         measure.value("g")
     with pytest.raises(ModelError, match="nothing is known of duals"):
         program.measure(measure.visits).value("a")
+
+
+@pytest.mark.parametrize("field", [river(5, 5), windy_field(8, diagonal=1)])
+@pytest.mark.parametrize("criterion", [MCMP, S3P])
+def test_an_interior_point_makes_a_lottery(field: tuple, criterion: type) -> None:
+    """What it leaves on pairs that nobody takes is noise, however little balance it breaks."""
+    problem = criterion(*field, 0.2)
+    stated = problem.program().to_cvxpy()
+    cp.Problem(cp.Minimize(stated.objective), [*stated.constraints.values()]).solve(cp.CLARABEL)
+    measure = stated.measure()
+    best = solve(problem).objective
+    for policy in (measure.mixed_policy(), measure.randomised_policy()):
+        found = evaluate(policy, problem)
+        assert found.objective == pytest.approx(best, rel=1e-6)
+        assert found.failure_probability == pytest.approx(0.2, abs=1e-6)
