@@ -9,7 +9,7 @@ from typing import Any, Protocol, cast, overload
 from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
 from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
-from ssp_lp.compiled.deadline import READING, check_time, is_within_call, limited
+from ssp_lp.compiled.deadline import READING, is_within_call, limited
 from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.product import check_product
@@ -17,7 +17,7 @@ from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import on_original
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
-from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.goal_reach import greatest_from
 from ssp_lp.processes.in_product import on_product
 from ssp_lp.processes.layered.charges import TOTAL_COST, ExponentialCharge
 from ssp_lp.processes.quantities.conditions import Condition
@@ -241,9 +241,7 @@ def budget_of_share(
         reach_fraction: the share, in [0, 1].
     """
     begun = start_distribution(model, start)
-    greatest = float(begun @ greatest_goal_reach(model, start=begun, last_digits=False).goal)
-    check_time()  # it is not the greatest where the time has ended
-    return min(max(1.0 - reach_fraction * greatest, 0.0), 1.0)
+    return min(max(1.0 - reach_fraction * greatest_from(model, begun), 0.0), 1.0)
 
 
 def check_problem(problem: object, verb: str) -> None:

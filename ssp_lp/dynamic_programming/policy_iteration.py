@@ -283,10 +283,11 @@ def first_of_equals(
     """The policy with the first pair of each state that is as good as its own in every total.
 
     What rounding favoured among equals is not seen in it. No total needs to be worked out again:
-    a pair is taken where it keeps to the equations of all totals, up to ``TIED`` of the total there
-    or at the start, and comes nearer to leaving, as the run lengths measure it. So the new policy
-    leaves within four times the run length, and each of its steps moves a total by ``TIED``, or
-    by less in long runs: by no more than 1e-12 of it in all, which certificates let pass.
+    a pair is taken where it keeps to the equations of all totals, up to ``TIED`` of the total
+    there, or of that at the start, and comes nearer to leaving, as run lengths measure it. So the
+    new policy leaves within four times the run length, and each of its steps moves a total by
+    ``TIED``, or by less in long runs: by no more than 1e-12 of it in all, which certificates let
+    pass.
 
     Args:
         dynamics: the process.
@@ -299,11 +300,12 @@ def first_of_equals(
     Returns:
         [states].
     """
-    longest, size = float(runs.max(initial=1.0)), np.abs(totals)
+    slack = min(TIED, _MOVED * _NEARER / float(runs.max(initial=1.0))) * np.abs(totals)
     if start is not None:
         longest = max(float(expected(start, runs)), 1.0)
-        size = np.maximum(size, np.abs(expected(start, totals)))
-    slack = min(TIED, _MOVED * _NEARER / longest) * size
+        slack = np.maximum(
+            slack, min(TIED, _MOVED * _NEARER / longest) * np.abs(expected(start, totals))
+        )
     offsets, transitions = dynamics.pair_offsets, dynamics.transitions
     first = choice.astype(np.int32)
     if accelerated(len(transitions.indices)):

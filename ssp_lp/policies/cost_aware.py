@@ -204,6 +204,8 @@ class CostAwarePolicy(Policy):
         last = levels[-2] + costs.max(initial=0.0)
         edges, end = np.unique(self.tail_threshold), 0.5 * (levels[-2] + levels[-1])
         edges = edges[(edges > (1.0 - _TIE) * end) & (edges <= last)]
+        if edges.size * near.size > _CHECKED * 10:  # too many to compare
+            return np.asarray(edges)
         room = edges[:, None] - near
         below, upto = (
             np.searchsorted(costs, room + side * _TIE * last).sum(axis=1) for side in (-1.0, 1.0)

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.leaving import approach_leaving
@@ -31,6 +32,8 @@ from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.layered.charges import TailValues
 from ssp_lp.processes.live_rows import RowChoice, live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
+
+_RARE = 1e-4  # failure below which what sweeps enclose a success by leaves it few digits
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +114,19 @@ def greatest_goal_reach(
     setting = survival, start, last_digits
     found = _extreme_reach(quotient, sure, surely, *setting, greatest=True)
     return replace(found, decision=np.where(inside, nearer, found.decision))
+
+
+def greatest_from(model: SSP, start: FloatArray) -> float:
+    """The greatest goal probability from a start, [states]; where failing is rare, to its digits.
+
+    Raises:
+        Stop: the time ended before it was settled.
+    """
+    reached = float(start @ greatest_goal_reach(model, start=start, last_digits=False).goal)
+    check_time()  # it is not the greatest where the time has ended
+    if 1.0 - _RARE < reached < 1.0:
+        return float(start @ greatest_goal_reach(model, start=start).goal)
+    return reached
 
 
 def extreme_goal_reach(model: SSP, aim: Aim, start: FloatArray) -> GoalReach:

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import formulations as criteria
+from formulations import MCMP
+from small_models import model_of
 from ssp_lp import SSP, MixedPolicy, SSPError, evaluate, solve, visits
 from tests.support.compiled import Switch
 
@@ -135,3 +137,27 @@ def test_compiled_loops_return_the_policy_that_numpy_does(
             for part in here:
                 np.testing.assert_array_equal(here[part], there[part], err_msg=f"{name}, {part}")
         assert plain.objective == pytest.approx(evaluate(plain.policy, made()).objective, rel=1e-11)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+@pytest.mark.parametrize(("rare", "run", "dearer"), [(1e-5, 1e7, 1e-8), (1e-9, 1e9, 1e-4)])
+def test_what_is_rarely_entered_and_hardly_left_is_not_equal_there(
+    rare: float, run: float, dearer: float, compiled: bool, accelerate: Switch
+) -> None:
+    """Twice the run length of steps there, each nearly equal, would add up at the start."""
+    accelerate(compiled)
+
+    def going(cost: float) -> list[tuple[float, str, float]]:
+        return [(1.0 / run, "g", cost), (1.0 - 1.0 / run, "r", cost)]
+
+    choices = {
+        "a": {"go": [(1.0 - rare, "g", 1.0), (rare, "s", 1.0)]},
+        "s": {"dear": going(1.0 + dearer), "cheap": going(1.0)},
+        "r": {"on": [(1.0, "s", 1.0)]},
+    }
+    problem = MCMP(model_of(choices, "g"), "a", 0.1)
+    solution = solve(problem)
+    assert evaluate(solution.policy, problem).objective == pytest.approx(
+        solution.objective, rel=1e-12
+    )
+    assert solution.objective == pytest.approx(1.0 + rare * (2.0 * run - 1.0), rel=1e-9)

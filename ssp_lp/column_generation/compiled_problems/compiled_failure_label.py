@@ -12,14 +12,14 @@ from ssp_lp.column_generation.compiled_problems.compiled_problem import LeastFai
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.column_generation.pricing.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
-from ssp_lp.compiled.deadline import READING, check_time, limited
+from ssp_lp.compiled.deadline import READING, limited
 from ssp_lp.errors import InfeasibleError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import surely_reaching
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, label_failure
 from ssp_lp.processes.failure_semantics import FailureSemantics, survival_of
-from ssp_lp.processes.goal_reach import GoalReach, greatest_goal_reach
+from ssp_lp.processes.goal_reach import GoalReach, greatest_from, greatest_goal_reach
 
 _UNPROVED = 1e-10
 """Relative gap at least failure from which pairs are compared in twice the working precision."""
@@ -84,9 +84,7 @@ class CompiledFailureLabel:
     def _least_failure_alone(self) -> float:
         """The least failure probability, whatever it costs."""
         with limited(READING, "the least failure probability was worked out"):
-            greatest = greatest_goal_reach(self.model, start=self.start, last_digits=False).goal
-            check_time()  # it is not the greatest where the time has ended
-        return max(1.0 - float(self.start @ greatest), 0.0)
+            return max(1.0 - greatest_from(self.model, self.start), 0.0)
 
     def pricing(self) -> ExplicitPricing:
         """Policy iteration on the labelled process.

@@ -104,5 +104,8 @@ def _crossing_end_components(
         successors, chances = model.successors[piece.entries], model.probabilities[piece.entries]
         here = np.repeat(label[model.pair_state[piece.segments]], piece.lengths)
         other = (label[successors] != here) & (chances > 0)
-        candidates[piece.segments] &= np.logical_or.reduceat(other, piece.firsts)
+        filled = piece.lengths > 0  # a pair of a process may have no outcome but an end
+        crosses = np.zeros(len(piece.lengths), dtype=np.bool_)
+        crosses[filled] = np.logical_or.reduceat(other, piece.firsts[filled])
+        candidates[piece.segments] &= crosses
     return candidates

@@ -27,6 +27,7 @@ from ssp_lp import (
     simulate,
     solve,
     trace_frontier,
+    visits,
 )
 from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.restricted_master import solve_master
@@ -334,3 +335,26 @@ def test_the_setting_is_checked():
         evaluate(DeterministicPolicy(model_of({"a": {"x": [(1.0, "g", 1)]}}), np.array([0, -1])),
                  ConstrainedCost(THREE, "a"))  # fmt: skip
     assert isinstance(THREE, SSP)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_free_moves_beside_steps_straight_to_the_goal(seed, accelerate):
+    """Pairs that have no outcome but an end stand among those that go round for nothing."""
+    accelerate(False)
+    rng = np.random.default_rng(seed)
+    n, choices = int(rng.integers(2, 6)), {"d": {}}
+    for state in range(n):
+        choices[state] = {"home": [(1.0, "g", 5.0)]}
+        for action in range(int(rng.integers(1, 4))):
+            free, to = rng.random() < 0.5, int(rng.integers(n))
+            risky = [(0.7, "g", 2.0), (0.2, "d", 2.0), (0.1, to, 2.0)]
+            choices[state][action] = [(1.0, to, 0.0)] if free else risky
+    limits = {"v": visits(n - 1) <= 0.5, "w": visits(0) <= 3.0}
+    problem = MCMP(model_of(choices, "g"), 0, 0.3, give_up="anywhere", constraints=limits)
+    try:
+        known = problem.program().solve().objective
+    except InfeasibleError:
+        with pytest.raises(InfeasibleError):
+            solve(problem)
+        return
+    assert solve(problem).objective == pytest.approx(known, rel=1e-7)
