@@ -25,6 +25,7 @@ from ssp_lp.linear_programming.linear_program import (
 from ssp_lp.options import BACKENDS
 
 _SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
+_SIMPLEX_AT_LAST = 50_000  # columns up to which simplex is tried where interior points fail
 _LOOK = 0.05  # seconds between two looks at the time while a solver works
 _LARGE = 300_000  # entries of a program that takes a solver seconds, and another process a share
 _SERVED = """
@@ -51,7 +52,8 @@ def backends_for(program: LinearProgram, backend: str | None) -> tuple[str, ...]
     preferred = "highs-simplex" if small else "highs-ipx"
     chosen = preferred if backend in (None, "highs") else str(backend)
     spare = "clarabel" if chosen == "highs-ipx" else "highs-ipx"
-    return tuple(dict.fromkeys((chosen, spare, preferred)))
+    last = "highs-simplex" if program.matrix.shape[1] <= _SIMPLEX_AT_LAST else preferred
+    return tuple(dict.fromkeys((chosen, spare, preferred, last)))
 
 
 def first_accepted(
