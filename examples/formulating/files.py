@@ -96,8 +96,10 @@ def by_clarabel(file: Path, solution: Path) -> None:
     equal, below = lower == upper, (lower < upper) & (upper < highspy.kHighsInf)
     above = (lower < upper) & (lower > -highspy.kHighsInf)
     stated = [rows[equal] @ x == upper[equal], x >= np.array(lp.col_lower_)]
-    stated += [rows[below] @ x <= upper[below]] * bool(below.any())
-    stated += [rows[above] @ x >= lower[above]] * bool(above.any())
+    if below.any():
+        stated.append(rows[below] @ x <= upper[below])
+    if above.any():
+        stated.append(rows[above] @ x >= lower[above])
     cp.Problem(cp.Minimize(np.array(lp.col_cost_) @ x), stated).solve(cp.CLARABEL)
     lines = zip(lp.col_names_, x.value, strict=True)
     solution.write_text(
