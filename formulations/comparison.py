@@ -25,7 +25,7 @@ from ssp_lp import SSP, InfeasibleError, Solution, progress_shown, solve
 from ssp_lp.errors import did_you_mean
 from ssp_lp.formulation import CostLimit, Problem
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.tables import Summarised, html_table, text_table
+from ssp_lp.model.naming import Summarised, html_table, text_table
 from ssp_lp.problem import as_stated
 
 _HEAD = ["criterion", "objective", "cost", "given success", "failure", "price"]

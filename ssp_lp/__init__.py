@@ -47,8 +47,7 @@ from ssp_lp.verification.certificate import Certificate
 from ssp_lp.verification.certifying import certify
 
 if TYPE_CHECKING:
-    from ssp_lp.analysis.frontier import Frontier as Frontier
-    from ssp_lp.analysis.frontier_tracing import trace_frontier as trace_frontier
+    from ssp_lp.analysis.frontier import Frontier as Frontier, trace_frontier as trace_frontier
     from ssp_lp.analysis.simulation import simulate as simulate
     from ssp_lp.formulation import Formulation as Formulation
     from ssp_lp.model.discretisation.continuous_model import (
@@ -62,8 +61,13 @@ if TYPE_CHECKING:
         discretise as discretise,
     )
     from ssp_lp.model.discretisation.grid import Axis as Axis, Grid as Grid
-    from ssp_lp.model.product import Memory as Memory, ProductSSP as ProductSSP, product as product
-    from ssp_lp.model.within_steps import HorizonSSP as HorizonSSP, within_steps as within_steps
+    from ssp_lp.model.product import (
+        HorizonSSP as HorizonSSP,
+        Memory as Memory,
+        ProductSSP as ProductSSP,
+        product as product,
+        within_steps as within_steps,
+    )
     from ssp_lp.policies.remembering import on_original as on_original
     from ssp_lp.programs.occupation_measure import OccupationMeasure as OccupationMeasure
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
@@ -112,15 +116,13 @@ __all__ = [
 ]
 
 _MODULES = {
-    "analysis.frontier": "Frontier",
+    "analysis.frontier": "Frontier trace_frontier",
     "analysis.simulation": "simulate",
-    "analysis.frontier_tracing": "trace_frontier",
     "formulation": "Formulation",
     "model.discretisation.continuous_model": "ContinuousModel Distribution WorldSimulator",
     "model.discretisation.discretise": "Quadrature Samples discretise",
     "model.discretisation.grid": "Axis Grid",
-    "model.product": "Memory ProductSSP product",
-    "model.within_steps": "HorizonSSP within_steps",
+    "model.product": "HorizonSSP Memory ProductSSP product within_steps",
     "policies.remembering": "on_original",
     "programs.occupation_measure": "OccupationMeasure",
     "programs.occupation_program": "OccupationProgram",

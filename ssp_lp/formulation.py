@@ -33,7 +33,7 @@ from ssp_lp.errors import (
 )
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_labels, dead_end_labels
-from ssp_lp.model.within_steps import unroll_steps
+from ssp_lp.model.product import unroll_steps
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
@@ -243,7 +243,7 @@ class Formulation(_Inherited):
     def unrolled(self) -> Problem:
         """The problem that is solved: itself, or with a horizon that on (state, steps taken).
 
-        Its model is that of :func:`~ssp_lp.model.within_steps.within_steps`, made when it is first
+        Its model is that of :func:`~ssp_lp.model.product.within_steps`, made when it is first
         asked for; a goal that is too far away is out of reach in it.
         """
         if self.horizon is None:

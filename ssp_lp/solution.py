@@ -6,15 +6,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from ssp_lp.analysis.evaluation import Evaluation, evaluate
-from ssp_lp.analysis.visits import equivalent_randomised_policy
-from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
+from ssp_lp.analysis.evaluation import (
+    Evaluation,
+    equivalent_randomised_policy,
+    evaluate,
+    failing_in_words,
+    giving_up_at_start,
+)
 from ssp_lp.arrays import FloatArray, ReadOnlyCopies
 from ssp_lp.column_generation.failure_row import relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
-from ssp_lp.model.naming import ByName
-from ssp_lp.model.tables import html_table
+from ssp_lp.model.naming import ByName, html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.remembering import on_original

@@ -43,7 +43,7 @@ from ssp_lp.game.bayes_adaptive import bayes_player
 from ssp_lp.game.label_player import label_models
 from ssp_lp.model import SSP
 from ssp_lp.policies import Policy
-from ssp_lp.policies.timed import TimedPolicy
+from ssp_lp.policies.remembering import TimedPolicy
 from ssp_lp.processes.failure_semantics import start_distribution
 
 G = float(GAMMA)

@@ -16,7 +16,7 @@ from fractions import Fraction
 from typing import NamedTuple
 
 from ssp_lp import GIVE_UP, SSP, DeterministicPolicy
-from ssp_lp.policies.timed import TimedPolicy
+from ssp_lp.policies.remembering import TimedPolicy
 
 START = "depot"
 BUDGET = Fraction(1, 10)

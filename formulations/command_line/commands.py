@@ -41,7 +41,7 @@ from ssp_lp import (
     visits,
     within_steps,
 )
-from ssp_lp.analysis.estimate import Estimate
+from ssp_lp.analysis.simulation import Estimate
 from ssp_lp.errors import Argument, check_whole, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
 from ssp_lp.io import (
@@ -58,7 +58,7 @@ from ssp_lp.io import (
 )
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.methods.program import program_of
-from ssp_lp.model.tables import text_table
+from ssp_lp.model.naming import text_table
 from ssp_lp.options import Status
 from ssp_lp.plotting import plot_cost_law, plot_frontier
 from ssp_lp.policies.policy import Policy

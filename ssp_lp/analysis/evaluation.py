@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
-from ssp_lp.analysis.failure_costs import check_giving_up
 from ssp_lp.analysis.layers.layered_measures import Measures, layered_measures, mean_of
 from ssp_lp.analysis.quantity_values import (
+    check_giving_up,
     complement,
     counted_nodes,
     free_in_everything,
@@ -18,13 +18,16 @@ from ssp_lp.analysis.quantity_values import (
     value_until_failure,
 )
 from ssp_lp.analysis.total_cost.cost_law import chain_as_counted, law_of_chains
-from ssp_lp.analysis.ways_to_fail import failing_in_words
-from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray
 from ssp_lp.compiled.deadline import limited
+from ssp_lp.errors import ModelError
 from ssp_lp.model.graph.reachability import end_marks
 from ssp_lp.model.naming import ByName
+from ssp_lp.model.product import ProductSSP
+from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.mixed import MixedPolicy
-from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, Policy
+from ssp_lp.policies.remembering import common_memory
 from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
     Aim,
@@ -238,3 +241,120 @@ def _evaluated_ends(chain: Chain) -> dict[str, float]:
     shares = chain.start @ (totals + at_end)
     ends = {name: float(share) for name, share in zip(names, shares, strict=True)}
     return ends | {"wandering": complement(sum(ends.values()))}
+
+
+_ROUNDING = 64 * MACHINE_EPSILON
+"""As little wandering as this is rounding: it is what the other ends leave of 1."""
+
+_WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
+
+
+def ways_to_fail(ends: Mapping[str, float]) -> dict[str, float]:
+    """The ends other than the goal that occur, with their probabilities."""
+    return {
+        name: share
+        for name, share in ends.items()
+        if name != "goal" and share > (_ROUNDING if name == "wandering" else 0.0)
+    }
+
+
+def failing_in_words(ends: Mapping[str, float], at_start: float = 0.0) -> str:
+    """The ways to fail in one line: "crash 0.03, gave up 0.02 (before the first step)".
+
+    Args:
+        ends: probability of each end, as in ``Evaluation.ends``.
+        at_start: probability of giving up before the first step.
+    """
+    parts = []
+    for name, share in ways_to_fail(ends).items():
+        told = f"{_WORDS.get(name, name)} {share:.6g}"
+        if name == "gave_up" and at_start > 0.0:
+            of_it = "" if at_start > share - _ROUNDING else f"{at_start:.6g} of it "
+            told += f" ({of_it}before the first step)"
+        parts.append(told)
+    return ", ".join(parts)
+
+
+def giving_up_at_start(policy: MixedPolicy, problem: Problem) -> float:
+    """Probability that the policy gives up before its first step."""
+    start = start_distribution(problem.model, problem.start)
+    states = np.flatnonzero((start > 0.0) & (np.diff(problem.model.pair_offsets) > 0))
+    total = 0.0
+    for member, weight in zip(policy.policies, policy.weights, strict=True):
+        found = member.branches(states, member.start_memory(states))
+        gives_up = found.pair == GIVE_UP_CODE
+        share = start[states[found.situation]] * found.probability
+        total += float(weight) * float(share[gives_up].sum())
+    return total
+
+
+def expected_visits(chain: Chain, survival: float = 1.0) -> FloatArray:
+    """Expected number of visits of each node, visits at time t weighted survival^t, [nodes].
+
+    Raises:
+        ModelError: the policy may wander for ever, so that visits are infinite.
+    """
+    if survival == 1.0:
+        ends = (chain.goal > 0) | (chain.dead > 0) | (chain.give_up > 0)
+        if not reaching_in_chain(chain, ends).all():
+            raise ModelError("the policy may wander for ever: its expected visits are infinite")
+    return chain.push(chain.start, survival)
+
+
+def pair_visits(policy: Policy | MixedPolicy, problem: Problem) -> tuple[FloatArray, FloatArray]:
+    """Undiscounted expected visits of each pair, and how likely it is given up in each state.
+
+    Returns:
+        [pairs] and [states] of the problem's model, whatever the policy remembers and, within a
+        horizon, at all times together.
+
+    Raises:
+        ModelError: the policy is for another model, or may wander for ever.
+    """
+    lottery, asked = on_one_model(policy, problem, "pair_visits")
+    model, start = asked.model, start_distribution(asked.model, asked.start)
+    pairs, gave_up = np.zeros(model.n_pairs), np.zeros(model.n_states)
+    for member, weight in zip(lottery.policies, lottery.weights, strict=True):
+        chain = policy_chain(model, member, start)
+        visits = weight * expected_visits(chain)
+        flow, acts = visits[chain.branch_node] * chain.branch_probability, chain.branch_pair >= 0
+        np.add.at(pairs, chain.branch_pair[acts], flow[acts])
+        np.add.at(gave_up, chain.state, visits * chain.give_up)
+    if asked is problem or not isinstance(model, ProductSSP):
+        return pairs, gave_up
+    there = np.zeros(problem.model.n_pairs), np.zeros(problem.model.n_states)
+    np.add.at(there[0], model.original_pair, pairs)
+    np.add.at(there[1], model.original_state, gave_up)
+    return there
+
+
+def equivalent_randomised_policy(policy: MixedPolicy, problem: Problem) -> StochasticPolicy:
+    """The stationary randomised policy that visits every pair as often as the lottery does.
+
+    Paper, section 2.2: in each augmented state the action is drawn with the share that it has in
+    the lottery's expected visits. Under a discount visits are discounted, so that the discounted
+    cost and failure are kept: a stationary policy cannot keep both those and the real ones.
+    Members of the state alone are carried along the memory that others need, the accumulated cost
+    or the time; members whose memories differ along both. Where time is remembered (section 3.4),
+    every visit of a situation has one time, and the distribution over situations is the lottery's
+    at each time, not only in total.
+
+    Raises:
+        ModelError: a member may wander for ever, or is of a class whose memory is not known.
+    """
+    policy, problem = on_one_model(policy, problem, "equivalent_randomised_policy")
+    model, start = problem.model, start_distribution(problem.model, problem.start)
+    survival = survival_of(problem.discount)
+    memory = common_memory(policy)
+    keys, pairs, flows = [], [], []
+    for member, weight in zip(policy.policies, policy.weights, strict=True):
+        lifted = member if memory is None else memory.followed_by(member)
+        chain = policy_chain(model, lifted, start)
+        visits = expected_visits(chain, survival)
+        flow = weight * visits[chain.branch_node] * chain.branch_probability
+        keys.append((chain.memory * model.n_states + chain.state)[chain.branch_node])
+        pairs.append(chain.branch_pair)
+        flows.append(flow)
+    return StochasticPolicy.from_flows(
+        model, np.concatenate(keys), np.concatenate(pairs), np.concatenate(flows), memory
+    )

@@ -18,7 +18,7 @@ from ssp_lp.game.best_response import BestResponse
 from ssp_lp.game.cost_player import CostPlayer, LayeredStrategy, cost_aware
 from ssp_lp.game.tail import Tail, undiscounted_tail
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.timed import TimedPolicy
+from ssp_lp.policies.remembering import TimedPolicy
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.totals.levels import Levels
 

@@ -23,8 +23,8 @@ from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse, iterate_values
 from ssp_lp.game.label_player import LabelModels, LabelPlayer
 from ssp_lp.model.graph.reachability import goal_pairs
-from ssp_lp.policies.deterministic import DeterministicPolicy
-from ssp_lp.policies.timed import TimedPolicy
+from ssp_lp.policies.remembering import TimedPolicy
+from ssp_lp.policies.stationary import DeterministicPolicy
 
 _FIRST_HORIZON = 32
 _MOST_STEPS = 100_000

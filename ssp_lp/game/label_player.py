@@ -21,8 +21,8 @@ from ssp_lp.game.best_response import BestResponse, Discounted, Iterated, iterat
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.end_components import end_components
 from ssp_lp.model.graph.reachability import attention_states
-from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.policies.stationary import DeterministicPolicy
 from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,

@@ -30,8 +30,8 @@ from ssp_lp.io.model_fingerprint import fingerprint, label_of, label_value, pair
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.checked_arrays import check_offsets
+from ssp_lp.model.product import HorizonSSP, unroll_steps
 from ssp_lp.model.ssp import check_model
-from ssp_lp.model.within_steps import HorizonSSP, unroll_steps
 from ssp_lp.options import Status
 from ssp_lp.policies import (
     CostAwarePolicy,
@@ -40,9 +40,8 @@ from ssp_lp.policies import (
     StochasticPolicy,
     TimedPolicy,
 )
-from ssp_lp.policies.joint_memory import JointMemory
 from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import RememberingPolicy
+from ssp_lp.policies.remembering import JointMemory, RememberingPolicy
 from ssp_lp.problem import Problem, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import Run, Solution, as_solved

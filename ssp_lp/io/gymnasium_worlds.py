@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.analysis.estimate import (
+from ssp_lp.analysis.simulation import (
     Estimate,
     greatest_total,
     mean_estimate,
@@ -42,9 +42,8 @@ from ssp_lp.errors import (
 )
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.product import ProductSSP
+from ssp_lp.model.product import HorizonSSP, ProductSSP, within_steps
 from ssp_lp.model.ssp import SSP
-from ssp_lp.model.within_steps import HorizonSSP, within_steps
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, UNDECIDED, Policy, check_costs
 from ssp_lp.policies.remembering import on_original
@@ -122,7 +121,7 @@ def from_gymnasium(
 
     Returns:
         The model, its start and the step limit. With a horizon the model's states are (state,
-        steps taken): see :func:`~ssp_lp.model.within_steps.within_steps`.
+        steps taken): see :func:`~ssp_lp.model.product.within_steps`.
 
     Raises:
         MissingDependencyError: gymnasium is not installed.

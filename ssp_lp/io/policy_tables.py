@@ -19,10 +19,9 @@ from ssp_lp.policies import (
     StochasticPolicy,
     TimedPolicy,
 )
-from ssp_lp.policies.joint_memory import JointMemory, memory_size
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
-from ssp_lp.policies.remembering import RememberingPolicy
+from ssp_lp.policies.remembering import JointMemory, RememberingPolicy, memory_size
 
 
 class PolicyRow(NamedTuple):

@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray
 from ssp_lp.linear_programming.linear_program import LinearProgram
-from ssp_lp.model.tables import text_table
+from ssp_lp.model.naming import text_table
 
 _WIDEST = 100  # characters of a table that can be read
 _MOST = 12  # columns, and as many rows

@@ -1,17 +1,18 @@
-"""Things by their names: states, actions and pairs of a model, and tables that a person asks."""
+"""Answers by name, and as text: states, actions and pairs of a model; tables for people."""
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import Counter
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import cached_property
+from html import escape
 from typing import TypeVar, cast
 
 import numpy as np
 
 from ssp_lp.arrays import BoolArray, IntArray, ReadOnlyCopies
 from ssp_lp.errors import ModelError, did_you_mean
-from ssp_lp.model.tables import html_table
 
 _Value = TypeVar("_Value")
 
@@ -132,3 +133,50 @@ def check_state_names(states: Sequence[Hashable]) -> None:
         return
     twice = next(s for s, n in Counter(states).items() if n > 1)
     raise ModelError(f"{twice!r} is the label of several states")
+
+
+def text_table(rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:
+    """Rows of text in columns as wide as what they hold, the first ``left`` of them flush left."""
+    table = [*rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    return [
+        "  ".join([*map(str.ljust, row[:left], widths), *map(str.rjust, row[left:], widths[left:])])
+        for row in table
+    ]
+
+
+class Summarised:
+    """Mix-in of answers whose ``summary`` is what is printed, and shown in notebooks."""
+
+    @abstractmethod
+    def summary(self) -> str:
+        """The answer as text, perhaps in columns."""
+
+    def __str__(self) -> str:
+        """The summary."""
+        return self.summary()
+
+    def _repr_html_(self) -> str:
+        """The summary, for notebooks: text in columns as it stands, escaped."""
+        return html_text(self.summary())
+
+
+def html_table(
+    title: str,
+    rows: Iterable[Sequence[str]],
+    head: Sequence[str] = (),
+    notes: Iterable[str] = (),
+) -> str:
+    """Rows of text as an HTML table under a title, with notes below it, escaped."""
+    lines = [f'<caption style="white-space: nowrap">{escape(title)}</caption>']
+    tagged = [(head, "th")] if head else []
+    for cells, tag in [*tagged, *((row, "td") for row in rows)]:
+        inside = (f'<{tag} style="text-align: left">{escape(cell)}</{tag}>' for cell in cells)
+        lines.append(f"<tr>{''.join(inside)}</tr>")
+    below = [f"<p>{escape(note)}</p>" for note in notes]
+    return "\n".join(["<table>", *lines, "</table>", *below])
+
+
+def html_text(text: str) -> str:
+    """Text in columns as it stands, escaped."""
+    return f'<pre style="line-height: 1.2">{escape(text)}</pre>'

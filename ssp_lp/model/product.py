@@ -7,17 +7,28 @@ the product's states are (state, memory), so that every criterion and every meth
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+import logging
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, cast
+from typing import Any, Final, cast, overload
 
 import numpy as np
 
-from ssp_lp.arrays import IntArray, concatenated_ranges
-from ssp_lp.errors import ModelError
+from ssp_lp.arrays import (
+    BoolArray,
+    IntArray,
+    concatenated_ranges,
+    least_integer_type,
+    offsets_of,
+    read_only,
+    segment_ids,
+)
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.errors import Argument, ModelError, check_whole
 from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.builders import no_lone_string
+from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.model.ssp import SSP, check_model
 
 MEMORY_FAILS = "memory fails"
@@ -281,3 +292,250 @@ def check_product(model: SSP) -> ProductSSP:
     if not isinstance(model, ProductSSP):
         raise ModelError("the policy lives on no product: product(model, memory) makes one")
     return model
+
+
+_MOST_PLACES: Final = 250_000_000  # states times steps: nine bytes each while they are numbered
+
+_BUILDING = logging.getLogger("ssp_lp.building")
+
+LATE: Final = "out of time"
+"""The memory of an episode that has used up its steps, and the label of the states it ends in."""
+
+
+@dataclass(frozen=True)
+class _StepCount:
+    """How the count of steps goes on."""
+
+    model: SSP
+    steps: int
+
+    def after(self, count: int, state: Any, action: Any, successor: Any, cost: float) -> Hashable:
+        """One more, or :data:`LATE` where the last step ended in a state that one may act in."""
+        there = self.model.index_of(successor)
+        goes_on = self.model.pair_offsets[there] < self.model.pair_offsets[there + 1]
+        return LATE if goes_on and count + 1 >= self.steps else count + 1
+
+
+def _is_late(memory: Hashable) -> bool:
+    """Whether a count of steps says that they are used up."""
+    return memory == LATE
+
+
+@dataclass(frozen=True)
+class _StepLabels(Sequence[Label]):
+    """The labels (state, count) of a horizon's states, made when they are asked for."""
+
+    names: Sequence[Hashable]  # the original's states
+    counts: tuple[Hashable, ...]  # 0 .. steps, LATE
+    state: IntArray  # [states] of the original
+    taken: IntArray  # [states] position in counts
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    @overload
+    def __getitem__(self, index: int) -> Label: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Label]: ...
+    def __getitem__(self, index: int | slice) -> Label | Sequence[Label]:
+        if isinstance(index, slice):
+            return _StepLabels(self.names, self.counts, self.state[index], self.taken[index])
+        return self.names[int(self.state[index])], self.counts[int(self.taken[index])]
+
+    def __iter__(self) -> Iterator[Label]:
+        for state, count in zip(self.state.tolist(), self.taken.tolist(), strict=True):
+            yield self.names[state], self.counts[count]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class HorizonSSP(ProductSSP):
+    """A model whose states are (state, steps taken); see :func:`within_steps`."""
+
+    steps: int = field(kw_only=True)
+    positions: IntArray = field(kw_only=True)  # [states, counts] the product's state, -1 for none
+
+    @cached_property
+    def original_state(self) -> IntArray:
+        """State of the original, [states]."""
+        return self._step_labels.state
+
+    @cached_property
+    def memories(self) -> tuple[Hashable, ...]:
+        """The counts of steps, and :data:`LATE`."""
+        return self._step_labels.counts
+
+    @cached_property
+    def table(self) -> IntArray:
+        """The product's state of each state and count, -1 for none, [states, counts]."""
+        return self.positions
+
+    def find(self, state: Hashable) -> int | None:
+        """Index of the state with the label (state, count), None if there is none."""
+        if not (isinstance(state, tuple) and len(state) == 2 and state[1] in self.memory_number):
+            return None
+        here = self.original.find(state[0])
+        found = -1 if here is None else int(self.positions[here, self.memory_number[state[1]]])
+        return found if found >= 0 else None
+
+    def stepped(self, states: IntArray, successors: IntArray) -> IntArray:
+        """Where steps lead that end in some states of the original, -1 for nowhere, [episodes].
+
+        Args:
+            states: of this model, in which the steps began, [episodes].
+            successors: of the original, in which they ended, [episodes].
+        """
+        count = self._step_labels.taken[states].astype(np.int64) + 1
+        over = (count == self.steps) & (np.diff(self.original.pair_offsets)[successors] > 0)
+        return np.asarray(self.positions[successors, np.where(over, self.steps + 1, count)])
+
+    @property
+    def _step_labels(self) -> _StepLabels:
+        """The states within the horizon, (state, steps taken) each."""
+        return cast("_StepLabels", self.states)
+
+
+def within_steps(model: SSP, steps: int, *, start: Iterable[Hashable] | None = None) -> HorizonSSP:
+    """The model in which an episode fails unless it reaches the goal within so many steps.
+
+    It is the product with a memory that counts steps, made from arrays at once. A policy on it
+    knows how many steps are left; ``on_original`` lets it act on the model's states.
+
+    Args:
+        model: the model.
+        steps: how many; a goal reached with the last one counts.
+        start: states in which episodes may begin; None: every state of the model.
+
+    Returns:
+        The product, with states (state, steps taken), and (state, "out of time") where the steps
+        are used up. Dead-ends for lack of time, where more steps are needed than are left, bear
+        the label "out of time"; other labels are kept.
+
+    Raises:
+        ModelError: ``steps`` is no positive number, an unknown start, or no goal can be reached.
+
+    Example:
+        >>> model = SSP.from_transitions(
+        ...     {"lock": {"try": [(0.5, "open", 1.0), (0.5, "lock", 1.0)]}}, goal={"open"})
+        >>> three = within_steps(model, 3, start=["lock"])
+        >>> list(three.states)[-2:], three.start("lock")
+        ([('lock', 'out of time'), ('open', 3)], {('lock', 0): 1.0})
+    """
+    check_model(model, "within_steps")
+    check_whole("steps", steps)
+    begin = None
+    if start is not None:
+        begin = [model.index_of(state) for state in no_lone_string(start, "start")]
+    horizon = unroll_steps(model, steps, begin)
+    if not horizon.goal_mask.any():
+        raise ModelError(f"no goal can be reached within {steps} steps from the start")
+    return horizon
+
+
+def unroll_steps(model: SSP, steps: int, begin: Sequence[int] | None) -> HorizonSSP:
+    """The model of :func:`within_steps`, whether a goal can be reached in it or not.
+
+    Args:
+        model: the model.
+        steps: how many, >= 1.
+        begin: states in which episodes may begin; None: all.
+    """
+    first = np.full(model.n_states, begin is None)
+    first[list(begin or ())] = True
+    horizon = _unrolled_by_steps(model, _reached_within_steps(model, first, int(steps)))
+    _BUILDING.info("%r", horizon)
+    return horizon
+
+
+def _reached_within_steps(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
+    """The states that an episode may be in after each number of steps, [steps + 1, states].
+
+    Raises:
+        ModelError: there are too many of both.
+    """
+    if (steps + 1) * model.n_states > _MOST_PLACES:
+        raise ModelError(
+            f"{steps:,} steps on {model.n_states:,} states are too many to tell apart: take ",
+            Argument("horizon", None),
+            ", or make the model smaller",
+        )
+    possible = model.probabilities > 0.0
+    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
+    target = model.successors[possible]
+    reached = np.zeros((steps + 1, model.n_states), dtype=np.bool_)
+    reached[0] = begin
+    for step in range(steps):
+        check_time()
+        reached[step + 1][target[reached[step][source]]] = True
+    return reached
+
+
+def _steps_needed(model: SSP, steps: int) -> IntArray:
+    """Fewest steps to a goal, ``steps + 1`` for more than ``steps``, -1 for none, [states]."""
+    possible = model.probabilities > 0.0
+    source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
+    target = model.successors[possible]
+    needed = np.where(dead_ends(model), -1, np.where(model.goal_mask, 0, steps + 1))
+    for step in range(1, steps + 1):
+        nearer = source[needed[target] == step - 1]
+        nearer = nearer[needed[nearer] > step]
+        if nearer.size == 0:
+            break
+        needed[nearer] = step
+    return needed
+
+
+def _unrolled_by_steps(model: SSP, reached: BoolArray) -> HorizonSSP:
+    """The model once for each number of steps, one layer after the other."""
+    steps = len(reached) - 1
+    step, state = np.nonzero(reached)
+    position = np.cumsum(reached.ravel()).reshape(reached.shape) - 1
+
+    # what may be done, and what comes of it: copies of the model's pairs and outcomes
+    actions = np.where(step < steps, np.diff(model.pair_offsets)[state], 0)
+    pairs = concatenated_ranges(model.pair_offsets[state], actions)
+    possible = np.flatnonzero(model.probabilities > 0.0)
+    offsets = np.searchsorted(possible, model.outcome_offsets)
+    ends = np.diff(offsets)[pairs]
+    outcomes = possible[concatenated_ranges(offsets[pairs], ends)]
+    layer = np.repeat(np.repeat(step, actions), ends)
+    successors = position[layer + 1, model.successors[outcomes]]
+
+    over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
+    count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
+    table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
+    table[state, count] = np.arange(len(state))
+    counter = _StepCount(model, steps)
+    return HorizonSSP(
+        states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
+        action_names=model.action_names,
+        pair_action=read_only(model.pair_action[pairs]),
+        pair_offsets=_offsets_within_steps(actions),
+        outcome_offsets=_offsets_within_steps(ends),
+        successors=read_only(successors, np.int32),
+        probabilities=read_only(model.probabilities[outcomes]),
+        costs=read_only(model.costs[outcomes]),
+        goal_mask=read_only(model.goal_mask[state]),
+        state_labels=_labels_within_steps(
+            model, state, _steps_needed(model, steps)[state] > steps - step
+        ),
+        exact_costs=model.exact_costs,
+        original=model,
+        memory=Memory(start=0, update=counter.after, fails=_is_late),
+        steps=steps,
+        positions=read_only(table),
+    )
+
+
+def _offsets_within_steps(counts: IntArray) -> IntArray:
+    """Offsets from how many entries each step has."""
+    return read_only(offsets_of(counts), np.int64)
+
+
+def _labels_within_steps(model: SSP, state: IntArray, late: BoolArray) -> dict[str, IntArray]:
+    """The labels of the original, and "out of time", [members] each."""
+    marked = {LATE: late}
+    for name, members in model.state_labels.items():
+        among = np.zeros(model.n_states, dtype=np.bool_)
+        among[members] = True
+        marked[name] = among[state] | marked.get(name, np.zeros(len(state), dtype=np.bool_))
+    return {name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()}

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from ssp_lp.analysis.evaluation import pair_visits
 from ssp_lp.analysis.simulation import simulate
-from ssp_lp.analysis.visits import pair_visits
 from ssp_lp.arrays import FloatArray, segment_ids
 from ssp_lp.errors import ModelError, check_whole, optional_module
 from ssp_lp.model import SSP

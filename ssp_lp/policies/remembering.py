@@ -1,19 +1,189 @@
-"""Policies of a product with a memory, acting on the states of the original model."""
+"""Policies with a memory beside the state: steps taken, a memory of the user's, several at once."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import prod
 
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained_class
 from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.product import ProductSSP, check_product
-from ssp_lp.model.within_steps import HorizonSSP
+from ssp_lp.model.product import HorizonSSP, ProductSSP, check_product
+from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Branches, Policy, check_costs
+from ssp_lp.policies.policy import (
+    GIVE_UP_CODE,
+    UNDECIDED,
+    Branches,
+    Policy,
+    check_costs,
+    check_policies,
+)
+from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy
+
+
+@explained_class
+@dataclass(frozen=True, eq=False, repr=False)
+class TimedPolicy(Policy):
+    """One policy for each time step, the last of them for good (paper, section 3.4).
+
+    The stages must share one memory: each must understand what any other remembers. The memory
+    of the whole is ``stage memory * number of stages + stage``.
+
+    Raises:
+        ModelError: no stages, or stages on different models.
+    """
+
+    stages: tuple[Policy, ...]  # followed at times 0, 1, ...
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "stages", tuple(self.stages))
+        if not self.stages:
+            raise ModelError("a timed policy needs at least one stage")
+        check_policies(self.stages)
+        if any(p.model is not self.stages[0].model for p in self.stages):
+            raise ModelError("the stages of a timed policy must act on one model")
+
+    @property
+    def model(self) -> SSP:  # type: ignore[override]
+        """The model that the stages act on."""
+        return self.stages[0].model
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """The first stage and its start memory, [episodes]."""
+        return self.stages[0].start_memory(states) * len(self.stages)
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The decisions of each situation's stage."""
+        inner, stage = np.divmod(memory, len(self.stages))
+        nothing = np.zeros(0, dtype=np.int64)
+        found = [(nothing, nothing, np.zeros(0))]
+        for number in np.unique(stage):
+            some = np.flatnonzero(stage == number)
+            branch = self.stages[number].branches(states[some], inner[some])
+            found.append((some[branch.situation], branch.pair, branch.probability))
+        situation, pair, probability = (np.concatenate(part) for part in zip(*found, strict=True))
+        order = np.argsort(situation, kind="stable")
+        return Branches(situation[order], pair[order], probability[order])
+
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """Move the memory that the stages share, and go on to the next stage."""
+        count = len(self.stages)
+        inner, stage = np.divmod(memory, count)
+        inner = self.stages[0].remember(inner, pairs, successors, costs)
+        return np.asarray(inner * count + np.minimum(stage + 1, count - 1))
+
+    def __repr__(self) -> str:
+        """One line: the number of stages and the last one."""
+        return f"TimedPolicy({len(self.stages):,} stages, then {self.stages[-1]!r})"
+
+
+@dataclass(frozen=True, eq=False)
+class JointMemory(Policy):
+    """The memories of several policies in one number, while one of them decides.
+
+    The memory is a mixed-radix number, the first policy's memory its leading digit.
+    """
+
+    keepers: tuple[Policy, ...]  # one for each memory
+    decider: Policy  # remembers what one of the keepers does, or nothing
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "model", self.decider.model)
+
+    def followed_by(self, decider: Policy) -> JointMemory:
+        """The same memories with another policy to decide."""
+        return JointMemory(self.keepers, decider)
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """Each keeper's start memory, [episodes]."""
+        return self._joined([k.start_memory(states) for k in self.keepers])
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """What the decider does, given its own part of the memory."""
+        meanings = [meaning_of(k) for k in self.keepers]
+        mine = meaning_of(self.decider)
+        if mine in meanings:
+            part = self._parts(memory)[meanings.index(mine)]
+        else:
+            part = self.decider.start_memory(states)
+        return self.decider.branches(states, part)
+
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """Move each keeper's memory."""
+        parts = zip(self.keepers, self._parts(memory), strict=True)
+        return self._joined([k.remember(part, pairs, successors, costs) for k, part in parts])
+
+    def _joined(self, parts: list[IntArray]) -> IntArray:
+        """The joint memory that the keepers' parts make."""
+        return np.asarray(np.ravel_multi_index(parts, self._sizes))
+
+    def _parts(self, memory: IntArray) -> tuple[IntArray, ...]:
+        """Each keeper's part of a joint memory."""
+        return np.unravel_index(memory, self._sizes)
+
+    @property
+    def _sizes(self) -> tuple[int, ...]:
+        """How many values each keeper's memory takes."""
+        return tuple(memory_size(keeper) for keeper in self.keepers)
+
+
+def common_memory(policy: MixedPolicy) -> JointMemory | None:
+    """All that the members of a lottery remember, decided by the first; None: nothing.
+
+    Raises:
+        ModelError: a member is of a class whose memory is not known here.
+    """
+    keepers: dict[tuple[object, ...], Policy] = {}
+    for member in policy.policies:
+        if memory_size(member) > 1:
+            keepers.setdefault(meaning_of(member), member)
+    return JointMemory(tuple(keepers.values()), policy.policies[0]) if keepers else None
+
+
+def memory_size(policy: Policy) -> int:
+    """How many values the memory of a policy takes at most.
+
+    Raises:
+        ModelError: the policy is of a class whose memory is not known here.
+    """
+    match policy:
+        case TimedPolicy():
+            return len(policy.stages) * memory_size(policy.stages[0])
+        case CostAwarePolicy():
+            return policy.cap + len(policy.tails)
+        case JointMemory():
+            return prod(memory_size(keeper) for keeper in policy.keepers)
+        case StochasticPolicy():
+            return 1 if policy.carrier is None else memory_size(policy.carrier)
+        case DeterministicPolicy():
+            return 1
+    raise ModelError(f"what a {type(policy).__name__} remembers is not known")
+
+
+def meaning_of(policy: Policy) -> tuple[object, ...]:
+    """What a joint memory means: equal for policies that understand each other's memory."""
+    match policy:
+        case TimedPolicy():
+            return len(policy.stages), *meaning_of(policy.stages[0])
+        case CostAwarePolicy():
+            rule = policy.tail_threshold if policy.tail_table is None else policy.tail_table
+            levels = b"" if policy.levels is None else policy.levels.tobytes()
+            kept = policy.cap, policy.unit, policy.rounds_up, len(policy.tails)
+            return *kept, rule.tobytes(), levels
+        case JointMemory():
+            return tuple(meaning_of(keeper) for keeper in policy.keepers)
+        case StochasticPolicy(carrier=Policy() as carrier):
+            return meaning_of(carrier)
+    return ()
 
 
 @dataclass(frozen=True, eq=False, repr=False)

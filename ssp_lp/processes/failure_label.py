@@ -21,7 +21,7 @@ from ssp_lp.model.graph.reachability import (
     pairs_into,
     surely_reaching,
 )
-from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.policies.stationary import DeterministicPolicy
 from ssp_lp.processes.counting import Counting, stage_costs
 from ssp_lp.processes.expectations import successor_means
 from ssp_lp.processes.explicit import ExplicitProcess

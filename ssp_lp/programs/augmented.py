@@ -15,9 +15,8 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
-from ssp_lp.policies.deterministic import DeterministicPolicy, find_pair
 from ssp_lp.policies.policy import GIVE_UP, Policy
-from ssp_lp.policies.stochastic import StochasticPolicy
+from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy, find_pair
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of
 from ssp_lp.processes.failure_semantics import FailureSemantics

@@ -12,7 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.stochastic import StochasticPolicy
+from ssp_lp.policies.stationary import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import ModelFlow, Spread, decisions, model_flow, moving_within
 from ssp_lp.processes.layered.accumulated_cost import spread_layer

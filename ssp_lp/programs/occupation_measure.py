@@ -15,7 +15,7 @@ from ssp_lp.errors import ModelError, optional_module
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
-from ssp_lp.policies.stochastic import StochasticPolicy
+from ssp_lp.policies.stationary import StochasticPolicy
 from ssp_lp.programs.augmented import ColumnLabel
 from ssp_lp.programs.decomposition import balanced_visits, decomposed, decomposed_of_solver
 

@@ -26,8 +26,7 @@ from ssp_lp.linear_programming.backends import backends_for, run_backend
 from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.naming import ByName
-from ssp_lp.model.tables import html_text
+from ssp_lp.model.naming import ByName, html_text
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution

@@ -15,7 +15,7 @@ from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import
 )
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.game.setting import checked_setting
-from ssp_lp.model.tables import Summarised, text_table
+from ssp_lp.model.naming import Summarised, text_table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.solution import Solution

@@ -8,7 +8,7 @@ import pytest
 from formulations import MCMP
 from small_models import TRIES, model_of
 from ssp_lp import SSP, DeterministicPolicy, ModelError, simulate
-from ssp_lp.analysis.estimate import greatest_total, mean_estimate
+from ssp_lp.analysis.simulation import greatest_total, mean_estimate
 
 LAWS = {
     "rare and dear": ([1.0, 1000.0], [0.9997, 0.0003]),

@@ -11,7 +11,7 @@ from games import RETRY, criteria, drawn_problem, hand_problem
 from references.chain import start_distribution
 from small_models import model_of
 from ssp_lp import evaluate
-from ssp_lp.analysis.visits import equivalent_randomised_policy
+from ssp_lp.analysis.evaluation import equivalent_randomised_policy
 from ssp_lp.game import bayes_adaptive, stationary_game
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from strategies import often, problems

@@ -50,11 +50,11 @@ from ssp_lp import (
     visits,
     within_steps,
 )
+from ssp_lp.analysis.evaluation import pair_visits
 from ssp_lp.analysis.simulation import ModelSimulator
-from ssp_lp.analysis.visits import pair_visits
 from ssp_lp.game import stationary_game
 from ssp_lp.io import load_policy, load_solution, save_policy, save_solution
-from ssp_lp.model.within_steps import LATE
+from ssp_lp.model.product import LATE
 from ssp_lp.problem import unrolled
 
 STEPS = 6

@@ -5,7 +5,7 @@ import pytest
 from formulations import MCMP, S3P
 from small_models import EXACT, model_of
 from ssp_lp import InfeasibleError, MixedPolicy, ModelError, Status, certify, solve
-from ssp_lp.analysis.visits import equivalent_randomised_policy
+from ssp_lp.analysis.evaluation import equivalent_randomised_policy
 from ssp_lp.game import bayes_adaptive, stationary_game, thresholds
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.policies.policy import Policy

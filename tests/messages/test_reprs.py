@@ -36,7 +36,7 @@ from ssp_lp import (
     trace_frontier,
     visits,
 )
-from ssp_lp.analysis.ways_to_fail import failing_in_words, giving_up_at_start
+from ssp_lp.analysis.evaluation import failing_in_words, giving_up_at_start
 
 MODEL = model_of(
     {

@@ -23,7 +23,7 @@ from ssp_lp import (
     within_steps,
 )
 from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.model.within_steps import LATE
+from ssp_lp.model.product import LATE
 
 HOUSE = {
     "hall": {

@@ -26,7 +26,7 @@ from ssp_lp import (
     trace_frontier,
     within_steps,
 )
-from ssp_lp.analysis.visits import pair_visits
+from ssp_lp.analysis.evaluation import pair_visits
 
 matplotlib = pytest.importorskip("matplotlib")
 matplotlib.use("Agg")

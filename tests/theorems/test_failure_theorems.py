@@ -13,7 +13,7 @@ from references.chain import long_run_average, mean, start_distribution
 from ssp_lp import evaluate
 from ssp_lp.game import bayes_adaptive, stationary_game
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.policies.timed import TimedPolicy
+from ssp_lp.policies.remembering import TimedPolicy
 from strategies import often, problems
 
 few = often(30)

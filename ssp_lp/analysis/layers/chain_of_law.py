@@ -19,8 +19,8 @@ from ssp_lp.analysis.layers.layered_measures import LARGE
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.model import SSP
-from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import UNDECIDED, CostLayers, Policy
+from ssp_lp.policies.stationary import DeterministicPolicy
 from ssp_lp.processes.totals.lattice import exact_cost, totals_of
 
 _NOTHING = np.zeros(0, dtype=np.int64)

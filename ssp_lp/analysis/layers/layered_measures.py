@@ -7,10 +7,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from ssp_lp.analysis.failure_costs import state_give_up_charges
 from ssp_lp.analysis.layers.layer_moves import ENDLESS, FAILS, WRONG, LayerMoves
 from ssp_lp.analysis.layers.layer_sweep import Column, LayerSweep
-from ssp_lp.analysis.quantity_values import complement
+from ssp_lp.analysis.quantity_values import complement, state_give_up_charges
 from ssp_lp.arrays import FloatArray
 from ssp_lp.model.graph.reachability import dead_ends, end_marks
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy

@@ -20,7 +20,7 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends, goal_approach
-from ssp_lp.policies.deterministic import DeterministicPolicy
+from ssp_lp.policies.stationary import DeterministicPolicy
 from ssp_lp.processes.expectations import uniform_cost
 from ssp_lp.processes.goal_reach import ReachPolicy, goal_directed
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost

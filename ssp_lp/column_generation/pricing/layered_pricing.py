@@ -30,8 +30,8 @@ from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.dynamic_programming.leaving import approach_leaving
 from ssp_lp.errors import ModelError
-from ssp_lp.policies.deterministic import DeterministicPolicy
 from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.stationary import DeterministicPolicy
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 
 _NOBODY: IntArray = np.zeros(0, dtype=np.int64)
