@@ -7,13 +7,16 @@ on accumulated costs may not come to its first policy in minutes.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
+from ssp_lp.analysis.chain import policy_chain
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.analysis.total_cost.live_chain import ChainProspect
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
 from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
@@ -22,6 +25,7 @@ from ssp_lp.compiled.deadline import STOPS, heed
 from ssp_lp.errors import SSPError
 from ssp_lp.methods.assembling import Found, assembled
 from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
+from ssp_lp.methods.rounded_costs import Restated
 from ssp_lp.methods.rows.rows_optimum import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -29,10 +33,13 @@ from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.problem import Problem, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.solution import CUT_SHORT, Run, Solution
 
 _ROUGH = SolveOptions(1e-3)  # how exactly case M is solved: its policy is not the best one anyway
 _NOTHING = 1e-290  # a bound below it is 0
+_VARIANCE = 1e-6  # of the mean: so far the root of a variance may be rounded
+_MOMENTS = "its law takes longer: mean and variance of its cost bound what it attains"
 _DEAREST = 1.0 - 1e-12  # of the least total: what its sums may have been rounded by
 
 
@@ -63,6 +70,8 @@ class Incumbent:
                 policy = self.policies[at_least_failure]
                 if policy is not None and not (self.deterministic and len(policy.policies) > 1):
                     room = LEAST_BUDGET if at_least_failure else 0.0
+                    if problem.semantics.measure is not None:  # while its law is not known
+                        self.solution = _judged(problem, policy, room, by_moments)
                     self.solution = _judged(problem, policy, room)
             except STOPS as stop:
                 heed(stop)
@@ -73,14 +82,25 @@ class Incumbent:
         return self.solution and (self.outcome or self.solution)
 
     def improving(self, other: Solution) -> Solution:
-        """A search's solution that was cut short, with this one's policy or bound where better."""
+        """A search's solution that was cut short, with this one's policy or bound where better.
+
+        What proves the search's bound, its prices and values, goes with it.
+        """
         if not has_totals(self.stated):
             return other
-        mine, bound = self.solution or other, worth_bound(unrolled(self.stated))
+        best, bound, above = self.solution or other, worth_bound(unrolled(self.stated)), 1.0
         if other.upper_bound is not None:
-            best = max(other, mine, key=lambda solution: solution.objective)
+            above = -1.0
+        if above * other.objective <= above * best.objective:
+            best = other
+        price = other.failure_price
+        if price is not None and best.problem.ratio:  # with the ratio it stays the same
+            price = max(price + other.objective - best.objective, 0.0)
+        best = replace(
+            best, failure_price=price, value_function=other.value_function, prices=other.prices
+        )
+        if other.upper_bound is not None:
             return replace(best, upper_bound=max(min(other.upper_bound, bound), best.objective))
-        best = min(other, mine, key=lambda solution: solution.objective)
         return replace(best, lower_bound=min(max(other.lower_bound, bound), best.objective))
 
     def _cheapest_policy(self, problem: Problem, *, at_least_failure: bool) -> MixedPolicy | None:
@@ -107,15 +127,21 @@ class Incumbent:
         return self.outcome.lottery
 
 
-def _judged(problem: Problem, policy: MixedPolicy, room: float) -> Solution | None:
+def _judged(
+    problem: Problem,
+    policy: MixedPolicy,
+    room: float,
+    judge: Callable[[MixedPolicy, Problem], Evaluation] = evaluate,
+) -> Solution | None:
     """What a policy is worth in a problem's own terms; None where it breaks a limit, or fails.
 
     Args:
         problem: the problem.
         policy: the policy.
         room: beyond the budget, of what fails least; for others there is rounding alone.
+        judge: evaluates it, exactly or for the worse.
     """
-    found, budget = evaluate(policy, problem), problem.failure_budget
+    found, budget = judge(policy, problem), problem.failure_budget
     failure = found.discounted_failure
     failure = found.failure_probability if failure is None else failure
     allowed = 1.0 if budget is None else max(budget * (1.0 + ATTAINABLE), budget + room)
@@ -127,8 +153,48 @@ def _judged(problem: Problem, policy: MixedPolicy, room: float) -> Solution | No
     if problem.semantics.maximises:
         sense, sign = ObjectiveSense(0.0), -1.0
     reason = "a policy of case M, as the search had none so good by then"
-    answer = Found(policy, sign * found.objective, sign * bound, failure, note=CUT_SHORT)
+    note = CUT_SHORT if judge is evaluate else f"{CUT_SHORT}; {_MOMENTS}"
+    answer = Found(policy, sign * found.objective, sign * bound, failure, note=note)
     return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)
+
+
+def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
+    """An evaluation by mean and variance of the total cost, at most as good as the exact one.
+
+    With mean m and variance s^2 of the total cost C given success, ``E[(C - z)^+]`` is at most
+    ``(sqrt(s^2 + (z - m)^2) - (z - m)) / 2`` (Scarf 1958), and the least of ``z + E[(C - z)^+] / (1
+    - level)`` over z is the tail mean (Rockafellar and Uryasev 2000): no law with these moments has
+    a tail mean, or a quantile, beyond ``m + s sqrt(level / (1 - level))``. For B > m Cantelli's
+    ``Pr(C <= B) >= d^2 / (s^2 + d^2)``, d = B - m, bounds what arriving is worth. Three systems of
+    linear equations say so, however many totals there are.
+
+    Args:
+        policy: a lottery on the problem's model.
+        problem: with a measure of the law of costs.
+    """
+    model, semantics, measure = problem.model, problem.semantics, problem.semantics.measure
+    asked = problem.start, True, problem.failure_budget, replace(semantics, measure=None)
+    found = evaluate(policy, Restated(model, *asked, conditions_of(problem)))
+    start, squares = start_distribution(model, problem.start), 0.0
+    for member, weight in zip(policy.policies, policy.weights.tolist(), strict=True):
+        chain = policy_chain(model, member, start)
+        ahead = ChainProspect.of(chain)
+        later = chain.cost * ahead.goal[chain.target] + 2.0 * ahead.cost[chain.target]
+        square = chain.accumulate(chain.per_node(chain.cost * later), ahead.alive)
+        squares += weight * float(chain.start @ square)
+    goal, mean = found.goal_probability, found.conditional_cost
+    if measure is None or goal == 0.0:
+        return replace(found, objective=np.nan)
+    spread = np.sqrt(max(squares / goal - mean**2, 0.0) + (_VARIANCE * mean) ** 2)
+    match measure:
+        case CostQuantileOf(level) | TailMeanOf(level):
+            return replace(found, objective=mean + spread * np.sqrt(level / (1.0 - level)))
+    away = spread * np.append(0.0, np.geomspace(1e-2, 1e4, 601))
+    if measure.charge.settled is not None:
+        away = np.append(away, max(measure.charge.settled - mean, 0.0))
+    in_time = away**2 / np.maximum(spread**2 + away**2, 1e-300)
+    charge = in_time * measure.charge.at(mean + away) + (1.0 - in_time) * measure.charge.offset
+    return replace(found, objective=semantics.failing_worth - goal * float(charge.min()))
 
 
 def has_totals(problem: Problem) -> bool:

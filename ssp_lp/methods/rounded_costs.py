@@ -39,6 +39,7 @@ from ssp_lp.processes.layered.measures_of_law import (
     TailMeanOf,
     WithinBound,
 )
+from ssp_lp.processes.quantities.conditions import Condition
 from ssp_lp.processes.totals.lattice import totals_of
 from ssp_lp.solution import Solution
 
@@ -46,14 +47,15 @@ _SHARE = 0.1  # of the gap that rounding leaves: as exactly are rounded problems
 
 
 @dataclass(frozen=True, eq=False)
-class OnRoundedCosts:
-    """A problem on its model with other costs, the rest as asked."""
+class Restated:
+    """A problem on its model with other costs, or of another worth, the rest as asked."""
 
     model: SSP
     start: Hashable | Mapping[Hashable, float]
     ratio: bool
     failure_budget: float | None
     semantics: FailureSemantics
+    conditions: tuple[Condition, ...] = ()
     discount: None = None
 
     @property
@@ -205,7 +207,7 @@ def _rounding_up(policy: Policy, model: SSP, unit: Fraction) -> CostAwarePolicy:
     return CostAwarePolicy(model, float(unit), position, pair[None, :], never, rounds_up=True)
 
 
-def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> OnRoundedCosts:
+def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restated:
     """The problem with costs that are multiples of a unit."""
     model = problem.model
     kinds, kind = np.unique(model.costs, return_inverse=True)
@@ -217,7 +219,7 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> OnRoun
     costs = totals_of(whole.astype(np.int64), unit)[kind]
     rounded = replace(model, costs=read_only(costs), exact_costs={})
     asked = problem.start, problem.ratio, problem.failure_budget, problem.semantics
-    return OnRoundedCosts(rounded, *asked)
+    return Restated(rounded, *asked)
 
 
 def _no_worse(problem: Problem) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +13,8 @@ from examples.solver_comparison.instances.families import corridor, grid, layere
 from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
 from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
-from ssp_lp.methods.incumbent import Incumbent, _judged, worth_bound
+from ssp_lp.compiled.deadline import Stop
+from ssp_lp.methods.incumbent import Incumbent, _judged, by_moments, worth_bound
 
 LIMIT = 0.3
 
@@ -207,3 +209,55 @@ def test_rounding_of_a_budget_is_measured_by_the_budget() -> None:
     assert evaluate(policy, problem).failure_probability == pytest.approx(5e-11)
     assert _judged(problem, policy, 0.0) is None
     assert _judged(problem, policy, 1e-10) is not None
+
+
+@pytest.mark.parametrize("level", [0.3, 0.9])
+def test_mean_and_variance_tell_a_law_of_two_totals(level: float) -> None:
+    """Of two totals 2 and 12, the dearer with probability 1 - level: the bounds are attained."""
+    model = SSP.from_transitions(
+        {
+            "a": {"go": [(0.5, "b", 1.0), (0.5, "pit", 5.0)]},
+            "b": {"go": [(level, "g", 1.0), (1.0 - level, "g", 11.0)]},
+            "pit": {},
+        },
+        goal={"g"},
+        treat_actionless_as_dead_ends=True,
+    )
+    policy = solve(MCMP(model, "a", 0.9)).policy
+    dear, within = CVaR(model, "a", level, 0.9), CostBoundedReach(model, "a", 12.0, 0.9)
+    assert by_moments(policy, dear).objective == pytest.approx(12.0, rel=1e-5)
+    assert by_moments(policy, CostQuantile(model, "a", level, 0.9)).objective >= 12.0 - 1e-9
+    assert by_moments(policy, within).objective == pytest.approx(0.5 * level, rel=1e-5)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mean_and_variance_bound_what_the_law_says(seed: int) -> None:
+    model = with_real_costs(layered(6, 5, seed=seed))
+    policy = solve(MCMP(model, 0, 0.3)).policy
+    for worse, problem in (
+        (1.0, CVaR(model, 0, 0.8, 0.3)),
+        (1.0, CostQuantile(model, 0, 0.8, 0.3)),
+        (-1.0, CostBoundedReach(model, 0, 20.0, 0.3)),
+        (-1.0, EGUBS(model, 0, -0.1, 1.0)),
+    ):
+        bound, exact = by_moments(policy, problem), evaluate(policy, problem)
+        assert worse * bound.objective >= worse * exact.objective
+        assert bound.failure_probability == exact.failure_probability
+
+
+def test_a_law_that_takes_too_long_leaves_a_policy_with_a_bound(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = CVaR(layered(6, 5, seed=2), 0, 0.9, 0.1)
+    exact = solve(problem)
+
+    def never(*asked: Any) -> Any:
+        raise Stop
+
+    monkeypatch.setattr("ssp_lp.analysis.evaluation.law_of_chains", never)
+    monkeypatch.setattr(sys.modules["ssp_lp.solve"], "_solved_by_driver", never)
+    found = solve(problem, time_limit=5.0)
+    assert found.lower_bound <= exact.objective <= found.objective
+    assert "mean and variance" in found.note
+    monkeypatch.undo()
+    assert evaluate(found.policy, problem).objective <= found.objective
