@@ -43,8 +43,7 @@ from ssp_lp.processes.quantities.quantity import (
 )
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
-from ssp_lp.verification.certificate import Certificate
-from ssp_lp.verification.certifying import certify
+from ssp_lp.verification.certify import Certificate, certify
 
 if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier as Frontier, trace_frontier as trace_frontier

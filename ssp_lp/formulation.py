@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
-from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
+    CompiledArrivalCost,
+    CompiledFailureLabel,
+    CompiledProblem,
 )
-from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
 from ssp_lp.errors import (
     InfeasibleError,
     ModelError,

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
 from typing import Any, Protocol, cast, overload
 
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
+from ssp_lp.column_generation.compiled_problem import (
+    CompiledArrivalCost,
+    CompiledConstrained,
+    CompiledProblem,
+)
 from ssp_lp.compiled.deadline import READING, is_within_call, limited
 from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
@@ -152,6 +155,25 @@ def compiled_constrained(problem: Problem) -> CompiledConstrained:
         objective=None if objective is None else objective.minimised(),
         rungs=rungs_of(problem),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class Restated:
+    """A problem on its model with other costs, or of another worth, the rest as asked."""
+
+    model: SSP
+    start: Hashable | Mapping[Hashable, float]
+    ratio: bool
+    failure_budget: float | None
+    semantics: FailureSemantics
+    conditions: tuple[Condition, ...] = ()
+    discount: None = None
+
+    def compile(self) -> CompiledArrivalCost:
+        """The process on the lattice of its costs."""
+        start, measure = start_distribution(self.model, self.start), self.semantics.measure
+        charge = TOTAL_COST if measure is None else measure.charge
+        return CompiledArrivalCost(self.model, start, charge, self.ratio)
 
 
 class _WithReachFraction(Protocol):

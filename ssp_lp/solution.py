@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
 from ssp_lp.analysis.evaluation import (
     Evaluation,
     equivalent_randomised_policy,
@@ -13,16 +15,18 @@ from ssp_lp.analysis.evaluation import (
     failing_in_words,
     giving_up_at_start,
 )
-from ssp_lp.arrays import FloatArray, ReadOnlyCopies
-from ssp_lp.column_generation.failure_row import relative_gap
+from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
+from ssp_lp.column_generation.column import least_of, relative_gap
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.naming import ByName, html_table
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy, StochasticPolicy
+from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import on_original
 from ssp_lp.problem import Problem, has_rows, on_one_model
-from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, ObjectiveSense
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.programs.state_values import StateValues
 
 _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call
@@ -278,6 +282,57 @@ class Solution(ReadOnlyCopies):
         if semantics.penalty > 0.0:
             return "no failure" if semantics.forbids_failing else f"penalty {semantics.penalty:g}"
         return limit
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a method found, in what it minimises."""
+
+    policy: MixedPolicy | Policy
+    value: float
+    bound: float  # no policy that keeps to the limits has less; rounding above the value is cut
+    failure: float  # of the policy
+    price: float | None = None  # multiplier of the failure row; None where there is none
+    values: FloatArray | None = None  # the checked sub-solution
+    prices: Mapping[str, float] = field(default_factory=dict)  # multipliers of all rows, by name
+    note: str = ""
+
+
+def assembled(
+    problem: Problem, found: Found, run: Run, sense: ObjectiveSense = AS_ASKED
+) -> Solution:
+    """The solution, assembled in the problem's own terms.
+
+    Args:
+        problem: the problem.
+        found: what was found.
+        run: how.
+        sense: how what was minimised stands for what is asked.
+
+    Raises:
+        SolverError: the bound lies above the value by more than rounding.
+    """
+    policy = found.policy
+    if not isinstance(policy, MixedPolicy):
+        policy = MixedPolicy((policy,), np.ones(1))
+    bound = sense.settled_bound(found.value, least_of(found.bound, found.value))
+    objective, limit = sense.worth(found.value), sense.worth(bound)
+    maximised, prices = sense.constant is not None, found.prices
+    if not prices and found.price is not None and not problem.semantics.forbids_failing:
+        prices = {FAILURE_ROW: found.price}
+    return Solution(
+        problem=problem,
+        policy=policy,
+        objective=objective,
+        lower_bound=objective if maximised else limit,
+        failure_price=None if found.price is None else found.price + problem.semantics.penalty,
+        value_function=None if found.values is None else read_only(found.values),
+        budget_used=found.failure,
+        run=run,
+        note=found.note,
+        upper_bound=max(limit, objective) if maximised else None,
+        prices=prices,
+    )
 
 
 def as_solved(solution: Solution, verb: str) -> Solution:

@@ -11,19 +11,17 @@ from ssp_lp.analysis.layers.lost_goals import stopping_where_lost
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import STOPS, Deadline, Stop, closing, heed, until
 from ssp_lp.errors import Argument, ModelError, OutOfTimeError, SolverError
-from ssp_lp.methods.incumbent import Incumbent
-from ssp_lp.methods.one_row import (
+from ssp_lp.methods.columns import (
     best_within_budget,
     cheapest_at_least_failure,
     extreme_goal,
     solve_by_game,
     solve_for_worth,
 )
-from ssp_lp.methods.risk.least_risk import least_risk
-from ssp_lp.methods.rounded_costs import solve_on_rounded_costs
-from ssp_lp.methods.rows.rows_optimum import solve_constrained
-from ssp_lp.methods.split_costs import solve_on_split_costs
-from ssp_lp.methods.split_model import span_to_split
+from ssp_lp.methods.incumbent import Incumbent
+from ssp_lp.methods.risk import least_risk
+from ssp_lp.methods.rounding import solve_on_rounded_costs, solve_on_split_costs, span_to_split
+from ssp_lp.methods.rows import solve_constrained
 from ssp_lp.options import (
     ColumnGeneration,
     DeterministicPolicies,

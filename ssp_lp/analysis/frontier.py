@@ -13,14 +13,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP, FloatArray
-from ssp_lp.column_generation.compiled_problems.compiled_problem import (
+from ssp_lp.column_generation.column import Column, FailureRow, PricingProblem, Proof, least_of
+from ssp_lp.column_generation.compiled_problem import (
     CompiledProblem,
     checked_least_failure,
 )
-from ssp_lp.column_generation.failure_row import FailureRow, least_of
-from ssp_lp.column_generation.generation import generate
-from ssp_lp.column_generation.pricing.pricing_problem import Column, PricingProblem, Proof
-from ssp_lp.column_generation.secant import Secant
+from ssp_lp.column_generation.search import Secant, generate
 from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (

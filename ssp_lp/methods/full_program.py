@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
-from ssp_lp.column_generation.failure_row import FailureRow
+from ssp_lp.column_generation.column import FailureRow
+from ssp_lp.column_generation.compiled_problem import CompiledProblem
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import first_accepted
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer

@@ -18,23 +18,24 @@ from ssp_lp.analysis.chain import policy_chain
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.analysis.total_cost.live_chain import ChainProspect
 from ssp_lp.arrays import LEAST_BUDGET
-from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
-from ssp_lp.column_generation.compiled_problems.compiled_problem import checked_least_failure
-from ssp_lp.column_generation.compiled_problems.constrained import ATTAINABLE, CompiledConstrained
+from ssp_lp.column_generation.compiled_problem import (
+    ATTAINABLE,
+    CompiledConstrained,
+    CompiledFailureLabel,
+    checked_least_failure,
+)
 from ssp_lp.compiled.deadline import STOPS, heed
 from ssp_lp.errors import SSPError
-from ssp_lp.methods.assembling import Found, assembled
-from ssp_lp.methods.refinement import RefinedOutcome, refined_optimum
-from ssp_lp.methods.rounded_costs import Restated
-from ssp_lp.methods.rows.rows_optimum import rows_optimum
+from ssp_lp.methods.columns import RefinedOutcome, refined_optimum
+from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.problem import Problem, conditions_of, unrolled
+from ssp_lp.problem import Problem, Restated, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
-from ssp_lp.solution import CUT_SHORT, Run, Solution
+from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
 _ROUGH = SolveOptions(1e-3)  # how exactly case M is solved: its policy is not the best one anyway
 _NOTHING = 1e-290  # a bound below it is 0

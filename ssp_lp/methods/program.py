@@ -8,10 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from ssp_lp.column_generation.compiled_problems.constrained import CompiledConstrained
+from ssp_lp.column_generation.compiled_problem import CompiledConstrained
 from ssp_lp.errors import ModelError
-from ssp_lp.methods.rows.lottery import truth_of
-from ssp_lp.methods.rows.rows_optimum import rows_optimum
+from ssp_lp.methods.rows import rows_optimum, truth_of
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, compiled_constrained, has_rows, unrolled
 from ssp_lp.processes.expectations import cost_means

@@ -11,7 +11,7 @@ import numpy as np
 from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.analysis.total_cost.cost_law import CostLaw
 from ssp_lp.arrays import FloatArray
-from ssp_lp.column_generation.failure_row import FailureRow
+from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.errors import ModelError, SolverError, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress_axes

@@ -10,7 +10,7 @@ from itertools import combinations
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
 from ssp_lp.arrays import LEAST_BUDGET
-from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
 )
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
@@ -20,7 +20,7 @@ from ssp_lp.options import LinearProgramming, parse_method, progress_shown
 from ssp_lp.problem import Problem, by_rows, check_problem
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
-from ssp_lp.verification.certificate import failure_of
+from ssp_lp.verification.certify import failure_of
 
 METHODS = ("lp", "columns", "game")
 

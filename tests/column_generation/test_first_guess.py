@@ -11,10 +11,10 @@ from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
 from small_models import model_of
 from ssp_lp import SSP, certify, solve
-from ssp_lp.column_generation.compiled_problems import compiled_accumulated_cost as module
-from ssp_lp.column_generation.failure_row import FailureRow
-from ssp_lp.column_generation.initial_columns import _initial_column_within
+from ssp_lp.column_generation import compiled_problem as module
+from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled.deadline import Stop
 from tests.support.compiled import Switch
 
@@ -98,6 +98,6 @@ def test_a_first_policy_that_never_arrives_starts_the_search(
     def never(*_: object) -> None:
         raise AssertionError("the least failure is not needed")
 
-    monkeypatch.setattr("ssp_lp.methods.refinement.checked_least_failure", never)
+    monkeypatch.setattr("ssp_lp.methods.columns.checked_least_failure", never)
     problem = MCMP(model, 0, budget, give_up="anywhere", charge_failing_step=False)
     assert solve(problem).objective == pytest.approx((1.0 - budget) * 2.0 * length, rel=1e-9)

@@ -7,9 +7,9 @@ import pytest
 from examples.domains.navigation import navigation
 from formulations import S3P
 from ssp_lp import evaluate
+from ssp_lp.column_generation.column import Column
 from ssp_lp.column_generation.pricing import layered_pricing
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
-from ssp_lp.column_generation.pricing.pricing_problem import Column
 from ssp_lp.compiled.deadline import Stop, until
 
 

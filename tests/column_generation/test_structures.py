@@ -9,7 +9,7 @@ from examples.solver_comparison.instances.families import FAMILIES, grid
 from formulations import MCMP, S3P, ConstrainedCost, FinitePenalty, MaxProb
 from small_models import model_of
 from ssp_lp import SSP, SolverError, certify, evaluate, solve
-from ssp_lp.column_generation.failure_row import least_of
+from ssp_lp.column_generation.column import least_of
 from ssp_lp.compiled import accelerator
 from ssp_lp.formulation import CostLimit
 from tests.support.compiled import Switch

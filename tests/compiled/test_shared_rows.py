@@ -8,8 +8,7 @@ import scipy.sparse as sp
 
 from examples.domains.navigation import navigation
 from formulations import S3P
-from ssp_lp.column_generation.compiled_problems.arrival_cost import CompiledArrivalCost
-from ssp_lp.column_generation.compiled_problems.compiled_problem import CompiledProblem
+from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost, CompiledProblem
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
 from ssp_lp.dynamic_programming.shared_rows import SharedRows

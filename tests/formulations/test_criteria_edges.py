@@ -23,7 +23,7 @@ from ssp_lp import (
     solve,
     trace_frontier,
 )
-from ssp_lp.column_generation.compiled_problems.compiled_failure_label import CompiledFailureLabel
+from ssp_lp.column_generation.compiled_problem import CompiledFailureLabel
 from ssp_lp.compiled.deadline import check_time, is_limited
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,

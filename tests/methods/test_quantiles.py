@@ -10,8 +10,8 @@ import pytest
 from examples.solver_comparison.instances.families import corridor, layered
 from formulations import CostBoundedReach, CostQuantile
 from ssp_lp import SSP, certify, evaluate, solve, success_costs
-from ssp_lp.methods.risk import quantile
-from ssp_lp.methods.risk.question import Near, question_of
+from ssp_lp.methods import risk
+from ssp_lp.methods.risk import Near, question_of
 from ssp_lp.options import SolveOptions
 from ssp_lp.processes.layered.charges import LateCharge
 
@@ -117,8 +117,8 @@ def test_bounds_that_no_price_refutes_are_doubled(monkeypatch: pytest.MonkeyPatc
     """While no policy keeps to a bound the search does not creep from one to the next."""
     asked = CostQuantile(corridor(30), 0, 0.9999, 0.5)
     least = solve(asked).objective
-    monkeypatch.setattr(quantile, "_last_refuted", lambda *given: -1)
+    monkeypatch.setattr(risk, "_last_refuted", lambda *given: -1)
     near = Near(1.0, 0.0)
-    found = quantile.least_quantile(asked, question_of(asked), 0.9999, SolveOptions(), near)
+    found = risk.least_quantile(asked, question_of(asked), 0.9999, SolveOptions(), near)
     assert found.objective == least > 64
     assert int(found.run.reason.split()[0]) <= 7 + 2 * int(np.ceil(np.log2(least)))

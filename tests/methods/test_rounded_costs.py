@@ -13,7 +13,7 @@ import pytest
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
 from small_models import model_of
 from ssp_lp import SSP, MixedPolicy, ModelError, Solution, Status, certify, evaluate, solve
-from ssp_lp.methods import rounded_costs
+from ssp_lp.methods import rounding
 
 STEP = 2.0**0.5
 DEAR = [1e4, 1e8, 1e12]
@@ -74,7 +74,7 @@ def test_where_nothing_costs_anything_the_bound_may_be_far() -> None:
 
 def test_a_bound_that_the_policy_exceeds_is_refused() -> None:
     """From above as from below: one of the two is wrong."""
-    from ssp_lp.verification.certificate import certificate_of
+    from ssp_lp.verification.certify import certificate_of
 
     model = corridor([1.3, STEP, 0.4], 2.0)
     problem = questions(model, 50)[2]
@@ -134,8 +134,8 @@ def test_ctrl_c_while_a_bound_is_worked_out_keeps_the_policy(
     """Units of 128 and 200 in the totals that matter: the bound of the first or of the second."""
     problem = questions(corridor([1.3, STEP, 0.4], 2.0), 200)[number]
     best = solve(replace(problem, cost_levels=128) if turn == 0 else problem)
-    pressed = pressed_at(turn, rounded_costs.lattice_bound)
-    monkeypatch.setattr(rounded_costs, "lattice_bound", pressed)
+    pressed = pressed_at(turn, rounding.lattice_bound)
+    monkeypatch.setattr(rounding, "lattice_bound", pressed)
     solution = solve(problem)
     monkeypatch.undo()
     check_interrupted(solution, best)
@@ -145,8 +145,8 @@ def test_ctrl_c_while_the_answer_is_measured_keeps_it(monkeypatch: pytest.Monkey
     """A utility that never settles is measured beyond its table, last of all."""
     problem = questions(corridor([1.3, STEP, 0.4], 2.0), 50)[3]
     best = solve(problem)
-    pressed = pressed_at(0, rounded_costs.costs_as_counted)
-    monkeypatch.setattr(rounded_costs, "costs_as_counted", pressed)
+    pressed = pressed_at(0, rounding.costs_as_counted)
+    monkeypatch.setattr(rounding, "costs_as_counted", pressed)
     solution = solve(problem)
     monkeypatch.undo()
     check_interrupted(solution, best)

@@ -13,7 +13,7 @@ from examples.solver_comparison.instances import families
 from formulations import S3P, MaxProb
 from ssp_lp import SSP, CostAwarePolicy, certify, evaluate, solve
 from ssp_lp.arrays import read_only
-from ssp_lp.methods.split_model import span_to_split, with_split_costs
+from ssp_lp.methods.rounding import span_to_split, with_split_costs
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.processes.expectations import cost_means
 

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
+from ssp_lp.column_generation.column import Proof
 from ssp_lp.column_generation.pricing.layer_choices import is_acyclic
 from ssp_lp.column_generation.pricing.one_pass import OnePass
-from ssp_lp.column_generation.pricing.pricing_problem import Proof
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.bellman import PairCost, Work, backup_rounding, safe_minima
 from ssp_lp.dynamic_programming.dual_bound import sub_solution

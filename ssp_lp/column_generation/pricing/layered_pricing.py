@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.column_generation.pricing.followed_choice import follow_choice, mass_beyond
 from ssp_lp.column_generation.pricing.layer_bounds import (
     SAME,
@@ -24,7 +25,6 @@ from ssp_lp.column_generation.pricing.layer_choices import (
     room_for_choice,
 )
 from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
-from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed
 from ssp_lp.dynamic_programming.bellman import Work

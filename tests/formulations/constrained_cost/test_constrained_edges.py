@@ -29,11 +29,11 @@ from ssp_lp import (
     trace_frontier,
     visits,
 )
-from ssp_lp.column_generation.generation import generate
 from ssp_lp.column_generation.restricted_master import solve_master
+from ssp_lp.column_generation.search import generate
 from ssp_lp.linear_programming.highs import solve_with_highs
-from ssp_lp.methods.rows import phase_one
-from ssp_lp.methods.rows.phase_one import phase_one_opening
+from ssp_lp.methods import rows
+from ssp_lp.methods.rows import phase_one_opening
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -205,7 +205,7 @@ def test_stabilised_prices_end_at_the_same_optimum(in_between):
 
 def test_many_rows_are_thinned_out(monkeypatch):
     """Where there are too many sets to try, rows are left out while the rest contradict."""
-    monkeypatch.setattr(phase_one, "_MOST_SETS", 0)
+    monkeypatch.setattr(rows, "_MOST_SETS", 0)
     limits = {f"easy{k}": CostLimit({"a": {"x": 1, "y": 2, "z": 1}}, 1.9) for k in range(4)}
     limits |= {"fuel": CostLimit(FUEL, 1), "time": CostLimit({"a": {"y": 2, "z": 9}}, 1)}
     with pytest.raises(InfeasibleError) as caught:

@@ -14,8 +14,7 @@ from cost_law_models import falling
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR, compare_criteria
 from small_models import model_of
 from ssp_lp import DeterministicPolicy, MixedPolicy, ModelError, certify, solve
-from ssp_lp.methods.risk import tail_mean
-from ssp_lp.methods.risk.question import question_of
+from ssp_lp.methods.risk import _TailMeanSearch, question_of
 from ssp_lp.options import CERTIFYING
 
 LAWS = {
@@ -55,7 +54,7 @@ def test_cvar_refutes_thresholds_at_least_failure_without_a_price(failing, level
 def test_cvar_bounds_all_thresholds_of_an_interval():
     """One sweep bounds the least integrand at every threshold in it, and is sharp at one."""
     problem = CVaR(model_of({"x": LAWS}), "x", 0.5)
-    search = tail_mean._TailMeanSearch(problem, question_of(problem), 0.5, CERTIFYING)
+    search = _TailMeanSearch(problem, question_of(problem), 0.5, CERTIFYING)
     least, count = {}, 6  # 0, 50, 60, 80, 81, 85
     for threshold in range(count):
         search.attempt(threshold)

@@ -21,10 +21,10 @@ from ssp_lp import (
     simulate,
     solve,
 )
-from ssp_lp.column_generation.compiled_problems.compiled_accumulated_cost import (
+from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
 )
-from ssp_lp.methods.refinement import refined_optimum
+from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.options import CERTIFYING
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.totals.ladder import Ladder

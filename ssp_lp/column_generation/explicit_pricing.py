@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
-from ssp_lp.column_generation.pricing.pricing_problem import Column, Proof, required
+from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.compiled.deadline import Stop, is_limited
 from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
 from ssp_lp.dynamic_programming.bellman import Work

@@ -1,0 +1,1114 @@
+"""Compiled problems: an augmented process with everything that methods ask of it.
+
+Where failure alone is limited: case M on the failure label (:class:`CompiledFailureLabel`), case S
+on the accumulated cost (:class:`CompiledAccumulatedCost`), any charge of the total cost
+(:class:`CompiledArrivalCost`). With further rows, of either kind, :class:`CompiledConstrained`: the
+process written out, and what each row takes of its pairs.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Protocol, Self
+
+import numpy as np
+
+from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.column_generation.column import Column, PricingProblem, Proof, relative_gap, required
+from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
+from ssp_lp.column_generation.pricing.followed_choice import follow_rule
+from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import READING, check_time, limited
+from ssp_lp.errors import Argument, InfeasibleError, ModelError
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import dead_ends, goal_approach, surely_reaching
+from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.stationary import DeterministicPolicy
+from ssp_lp.processes.expectations import uniform_cost
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    ObjectiveSense,
+    survival_of,
+)
+from ssp_lp.processes.goal_reach import (
+    GoalReach,
+    ReachPolicy,
+    cheapest_reach,
+    goal_directed,
+    greatest_from,
+    greatest_goal_reach,
+    least_goal_reach,
+)
+from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
+from ssp_lp.processes.layered.charges import Charge, ExponentialCharge, TailValues
+from ssp_lp.processes.layered.exponential_utility import MomentReach, cost_horizon, greatest_moment
+from ssp_lp.processes.layered.layered_process import (
+    LayeredProcess,
+    LayeredTails,
+    chosen_pairs,
+    materialise,
+)
+from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, first_total, truncates
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
+from ssp_lp.processes.totals.ladder import Ladder, Rungs
+from ssp_lp.processes.totals.lattice import layers_within
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
+
+
+@dataclass(frozen=True, eq=False)
+class LeastFailure:
+    """The cheapest policy among those that fail least (mathematics, section 4: two stages)."""
+
+    policy: Policy
+    column: Column  # its cost and failure, both discounted under a discount
+    objective_bound: float  # certified lower bound of the objective of every such policy
+
+
+class CompiledProblem(Protocol):
+    """What a method asks of a problem; a user's own formulation may bring its own."""
+
+    @property
+    def model(self) -> SSP:
+        """The model."""
+        ...
+
+    @property
+    def start(self) -> FloatArray:
+        """The distribution in which an episode begins, [states]."""
+        ...
+
+    @property
+    def discount(self) -> float | None:
+        """The discount; None: exact."""
+        ...
+
+    @property
+    def ratio(self) -> bool:
+        """Whether the objective is cost / (1 - failure) (case S) rather than cost (case M)."""
+        ...
+
+    @property
+    def lowest(self) -> float:
+        """No objective is less."""
+        ...
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether this is only to learn the price, from which its size will follow."""
+        ...
+
+    def least_failure(self) -> LeastFailure:
+        """The first column: feasibility is decided by it, never by the status of an LP."""
+        ...
+
+    def pricing(self) -> PricingProblem:
+        """The pricing problem of the process as it stands."""
+        ...
+
+    def for_program(self) -> CompiledProblem:
+        """The one whose written-out process has the optimum of the problem, up to its size."""
+        ...
+
+    def explicit(self) -> ExplicitProcess:
+        """The process written out, for the linear program."""
+        ...
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The pair of ``explicit()`` that a column takes in each state, [states].
+
+        Raises:
+            ModelError: the pricing did not make the column.
+        """
+        ...
+
+    def refined(self, price: float) -> CompiledProblem | None:
+        """A larger one with a smaller truncation error, or None where there is none.
+
+        Args:
+            price: price of failure at the optimum of this one.
+        """
+        ...
+
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledProblem:
+        """The one whose value functions have the shape of this one.
+
+        Args:
+            values: the value function.
+            levels: totals that a policy found beside it tells apart; None: multiples of a unit.
+
+        Raises:
+            ModelError: none has such value functions.
+        """
+        ...
+
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
+        """How much of a bound at this price is lost to truncation; 0 where nothing is.
+
+        Args:
+            price: of failure.
+            slack: whether success is counted rather than failure.
+            proof: what was proved at this price, which may save the work.
+        """
+        ...
+
+
+def checked_least_failure(compiled: CompiledProblem, budget: float | None) -> LeastFailure:
+    """The policy of least failure, which keeps to the budget.
+
+    Args:
+        compiled: the problem.
+        budget: failure budget; None: whatever is least.
+
+    Raises:
+        InfeasibleError: it does not, or no cost given success exists.
+    """
+    least = compiled.least_failure()
+    failure, discounted = least.column.failure, compiled.discount is not None
+    if compiled.ratio and least.column.goal <= 0.0:
+        raise InfeasibleError(
+            "the goal cannot be reached from the start: no cost given success exists",
+            failure_budget=budget,
+            least_failure=1.0,
+            least_discounted_failure=1.0 if discounted else None,
+        )
+    if budget is None or failure <= budget + LEAST_BUDGET:
+        return least
+    if not discounted:
+        raise InfeasibleError(
+            f"every policy fails with probability at least {failure:.12g}, above the budget "
+            f"{budget:g}",
+            "; ",
+            Argument("failure_budget", None),
+            " asks for the least",
+            failure_budget=budget,
+            least_failure=failure,
+            conflicting_rows=("failure",),
+        )
+    greatest = float(
+        compiled.start @ greatest_goal_reach(compiled.model, start=compiled.start).goal
+    )
+    real = max(1.0 - greatest, 0.0)
+    nearer = ("; ", Argument("discount", None), " or a discount nearer to 1 is feasible")
+    raise InfeasibleError(
+        f"the discounted failure of every policy is at least {failure:.12g}, above the budget "
+        f"{budget:g}; the least real failure probability is {real:.12g}",
+        *(nearer if real <= budget else ()),
+        failure_budget=budget,
+        least_failure=real,
+        least_discounted_failure=failure,
+        conflicting_rows=("failure",),
+    )
+
+
+MOST_ENTRIES = 800_000_000
+"""Largest table of decisions, nodes x layers: 0.8 GB a policy at a byte each."""
+
+
+def check_compiled_table(layers: int, base: AccumulatedCost, remedy: str) -> None:
+    """Raise :class:`ModelError` with a remedy where a table of so many layers is too large."""
+    if (layers + base.width) * base.n_nodes > MOST_ENTRIES:
+        raise ModelError(
+            f"{layers:.6g} layers of accumulated cost (unit {base.unit:g}) on {base.n_nodes:,} "
+            f"states are too many; a coarser grid of costs, or a smaller {remedy}, makes it less"
+        )
+
+
+class CompiledLayered(ABC):
+    """A compiled problem whose process is layered."""
+
+    model: SSP
+    discount: float | None
+
+    @property
+    @abstractmethod
+    def process(self) -> LayeredProcess:
+        """The process cut at the cap."""
+
+    @property
+    def survival(self) -> float:
+        """The discount, 1 in the exact setting."""
+        return survival_of(self.discount)
+
+    @cached_property
+    def greatest(self) -> GoalReach:
+        """The greatest goal probability."""
+        return greatest_goal_reach(self.model, self.survival)
+
+    @cached_property
+    def safest_policy(self) -> ReachPolicy:
+        """The cheapest policy of greatest goal probability."""
+        return cheapest_reach(self.model, self.greatest, self.survival)
+
+    @cached_property
+    def riskiest(self) -> tuple[GoalReach, ReachPolicy]:
+        """The least goal probability and the cheapest policy that attains it (pi'_or)."""
+        least = least_goal_reach(self.model, self.survival)
+        return least, cheapest_reach(self.model, least, self.survival)
+
+    def _handing_on(self, other: Self, *kept: str) -> Self:
+        """Hand what has been worked out to a copy: the extreme probabilities, and what is named."""
+        names = ("greatest", "safest_policy", "riskiest", *kept)
+        vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
+        return other
+
+    def pricing(self) -> LayeredPricing:
+        """One backward sweep over the layers."""
+        return LayeredPricing(self.process)
+
+    def explicit(self) -> ExplicitProcess:
+        """All layers below the cap, written out."""
+        return materialise(self.process)
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The column's pairs in all layers, its tails beyond them and the source's only pair."""
+        return chosen_pairs(self.process, required(column.choice), column.tail_price)
+
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
+        """How much of a bound at this price the cap costs; 0 where it is proved lossless."""
+        return self.pricing().tail_loss(price, slack=slack, proof=proof)
+
+
+_UNPROVED = 1e-10
+"""Relative gap at least failure from which pairs are compared in twice the working precision."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledFailureLabel:
+    """Minimise E[cost until failure is declared], failure limited (paper, section 3.1.2)."""
+
+    model: SSP
+    start: FloatArray  # [states]
+    semantics: FailureSemantics
+    discount: float | None = None
+    ratio: bool = False
+    is_trial: bool = False
+    lowest: float = 0.0
+    precise: bool = False  # compare pairs in twice the working precision
+
+    @cached_property
+    def labelled(self) -> FailureLabelled:
+        """The process; InfeasibleError where failing is forbidden and cannot be avoided."""
+        return self._labelled(None)
+
+    @cached_property
+    def _safest(self) -> GoalReach:
+        """The greatest goal probability from the start, and the pairs that attain it."""
+        return greatest_goal_reach(self.model, survival_of(self.discount), self.start)
+
+    @property
+    def second_stage(self) -> FailureLabelled:
+        """The process over the pairs that attain the greatest goal probability."""
+        return self._labelled(self._safest.usable)
+
+    def _labelled(self, usable: BoolArray | None) -> FailureLabelled:
+        """The process of all pairs (None) or, without giving up, of some, [model pairs]."""
+        if self.semantics.forbids_failing:
+            self.check_sure()
+        return label_failure(self.model, self.start, self.semantics, self.discount, usable)
+
+    @cached_property
+    def _pricing(self) -> ExplicitPricing:
+        """The pricing problem of the labelled process."""
+        return ExplicitPricing(self.labelled, self.precise)
+
+    def check_sure(self) -> None:
+        """Check that the goal can be reached surely, as must be where failing is forbidden.
+
+        Raises:
+            InfeasibleError: it cannot.
+        """
+        sure, _, _ = surely_reaching(self.model)
+        unsure = np.flatnonzero(~sure & (self.start > 0.0))
+        if not unsure.size:
+            return
+        raise InfeasibleError(
+            f"no policy reaches the goal surely from state {self.model.states[unsure[0]]!r}: the "
+            "cost is infinite; MCMP asks for the cheapest of the policies that fail least",
+            failure_budget=0.0,
+            least_failure=self._least_failure_alone,
+        )
+
+    def _least_failure_alone(self) -> float:
+        """The least failure probability, whatever it costs."""
+        with limited(READING, "the least failure probability was worked out"):
+            return max(1.0 - greatest_from(self.model, self.start), 0.0)
+
+    def pricing(self) -> ExplicitPricing:
+        """Policy iteration on the labelled process.
+
+        Raises:
+            InfeasibleError: failing is forbidden and cannot be avoided.
+        """
+        return self._pricing
+
+    def least_failure(self) -> LeastFailure:
+        """Greatest goal probability first, then the least cost among its actions."""
+        stage = self.second_stage
+        begun_from = stage.placed(self._safest.decision)
+        second = ExplicitPricing(stage, self.precise, begun_from=begun_from)
+        column = second.minimise(0.0)
+        bound = second.prove(0.0, column).bound
+        if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:
+            second = replace(second, precise=True)
+            column = second.minimise(0.0, column)
+            bound = second.prove(0.0, column).bound
+        policy = second.policy(column)
+        foreign = replace(column, choice=None, found_at=None, policy=policy)
+        return LeastFailure(policy, foreign, bound)
+
+    def explicit(self) -> ExplicitProcess:
+        """The labelled process."""
+        return self.labelled.process
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The column's own choice."""
+        return required(column.choice)
+
+    def refined(self, price: float) -> CompiledFailureLabel | None:
+        """Nothing is truncated: what can be refined is the precision that pairs are compared in."""
+        if self.precise:
+            return None
+        finer = replace(self, precise=True)
+        finer.__dict__["labelled"] = self.labelled
+        return finer
+
+    def matching(
+        self, values: FloatArray, levels: FloatArray | None = None
+    ) -> CompiledFailureLabel:
+        """Itself: all its value functions have one shape."""
+        return self
+
+    def for_program(self) -> CompiledFailureLabel:
+        """Itself: nothing in it is truncated."""
+        return self
+
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
+        """Nothing is truncated: 0."""
+        return 0.0
+
+
+_FIRST_LAYERS = 2.5
+"""Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
+
+_MOST_STEPS = 256
+"""Steps of a first attempt beyond which that policy is no guide but a long shot."""
+
+_LARGE = 10_000_000
+"""Entries of a layer from which the equations of a policy that goes for the goal are not solved."""
+
+_MARGIN = 1.02
+"""Layers beyond what a trial's price asks for: the price still moves a little."""
+
+_MOST_GROWTH = 4
+"""A cap that would have to grow by more comes from a steep price near the least failure."""
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledAccumulatedCost(CompiledLayered):
+    """Minimise E[cost | goal], failure limited (paper, section 3.1.1).
+
+    ``cap`` says where the table of accumulated costs ends; None: a first guess, to learn the
+    price from. From accumulated cost kappa on it is best to fail wherever that can be done for
+    sure, so a cap there loses (almost) nothing whatever is followed beyond it: a policy that goes
+    for the goal and the trivial bound on it will do. Only where kappa is too large for that are
+    the exact policies of greatest goal probability worked out.
+    """
+
+    model: SSP
+    start: FloatArray  # [states]
+    discount: float | None = None
+    fixed_cap: float | None = None  # the user's cap on accumulated cost
+    cap: int | None = None  # layers
+    exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
+    is_for_bounds: bool = False  # nothing is followed: no way to the goal is looked for
+    ratio: bool = field(default=True, init=False)
+
+    @cached_property
+    def lowest(self) -> float:
+        """Every run that reaches the goal takes some steps, each of which costs the least one."""
+        begins = np.flatnonzero(self.start)
+        begins = begins[~dead_ends(self.model)[begins]]
+        if self.discount is not None or not begins.size:
+            return 0.0
+        steps, same = int(goal_approach(self.model)[1][begins].min()), uniform_cost(self.model)
+        if steps == 0:
+            return 0.0
+        last = float(self.model.costs.min()) if same is None else same
+        going_on = self.base.lattice.least * self.base.unit if same is None else same
+        return ((steps - 1) * going_on + last) * (1.0 - 2.0 * MACHINE_EPSILON)
+
+    @cached_property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        return accumulate_cost(self.model, self.start, self.discount)
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether the cap is a guess."""
+        return self.cap is None and self.fixed_cap is None and not self._has_exact_tails
+
+    @cached_property
+    def _directed(self) -> ReachPolicy:
+        """A policy that goes for the goal, for the tail beyond the accumulated cost's cap."""
+        return goal_directed(self.model, self.survival)
+
+    @cached_property
+    def _guess(self) -> tuple[float, float] | None:
+        """(E[cost; goal], goal) of such a policy, about; None where its equations are solved.
+
+        In a large process they take longer than a sweep. Beyond the cap the riskiest policy is then
+        followed: where that loses something, the cap is raised or the tails become exact.
+        """
+        base, later = self.base, self.base.later
+        is_large = base.instant.nnz == 0 and later.nnz >= _LARGE and accelerated(later.nnz)
+        if self.exact_tails or not is_large or base.quotient.merged.any():
+            return None
+        rule = base.quotient.placed(goal_approach(self.model)[0]) - base.pair_offsets[:-1]
+        return follow_rule(base, rule, _MOST_STEPS)
+
+    @cached_property
+    def is_long_shot(self) -> bool:
+        """Whether a policy that goes for the goal takes too long to tell a first cap."""
+        if self.exact_tails or self.base.quotient.merged.any():
+            return False
+        if self.cap is not None or self.fixed_cap is not None:
+            return False
+        if self._guess is not None:
+            cost, goal = self._guess[0], self._guess[1] + self.base.start_goal
+        else:
+            cost = float(self.start @ self._directed.cost)
+            goal = float(self.start @ self._directed.goal)
+        steps = _FIRST_LAYERS * cost / max(goal, 1e-300) / (self.base.unit * self.base.width)
+        return steps > _MOST_STEPS
+
+    @cached_property
+    def _has_exact_tails(self) -> bool:
+        """Whether the tails are those of the least failure, asked for or needed."""
+        return self.exact_tails or bool(self.base.quotient.merged.any()) or self.is_long_shot
+
+    def capped_at(self, cost: float) -> CompiledAccumulatedCost:
+        """The same problem with a cap of about this accumulated cost.
+
+        Where the start cannot avoid the goal no cap is beyond loss: the tails are exact at once.
+        """
+        exact = float(self.start @ self.riskiest[0].goal) > 0.0
+        most = MOST_ENTRIES // max(self.base.n_nodes, 1) - 2 * self.base.width
+        layers = int(min(np.ceil(cost / self.base.unit), max(most, 0))) + self.base.width
+        return self._carry(replace(self, cap=layers, exact_tails=exact))
+
+    def least_failure(self) -> LeastFailure:
+        """Greatest goal probability first, then the least E[cost; goal] among its actions.
+
+        At least failure the accumulated cost is not needed: a transition to x' is priced
+        ``g * Pmax(x')`` (mathematics, section 4).
+        """
+        safest = self.safest_policy
+        cost, goal = float(self.start @ safest.cost), float(self.start @ safest.goal)
+        policy = DeterministicPolicy(self.model, safest.decision)
+        column = Column(cost, float(self.start @ safest.failure), goal, None, policy=policy)
+        greatest = float(self.start @ self.greatest.bound)
+        ratio = float(self.start @ safest.cost_bound) / greatest if greatest > 0 else 0.0
+        return LeastFailure(policy, column, min(ratio, cost / goal if goal > 0.0 else np.inf))
+
+    @cached_property
+    def process(self) -> LayeredProcess:
+        """The process cut at the cap."""
+        return LayeredProcess(self.base, self._cap_layers(), self._tails)
+
+    def refined(self, price: float) -> CompiledAccumulatedCost | None:
+        """The same problem with more layers or better tails, unless nothing is left to improve."""
+        here, exact = self.process.cap, self._has_exact_tails
+        lossless = int(np.ceil(_MARGIN * price / self.base.unit)) + 1
+        if self.fixed_cap is not None:
+            return None if exact else self._carry(replace(self, exact_tails=True))
+        if self.is_trial and lossless <= _MOST_GROWTH * here:
+            wanted = lossless
+        elif not exact:
+            wanted, exact = lossless if here < lossless <= _MOST_GROWTH * here else here, True
+        else:
+            wanted = lossless if here < lossless <= 2 * here else 2 * here
+        if wanted * self.base.n_nodes > MOST_ENTRIES:
+            if self._has_exact_tails:
+                return None
+            wanted, exact = here, True
+        return self._carry(replace(self, cap=wanted, exact_tails=exact))
+
+    def matching(
+        self, values: FloatArray, levels: FloatArray | None = None
+    ) -> CompiledAccumulatedCost:
+        """The same problem with as many layers as the value function, [layers, nodes].
+
+        Its tails are the riskiest policy alone: where the cap loses something with that,
+        :meth:`for_program` has the exact ones.
+
+        Raises:
+            ModelError: the array has no layers.
+        """
+        if values.ndim != 2 or values.shape[0] == 0:
+            raise ModelError("a value function of shape [layers, nodes] is needed")
+        return self._carry(replace(self, cap=values.shape[0], is_for_bounds=True))
+
+    def for_program(self) -> CompiledAccumulatedCost:
+        """The same problem with exact tails: beyond the cap no program does better than they do."""
+        if self._has_exact_tails:
+            return self
+        exact = self._carry(replace(self, exact_tails=True))
+        return self._carry(replace(exact, cap=exact.process.cap))
+
+    def _carry(self, other: CompiledAccumulatedCost) -> CompiledAccumulatedCost:
+        """Hand what does not depend on the cap to a copy."""
+        other = self._handing_on(other, "base", "_directed", "_guess")
+        if "_tails" in vars(self) and self._has_exact_tails == other._has_exact_tails:
+            vars(other)["_tails"] = self._tails
+        return other
+
+    @cached_property
+    def _tails(self) -> LayeredTails:
+        """The tails that are followed beyond the cap on accumulated cost."""
+        at = self.base.quotient.least_over_members
+        least, riskiest = self.riskiest
+        exact = self._has_exact_tails
+        if exact:
+            first = self.safest_policy
+            greatest = -at(-self.greatest.bound)
+        else:
+            first = riskiest if self.is_for_bounds or self._guess else self._directed
+            greatest = np.full(self.base.n_nodes, self.survival)
+        both = (first, riskiest)
+        return LayeredTails(
+            decisions=np.stack([p.decision for p in both]).astype(np.int32),
+            values=TailValues.stacked([p.values for p in both], at),
+            greatest_goal=greatest,
+            least_goal=at(least.bound),
+            exact=exact,
+            guess=None if exact or self.is_for_bounds else self._guess,
+        )
+
+    def _cap_layers(self) -> int:
+        """Layers of accumulated cost below the cap."""
+        base = self.base
+        if self.cap is not None:
+            layers = self.cap
+        elif self.fixed_cap is not None:
+            layers = max(int(np.ceil(self.fixed_cap / base.unit)), 1)
+        else:
+            tails = self._tails
+            cost, goal = tails.guess or (base.start @ tails.first.cost, base.start @ tails.goal[0])
+            typical = float(cost) / max(float(goal) + base.start_goal, 1e-300) / base.unit
+            layers = int(np.ceil(_FIRST_LAYERS * typical)) + base.width
+        check_compiled_table(layers, base, "cost_cap")
+        return layers
+
+
+_FIRST_TOTALS = 64  # of a first attempt where nothing says how many are needed
+_NEARLY = 1.25  # costs given success of a way to the goal: from there on failing may be best
+_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+
+_MOST_LAYERS = 100_000
+"""Layers of a charge that does not settle, after which the gap that is left is left."""
+
+_DOUBLINGS = 60  # of a cap, if all sums that there are lie below it
+_LOWER = 0.5  # cap, times the one whose sums are too many
+_BEYOND = 1e-9  # relative distance of a total that lies beyond another
+_LEAST = 1e-12  # relative room below the goal probability of policies that all attain it
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledArrivalCost(CompiledLayered):
+    """Minimise E[charge(total cost); goal], or its ratio to Pr(goal), failure limited; exact.
+
+    The table of accumulated costs ends where the charge has become affine: what is best beyond it
+    follows in closed form, or, where the charge still grows, as in case S from the price on at
+    which it is best to fail. A charge that never settles is cut and refined.
+    """
+
+    model: SSP
+    start: FloatArray  # [states]
+    charge: Charge
+    ratio: bool = False
+    safest_only: bool = False  # only policies of least failure
+    cap: float | None = None  # total at which the table ends, in units; None: as the charge asks
+    by_sums: bool = False  # totals are the sums of steps that can occur, and a unit is 1
+    discount: None = None
+
+    @property
+    def is_trial(self) -> bool:
+        """Whether the cap is a guess, to learn the price from: sums become many as it grows."""
+        grows = self.charge.slope > 0.0 and not self.safest_only
+        return self.by_sums and self.cap is None and grows
+
+    @cached_property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process."""
+        usable = self.greatest.usable if self.safest_only else None
+        return accumulate_cost(
+            self.model, self.start, None, arrivals=True, usable=usable, by_steps=self.by_sums
+        )
+
+    @cached_property
+    def _moments(self) -> MomentReach | None:
+        """The tail of an exponential utility."""
+        if not isinstance(self.charge, ExponentialCharge):
+            return None
+        usable = self.greatest.usable if self.charge.bonus > 0.0 else None
+        return greatest_moment(self.model, self.charge.rate, usable)
+
+    @cached_property
+    def cost_horizon(self) -> float:
+        """Accumulated cost from which a stationary policy is optimal; 0 for other charges."""
+        charge, moments = self.charge, self._moments
+        if moments is None or not isinstance(charge, ExponentialCharge) or charge.bonus == 0.0:
+            return 0.0
+        return cost_horizon(self.model, self.greatest, moments, charge.rate, charge.bonus)
+
+    @cached_property
+    def process(self) -> LayeredProcess:
+        """The process cut at the cap."""
+        cap = self._first_guess() if self.cap is None else self.cap
+        if self.by_sums:
+            ladder = self._ladder(cap)
+            while ladder is None:  # as far as there is room: the gap will tell
+                check_time()
+                cap *= _LOWER
+                ladder = self._ladder(cap)
+            return LayeredProcess(self.base, ladder.size, self._tails, self.charge, ladder)
+        check_compiled_table(int(cap), self.base, "bound on them")
+        return LayeredProcess(self.base, int(cap), self._tails, self.charge)
+
+    def _ladder(self, cap: float) -> Ladder | None:
+        """The sums of steps below a cap; None: there are too many."""
+        room = min(MOST_SUMS, MOST_ENTRIES // max(self.base.n_nodes, 1))
+        sums, steps = sums_in(self.model, cap, room), step_lattice(self.model)[1]
+        if sums is None:
+            return None
+        return Ladder(read_only(np.append(sums, cap)), steps, complete=True)
+
+    def _units(self, total: float) -> float:
+        """A total in units, whole ones where layers are their multiples."""
+        return total if self.by_sums else int(min(np.ceil(total / self.base.unit), 1e15))
+
+    def _settled_units(self) -> float:
+        """Where the charge has become affine, or the tail optimal; small where it never does."""
+        settled = self.charge.settled or 0.0
+        if isinstance(self.charge, ExponentialCharge):
+            return max(self._units(self.cost_horizon), self._least_units)
+        if self.base.width == 1 and not self.by_sums:
+            return 1  # no step costs anything: nothing is ever paid
+        if not self.by_sums:
+            return max(layers_within(settled, self.base.exact_unit), 1)
+        return max(settled * (1.0 + _BEYOND), self._least_units)
+
+    @property
+    def _least_units(self) -> float:
+        """One layer; of sums, a table without any but that of nothing."""
+        return _BEYOND * float(step_lattice(self.model)[1].max()) or 1.0 if self.by_sums else 1
+
+    def _first_guess(self) -> float:
+        """As many layers as are surely needed, and some more where that is not enough."""
+        if self.is_trial:
+            directed = goal_directed(self.model)
+            cost, goal = float(self.start @ directed.cost), float(self.start @ directed.goal)
+            return self._settled_units() + _NEARLY * cost / max(goal, 1e-300)
+        goal = float(self.base.start @ self._tails.goal[0])
+        cost = float(self.base.start @ self._tails.first.cost)
+        typical = self._units(_TYPICAL * cost / max(goal, 1e-300))
+        width = float(step_lattice(self.model)[1][-1]) if self.by_sums else self.base.width
+        if self.charge.settled is None:
+            first = typical if self.by_sums else _FIRST_TOTALS
+            return max(first + width, self._least_units)
+        if self.charge.slope == 0.0 or self.safest_only:
+            return self._settled_units()
+        return self._settled_units() + typical + width
+
+    @cached_property
+    def _tails(self) -> LayeredTails:
+        """The tail policies that are followed, and charged, beyond the cap."""
+        at, moments = self.base.quotient.least_over_members, self._moments
+        first: ReachPolicy | MomentReach = self.safest_policy if moments is None else moments
+        last, least_goal, least_cost = first, np.zeros(self.base.n_nodes), None
+        if self.safest_only:
+            least_goal = at(self.greatest.goal) * (1.0 - _LEAST)
+            least_cost = at(self.safest_policy.cost_bound)
+        elif self.ratio:  # else an arrival is never worse than failing
+            least, last = self.riskiest
+            least_goal = at(least.bound)
+        both = (first, last)
+        return LayeredTails(
+            decisions=np.stack([p.decision for p in both]).astype(np.int32),
+            values=TailValues.stacked([p.values for p in both], at),
+            greatest_goal=-at(-self.greatest.bound),
+            least_goal=least_goal,
+            least_cost=least_cost,
+            greatest_moment=None if moments is None else -at(-moments.bound),
+        )
+
+    @property
+    def lowest(self) -> float:
+        """No objective is less."""
+        return self.charge.lowest
+
+    def least_failure(self) -> LeastFailure:
+        """The least charged of the policies that fail least, which may remember the cost."""
+        pricing = self.safest().pricing()
+        best = pricing.minimise(0.0)
+        policy = pricing.policy(best)
+        bound = pricing.prove(0.0, best).bound
+        greatest = min(float(self.start @ self.greatest.bound), 1.0)
+        if self.ratio:
+            bound = bound / greatest if greatest > 0.0 else 0.0
+        return LeastFailure(policy, replace(best, choice=None, policy=policy), bound)
+
+    def lossless_units(self, price: float) -> float:
+        """Where it is best to fail from then on at this price of failure, with some room.
+
+        As many units as the charge needs to settle where it grows no more from there.
+        """
+        charge, settled = self.charge, self._settled_units()
+        if charge.slope == 0.0:
+            return settled
+        room = 0 if self.by_sums else 1
+        return max(settled, self._units(_MARGIN * charge.lossless(price)) + room)
+
+    def refined(self, price: float) -> CompiledArrivalCost | None:
+        """More layers: as the price asks where the charge grows, else twice as many."""
+        here, charge = self.process.end, self.charge
+        wanted = 2 * here
+        if charge.settled is None:
+            wanted = wanted if self.by_sums else min(wanted, _MOST_LAYERS)
+        elif charge.slope == 0.0 or self.safest_only:
+            return None
+        else:
+            lossless = self.lossless_units(price)
+            near = self.is_trial or here < lossless
+            wanted = lossless if near and lossless <= 4 * here else wanted
+        if self.by_sums:
+            fits = self._ladder(wanted) is not None
+            if not fits and not self.is_trial:
+                return None
+            return self.charging(charge, wanted if fits else here)  # a trial's table, for good
+        too_large = (wanted + self.base.width) * self.base.n_nodes > MOST_ENTRIES
+        if too_large or wanted <= here:
+            return None
+        return self.charging(charge, wanted)
+
+    def charging(self, charge: Charge, cap: float | None = None) -> CompiledArrivalCost:
+        """The same process with another charge and cap; what charges share is worked out once.
+
+        An exponential reward has tails of its own.
+        """
+        kept: tuple[str, ...] = ("base",)
+        exponential = (isinstance(c, ExponentialCharge) for c in (charge, self.charge))
+        if charge == self.charge or not any(exponential):
+            vars(self)["_tails"] = self._tails
+            kept = ("base", "_tails", "_moments", "cost_horizon")
+        return self._handing_on(replace(self, charge=charge, cap=cap), *kept)
+
+    def safest(self) -> CompiledArrivalCost:
+        """The same among the policies of least failure."""
+        return self._handing_on(replace(self, safest_only=True, cap=None))
+
+    def for_program(self) -> CompiledArrivalCost:
+        """Itself: its tails are optimal beyond the cap."""
+        return self
+
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledArrivalCost:
+        """The same problem with as many layers as the value function, [layers, nodes].
+
+        Args:
+            values: the value function.
+            levels: totals of a policy found beside it, the last of which is the cap.
+
+        Raises:
+            ModelError: the array has fewer layers than the charge needs to settle.
+        """
+        least = self._settled_units()
+        if values.ndim != 2 or values.shape[0] < (1 if self.by_sums else least):
+            raise ModelError(f"a value function of {least} or more layers is needed")
+        if not self.by_sums:
+            return self.charging(self.charge, values.shape[0])
+        cap, n_layers, found = least, values.shape[0], None
+        if levels is not None and levels[-1] >= least:
+            known = self.charging(self.charge, float(levels[-1]))
+            if known.process.cap == n_layers:
+                return known
+        for _ in range(_DOUBLINGS):
+            if (ladder := self._ladder(cap)) is None:
+                break
+            if ladder.size >= n_layers:  # the greatest cap below which there are so many sums
+                found = float(ladder.rungs[n_layers])
+            if ladder.size > n_layers:
+                break
+            cap *= 2.0
+        if found is None:
+            raise ModelError("a value function of fewer layers is needed")
+        return self.charging(self.charge, found)
+
+
+ATTAINABLE = 1e-10
+"""A bound this much below the least attainable total, relative to it, counts as equal to it."""
+
+_MOST_PAIRS = 20_000_000
+"""Pairs of a process that is written out."""
+
+_ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
+_OWN = {"augmented", "pricing", "ladder", "layers"}  # what depends on charge, cap or rungs
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledConstrained:
+    """Minimise a cost, failure and other quantities limited; a budget of None: at least failure.
+
+    Without a charge this is case M (paper, section 3.1.2), nothing truncated. With one, arriving is
+    charged for the total cost (section 3.1.1), E[charge; goal], or E[charge | goal] as ``ratio``.
+    """
+
+    model: SSP
+    start: FloatArray  # [states]
+    semantics: FailureSemantics
+    discount: float | None
+    side: tuple[UpperRow, ...]
+    budget: float | None
+    precise: bool = False  # compare pairs in twice the working precision
+    charge: Charge | None = None
+    ratio: bool = False
+    cap: int | None = None  # layers; None: a first guess
+    fixed_cap: float | None = None  # the user's cap on accumulated cost
+    objective: UpperRow | None = None  # minimised in place of the cost; no charge then
+    rungs: Rungs | None = None  # totals that are no multiples of a unit
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the rows: the failure row, limited or not, then the others."""
+        return (FAILURE_ROW, *(row.name for row in self.side))
+
+    @property
+    def sense(self) -> ObjectiveSense:
+        """How what is minimised stands for what is asked."""
+        measure, charge = self.semantics.measure, self.charge
+        shift = 0.0 if charge is None else max(-charge.lowest, 0.0)
+        if self.objective is not None:
+            return ObjectiveSense(None, shift, self.objective.offset)
+        if self.semantics.aim is Aim.GREATEST_GOAL:
+            return ObjectiveSense(1.0, shift)
+        maximised = measure is not None and measure.maximised
+        return ObjectiveSense(measure.failing + shift if measure and maximised else None, shift)
+
+    @property
+    def wants_ends(self) -> bool:
+        """Whether a row, or the objective, asks for an end that is not the goal."""
+        rows = self.side if self.objective is None else (*self.side, self.objective)
+        return any(row.condition.wants_ends for row in rows)
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What the rows bound, in words."""
+        return (FAILURE_ROW, *(row.told for row in self.side))
+
+    @property
+    def bounds(self) -> FloatArray:
+        """Bound of each row, infinite where nothing is limited, [rows]."""
+        limited = self.budget is not None and self.budget < 1.0
+        budget = max(self.budget or 0.0, 0.0) if limited else np.inf
+        return np.array([budget, *(row.bound for row in self.side)])
+
+    @cached_property
+    def least(self) -> LeastFailure:
+        """The cheapest policy of least failure; InfeasibleError where the budget is below it."""
+        return checked_least_failure(self._labelled, self.budget)
+
+    @property
+    def _labelled(self) -> CompiledFailureLabel:
+        """The compiled problem without constraints, with a label for failing."""
+        return CompiledFailureLabel(self.model, self.start, self.semantics, self.discount)
+
+    def settled(self) -> CompiledConstrained:
+        """The same at least failure, where the budget does not exceed that.
+
+        Raises:
+            InfeasibleError: the budget is below the least failure by more than rounding; case S,
+                and the goal cannot be reached; or failing is forbidden and cannot be avoided.
+        """
+        if self.semantics.forbids_failing:
+            self._labelled.check_sure()
+        if self.ratio and self.greatest_goal <= 0.0:
+            raise InfeasibleError(
+                "the goal cannot be reached from the start: no cost given success exists",
+                failure_budget=self.budget,
+                least_failure=1.0,
+            )
+        if self.budget is None or self.budget >= 1.0:
+            return self
+        at_least = self.budget <= self.least.column.failure
+        return replace(self, budget=None) if at_least else self
+
+    @cached_property
+    def greatest_goal(self) -> float:
+        """The greatest goal probability, discounted where the problem is, bounded from above."""
+        reach = self.greatest
+        return float(self.start @ np.maximum(reach.goal, reach.bound))
+
+    @cached_property
+    def greatest(self) -> GoalReach:
+        """The greatest goal probability from the start, and the pairs that attain it."""
+        return greatest_goal_reach(self.model, survival_of(self.discount), self.start)
+
+    @cached_property
+    def least_goal(self) -> float:
+        """A goal probability that every policy within the budget exceeds, or has."""
+        least = float(self.start @ self._least_goals)
+        return max(least, 0.0) if self.budget is None else max(1.0 - self.budget, least, 0.0)
+
+    @cached_property
+    def _least_goals(self) -> FloatArray:
+        """A goal probability that every policy that counts attains, [states]."""
+        if self.budget is None:
+            return self.greatest.goal * (1.0 - ATTAINABLE)
+        return least_goal_reach(self.model, survival_of(self.discount)).bound
+
+    @cached_property
+    def _usable(self) -> BoolArray | None:
+        """Pairs that attain the least failure, where only they may be used, [model pairs]."""
+        return None if self.budget is not None else self.greatest.usable
+
+    @cached_property
+    def augmented(self) -> FailureLabelled | OpenEnded:
+        """The process, in which only what is free in everything counted is collapsed."""
+        if self.charge is None:
+            setting = self.start, self.semantics, self.discount, self._usable
+            return label_failure(self.model, *setting, self.side, self.objective)
+        how = self.base, self.charge, self.sense.shift, self.layers, self.start
+        return OpenEnded(*how, self.ladder, self._least_goals)
+
+    @property
+    def is_rounded(self) -> bool:
+        """Whether totals are rounded, so that policies are other than the process has them."""
+        return self.ladder is not None and not self.ladder.exact
+
+    @cached_property
+    def ladder(self) -> Ladder | None:
+        """The totals that are told apart, where they are no multiples of a unit."""
+        if self.rungs is None or self.charge is None:
+            return None
+        first = first_total(self.charge, self.typical_cost)
+        return self.rungs.ladder(self.model, first, self._room, grows=self.charge.slope > 0.0)
+
+    @property
+    def _room(self) -> int:
+        """How many levels of the total a constrained problem has room for."""
+        return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
+
+    @cached_property
+    def pricing(self) -> ExplicitPricing:
+        """Policy iteration on the process with a price for each row."""
+        counted = None
+        if self.objective is not None:
+            (counted,) = self.row_coefficients((self.objective,))
+        rows = tuple(self.row_coefficients(self.side))
+        return ExplicitPricing(self.augmented, self.precise, rows, counted)
+
+    @property
+    def own_cost(self) -> FloatArray:
+        """What is minimised without the shift, [process pairs]."""
+        augmented = self.augmented
+        return augmented.own_cost if isinstance(augmented, OpenEnded) else augmented.process.cost
+
+    def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
+        """What rows take of each pair of the process, [process pairs] each."""
+        augmented = self.augmented
+        if isinstance(augmented, OpenEnded):
+            counting = augmented.counting()
+            return [augmented.everywhere(*row.at(counting)) for row in rows]
+        counting = counting_of(augmented, self.start, self.semantics, self.discount)
+        n_pairs = augmented.process.n_pairs
+        found = [row.at(counting) for row in rows]
+        return [np.append(row, source)[:n_pairs] for row, source in found]
+
+    @cached_property
+    def base(self) -> AccumulatedCost:
+        """One layer of the process on accumulated cost."""
+        return accumulate_cost(
+            self.model,
+            self.start,
+            self.discount,
+            arrivals=self.semantics.measure is not None,
+            usable=self._usable,
+            side=self.side,
+            by_steps=self.rungs is not None,
+        )
+
+    @cached_property
+    def typical_cost(self) -> float:
+        """The cost given success of the policy that fails least."""
+        survival = survival_of(self.discount)
+        safest = cheapest_reach(self.model, self.greatest, survival)
+        return float(self.start @ safest.cost) / max(float(self.start @ safest.goal), 1e-300)
+
+    @cached_property
+    def layers(self) -> int:
+        """Layers of accumulated cost that are told apart; ModelError: too many to write out."""
+        layers = self.cap if self.ladder is None else self.ladder.size
+        if layers is None:
+            layers = first_cap(self.base, self.charge, self.typical_cost, self.fixed_cap)
+        n_pairs = (layers + 1) * len(self.base.gain)
+        if n_pairs > _MOST_PAIRS:
+            raise ModelError(
+                f"{layers:,} layers of accumulated cost (unit {self.base.unit:g}) make {n_pairs:,} "
+                "pairs, too many to be written out with rows; a coarser grid of costs makes it less"
+            )
+        return layers
+
+    def refined(self, price: float) -> CompiledConstrained | None:
+        """More layers; None where nothing is truncated or no more can be written out.
+
+        Args:
+            price: what failing is worth, from which accumulated cost on it is best to fail.
+        """
+        if self.charge is None or self.fixed_cap is not None:
+            return None
+        end = self.layers * self.base.unit if self.ladder is None else float(self.ladder.rungs[-1])
+        cut = truncates(self.charge, end)
+        if self.rungs is not None and self.ladder is not None:
+            enough = self.charge.lossless(price) if cut else None
+            finer = self.rungs.finer(self.ladder, enough, self._room)
+            return None if finer is None else self._handing_on(replace(self, rungs=finer))
+        wanted = 2 * self.layers
+        if not cut or (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
+            return None
+        return self.with_layers(wanted)
+
+    def up_to(self, price: float) -> CompiledConstrained:
+        """The same with totals up to where failing is best, at a price that is about right."""
+        if self.rungs is None or self.charge is None:
+            return self
+        return replace(self, rungs=self.rungs.up_to(self.charge.lossless(price)))
+
+    def with_layers(self, cap: int) -> CompiledConstrained:
+        """The same with another cap."""
+        return self._handing_on(replace(self, cap=cap))
+
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledConstrained:
+        """The same with as many layers as a value function has, [process states]; or ModelError."""
+        if self.charge is None or self.rungs is not None:
+            return self
+        nodes = self.base.n_nodes
+        layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)
+        if values.ndim != 1 or odd or layers < 2:
+            raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
+        return self.with_layers(layers - 1)
+
+    def charging(self, charge: Charge) -> CompiledConstrained:
+        """The same with another charge, if its arrivals lie on the lattice of costs."""
+        return self._handing_on(replace(self, charge=charge, cap=None))
+
+    def _handing_on(self, other: CompiledConstrained) -> CompiledConstrained:
+        """Hand what depends on neither charge nor cap to a copy."""
+        shared = vars(self).keys() - vars(other).keys() - _OWN
+        vars(other).update((name, vars(self)[name]) for name in shared)
+        return other

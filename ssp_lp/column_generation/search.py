@@ -1,0 +1,712 @@
+"""Column generation (Dantzig-Wolfe) over deterministic policies.
+
+1. The **restricted master** mixes the columns that are known into the best lottery within the rows;
+   its duals are prices of the rows.
+2. The **pricing problem** finds a policy of least cost plus priced rows: the column of least
+   **reduced cost** (``minimise`` of a :class:`~ssp_lp.column_generation.column.PricingProblem`).
+3. Where that lies below the master's own valuation it enters; else the search **stops**: the least
+   priced cost, less what the rows allow at these prices, is a lower bound of the optimum
+   (Lagrange).
+
+:func:`generate` is that loop. A price rule keeps the lottery and says where the next column is
+sought: :class:`Secant` for the failure row alone, :class:`StabilisedMaster` for any rows.
+
+**One failure row.** The master program has the failure row and convexity, so its optimum lies on an
+edge of the lower convex hull of the points (failure, cost). The rule keeps a feasible column A and
+an infeasible column B, prices failure at the slope between them, and ends when no policy lies below
+their line. In case S the objective is the ratio ``cost / (1 - failure)`` (paper, eq.
+s3p_gamma_j_obj): as long as no column is infeasible the price is the ratio itself (Dinkelbach's
+iteration).
+
+**First columns** lie on both sides of the budget, and are found by pricing alone. The cheapest
+policy of least failure takes two stages to find. A search does not need it: any policy that keeps
+to the budget will do to begin with, and one is found at a steep price of failure, if not at the
+first guess then at a steeper one. Only where that fails, because the budget is near the least
+failure or below it, is the least failure itself worked out.
+
+**Any number of rows.** For prices y >= 0 the least of ``cost + y @ activity`` over all policies,
+minus ``y @ bounds``, is a lower bound of the optimum (Lagrange); the policy that attains it enters
+the master wherever it lies below the master's own valuation. Far from the optimum the master's
+prices zig-zag, so that pricing happens in between them and the best prices known (Wentges 1997,
+"Weighted Dantzig-Wolfe decomposition"); where that finds nothing new, at the master's prices
+themselves. Phase 1 is the same search with the violation of the rows in place of the cost.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+
+from ssp_lp.arrays import FloatArray, IntArray, weighted
+from ssp_lp.column_generation.column import (
+    Column,
+    FailureRow,
+    PricingProblem,
+    Proof,
+    excess_failure,
+    least_of,
+    required,
+)
+from ssp_lp.column_generation.compiled_problem import (
+    CompiledProblem,
+    LeastFailure,
+)
+from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
+from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
+from ssp_lp.compiled.deadline import (
+    STOPS,
+    Stop,
+    closing,
+    has_answer,
+    has_time_for,
+    heed,
+    is_late,
+    is_limited,
+)
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.options import SolveOptions
+from ssp_lp.policies import MixedPolicy
+
+_NEVER = 1e-14  # a goal probability that is the rounding of none
+
+
+@dataclass(frozen=True, eq=False)
+class Generated:
+    """What the loop ended with: the best lottery over columns, and prices that prove it."""
+
+    columns: tuple[Column, ...]
+    weights: FloatArray  # [columns]
+    prices: FloatArray  # [rows] at which the bound holds
+    objective: float  # of the lottery; in phase 1 by how much it violates the rows
+    lower_bound: float  # of the optimum
+    finished: bool  # false: stopped by the time limit
+    values: FloatArray | None = None  # the checked sub-solution, where the bound is certified
+    excess: FloatArray = field(default_factory=partial(np.zeros, 0))
+    """Phase 1: the violation in units of the rows' scales, [rows]."""
+
+    @property
+    def price(self) -> float:
+        """The price of the only row."""
+        return float(self.prices[0])
+
+    @property
+    def figures(self) -> FloatArray:
+        """Cost, failure and rows of the lottery, [rewards]."""
+        if len(self.columns) == 1:
+            return self.columns[0].figures
+        return np.asarray(self.weights @ np.stack([column.figures for column in self.columns]))
+
+    @property
+    def failure(self) -> float:
+        """What the lottery fails with."""
+        return float(self.figures[1])
+
+    @property
+    def ratio(self) -> float:
+        """Cost given success of the lottery; infinite where there is none.
+
+        Summed over the members' own goal probabilities, which are exact where the sum is small.
+        """
+        goal = float(self.weights @ [column.goal for column in self.columns])
+        return float(self.figures[0]) / goal if goal > _NEVER else float("inf")
+
+    def lottery(self, pricing: PricingProblem) -> MixedPolicy:
+        """The lottery on the model."""
+        return MixedPolicy(tuple(pricing.policy(column) for column in self.columns), self.weights)
+
+
+def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generated:
+    """Add columns until the rule finds none that is worth having, or time is up.
+
+    Args:
+        rule: where to begin; it moves on.
+        options: tolerance, deadline, and who is told after each pricing call.
+    """
+    begun, finished = rule.calls, False
+    try:
+        for _ in range(rule.most_rounds):
+            if rule.calls > begun and is_late():
+                break
+            found = rule.seek(options.tolerance)
+            told = None if found is None else rule.told()
+            finished = found is None or rule.learn(found, options.tolerance)
+            if options.progress is not None and told is not None:
+                options.progress(rule.calls, *told)
+            if finished:
+                break
+    except STOPS as stop:
+        heed(stop)
+    return rule.concluded(options.tolerance, finished=finished)
+
+
+_SHARE = 0.25  # of a search that its bounds on the way may take
+_LONG = 0.1  # seconds of a pricing call, below which its proof can wait for the end
+_SAME_COST = 1e-15  # relative; a weight so far below 1 is 1
+_SAME_FAILURE = 1e-15  # of columns, one of which is the other, found again
+_SAME_SMALL = 1e-14  # the same, relative to failures that are small and to goals that are rare
+
+
+@dataclass(eq=False)
+class Secant:
+    """The two columns between which the lottery lies; ``outside`` is missing while none is."""
+
+    pricing: PricingProblem
+    row: FailureRow
+    inside: Column  # keeps to the budget
+    outside: Column | None = None  # cheaper, and breaks it
+    last: Column | None = None  # found last: a warm start
+    calls: int = 0
+    work: Work = field(default_factory=Work)
+    proof: Proof | None = None  # the best one so far
+    took: float = 0.0  # seconds of the longest pricing call; a proof needs about as many
+    _spent: float = 0.0  # seconds on proofs
+    _since: float = field(default_factory=time.perf_counter)
+
+    most_rounds: ClassVar[int] = 200
+
+    @property
+    def slope(self) -> float:
+        """Price of failure at which both columns are worth the same; in case S the ratio so far."""
+        if self.outside is not None:
+            saved = self.inside.cost - self.outside.cost
+            return max(saved / excess_failure(self.outside, self.inside), 0.0)
+        return self.row.objective(self.inside.cost, self.inside.goal) if self.row.ratio else 0.0
+
+    @property
+    def weight(self) -> float:
+        """Weight of the column beyond the budget at which the lottery meets the budget."""
+        if self.outside is None:
+            return 0.0
+        room = self.row.spare(self.inside) / excess_failure(self.outside, self.inside)
+        if room * abs(self.inside.cost - self.outside.cost) <= _SAME_COST * abs(self.inside.cost):
+            return 0.0  # what it would save is rounding
+        return 1.0 if room > 1.0 - _SAME_COST else float(max(room, 0.0))
+
+    @property
+    def objective(self) -> float:
+        """Objective of the lottery."""
+        w = self.weight
+        if self.outside is None or w == 0.0:
+            return self.row.objective(self.inside.cost, self.inside.goal)
+        return self.row.objective(
+            (1.0 - w) * self.inside.cost + w * self.outside.cost,
+            (1.0 - w) * self.inside.goal + w * self.outside.goal,
+        )
+
+    def told(self) -> tuple[float, float]:
+        """The price of failure, and the objective so far."""
+        return self.slope, self.objective
+
+    def seek(self, tolerance: float) -> Column:
+        """The best column at the slope, unless the last one is known to be that."""
+        price, last = self.slope, self.inside if self.last is None else self.last
+        if last.found_at != price:
+            known = last, self.inside, self.outside
+            began, last = time.perf_counter(), self.pricing.minimise(price, *known)
+            self.took = max(self.took, time.perf_counter() - began)
+            self.calls, self.work = self.calls + 1, self.work + last.work
+            self._prove_on_the_way(price, last, began)
+        self.last = last
+        return last
+
+    def learn(self, found: Column, tolerance: float) -> bool:
+        """Put a column that lies below the line in the place of one end.
+
+        One that never succeeds has no ratio: the price was too low, nothing is learnt. Where none
+        lies below the line and the budget is slack, Dinkelbach's iteration goes on.
+        """
+        price = self.slope
+        if not self._improved_by(found, price, tolerance):
+            slack = self.row.ratio and self.outside is not None and price < self.objective
+            self.outside = None if slack else self.outside
+            return not slack
+        if self._has(found):
+            return True
+        if self.row.breaks(found):
+            self.outside = found
+        elif self.row.objective(found.cost, found.goal) < np.inf:
+            self.inside = found
+        return False
+
+    def _improved_by(self, found: Column, price: float, tolerance: float) -> bool:
+        """Whether a column lies below the line through ``inside`` at this price."""
+        below = self.inside.cost - found.cost - price * excess_failure(found, self.inside)
+        scale = abs(self.objective) * (self.inside.goal if self.row.ratio else 1.0)
+        return below > 0.1 * tolerance * max(scale, 1e-300)
+
+    def _has(self, found: Column) -> bool:
+        """Whether a column is the one beyond the budget again, up to rounding."""
+        known = self.outside
+        if known is None:
+            return False
+        same = min(_SAME_FAILURE, _SAME_SMALL * min(known.failure, known.goal))
+        is_near = abs(excess_failure(found, known)) <= same
+        return is_near and found.cost >= known.cost - _SAME_COST * abs(known.cost)
+
+    def concluded(self, tolerance: float, *, finished: bool) -> Generated:
+        """The lottery of both ends, and a certified bound at the slope."""
+        row, price, last = self.row, self.slope, self.inside if self.last is None else self.last
+        self._align(price)
+        weight, best = self.weight, self.objective
+        columns: tuple[Column, ...] = (self.inside,)
+        weights = np.ones(1)
+        if self.outside is not None and weight == 1.0:
+            columns = (self.outside,)
+        elif self.outside is not None and weight > 0.0:
+            columns, weights = (self.inside, self.outside), np.array([1.0 - weight, weight])
+        price = max(price, best) if row.ratio else price
+        slack = row.ratio and price <= best  # then prove it just below it: Row.lower_bound
+        at = price * (1.0 - 0.25 * tolerance) if slack else price
+        proof = self._proved(at, last, slack=slack)
+        price = price if proof.price == at else max(proof.price, best if row.ratio else 0.0)
+        self.work = self.work + proof.work
+        bound = least_of(row.lower_bound(proof), best)
+        return Generated(columns, weights, np.array([price]), best, bound, finished, proof.values)
+
+    def _prove_on_the_way(self, price: float, best: Column, began: float) -> None:
+        """Prove a bound at a price, if there is a time limit and proofs have taken little so far.
+
+        Args:
+            price: of failure.
+            best: a policy of least value at this price.
+            began: when its pricing began, on the clock of ``time.perf_counter``.
+        """
+        now = time.perf_counter()
+        if not is_limited() or now - began < _LONG or self._spent > _SHARE * (now - self._since):
+            return
+        try:
+            found, bound = self.pricing.prove(price, best), self.row.lower_bound
+            if self.proof is None or bound(found) > bound(self.proof):
+                self.proof = found
+        except STOPS as stop:
+            heed(stop)
+        self._spent += time.perf_counter() - now
+
+    def _proved(self, price: float, best: Column, *, slack: bool) -> Proof:
+        """The proof at the end; where there is no time for it the best one so far, or the trivial.
+
+        The values of a trivial bound ask a certificate for the best that can be had.
+        """
+        try:
+            if has_time_for(self.took):
+                with closing():
+                    return self.pricing.prove(price, best, slack=slack)
+        except STOPS as stop:
+            heed(stop)
+        anything = np.broadcast_to(np.inf, self.pricing.value_shape)
+        return self.proof or Proof(price, price, -np.inf, anything)
+
+    def _align(self, price: float) -> None:
+        """Let both columns fix what a price fixes by the same one, if they still bracket."""
+        if self.outside is None or not has_time_for(self.took):
+            return
+        try:
+            with closing():
+                inside = self.pricing.aligned(self.inside, price)
+                outside = self.pricing.aligned(self.outside, price)
+        except STOPS as stop:
+            heed(stop)
+            return
+        if self.row.breaks(outside) and not self.row.breaks(inside):
+            self.inside, self.outside = inside, outside
+
+
+_STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
+_STEPS = (3.0, 15.0, 255.0)  # relative steps of the price until both sides are known
+_LEAST_FACTOR = 1.5  # by which the price moves at least while it is a guess
+_HINTED_STEPS = (1.0, 1e2, 1e4, 1e6)  # the same from a guess, in units of the guess's uncertainty
+
+
+@dataclass(frozen=True)
+class DualGuess:
+    """A price to begin with, such as the dual of a linear program or of a coarser process."""
+
+    price: float
+    spread: float  # relative uncertainty
+    slack: bool = False  # whether the budget was slack there, so that one side is all there is
+
+
+def columns_at(pricing: PricingProblem, least: LeastFailure, row: FailureRow) -> Secant:
+    """Begin at the policy of least failure; the budget is raised to it by rounding."""
+    row = replace(row, budget=max(row.budget, least.column.failure))
+    return Secant(pricing, row, least.column)
+
+
+def columns_by_pricing(
+    compiled: CompiledProblem,
+    row: FailureRow,
+    guess: DualGuess | None,
+    options: SolveOptions,
+) -> Secant | None:
+    """Price failure up and down until the columns found lie on both sides of the budget.
+
+    Args:
+        compiled: says the process and the pricing.
+        row: budget and form of the objective.
+        guess: a price to begin with; None: a multiple of what a run costs.
+        options: deadline, and who is told after each pricing call.
+
+    Raises:
+        Stop: the time ended before a column that keeps to the budget was found.
+
+    Returns:
+        None where no column that keeps to the budget was found.
+    """
+    pricing, last, price = _begun_with_columns(compiled, row, guess)
+    if price is None:
+        return None
+    steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
+    one_sided = price == 0.0 or (guess is not None and guess.slack)
+    inside: Column | None = None
+    outside: Column | None = None
+    work, calls, began, took = Work(), 0, time.perf_counter(), 0.0
+    try:
+        for step in (*steps, None):
+            began = time.perf_counter()
+            last, calls = pricing.minimise(price, last, inside, outside), calls + 1
+            took = max(took, time.perf_counter() - began)
+            work, value = work + last.work, row.objective(last.cost, last.goal)
+            if row.breaks(last):
+                outside = last
+            elif value < np.inf:
+                inside = last
+                has_answer(by_itself=True)
+            if options.progress is not None:
+                options.progress(calls, price, value if last is inside else np.inf)
+            enough = one_sided or outside is not None or is_late()
+            if step is None or (inside is not None and enough):
+                break
+            price = _initial_price(
+                price, step, last.failure, row.budget, is_hinted=guess is not None
+            )
+    except STOPS as stop:
+        heed(stop)
+        took = max(took, time.perf_counter() - began)
+        inside = last = _initial_column_within(pricing, row, stop, inside, last)
+    if inside is None or last is None:
+        return None
+    return Secant(pricing, row, inside, outside, last, calls, work, took=took)
+
+
+def _begun_with_columns(
+    compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None
+) -> tuple[PricingProblem, Column | None, float | None]:
+    """The pricing problem, and a column and a price to begin with; a Stop says what was under way.
+
+    Raises:
+        Stop: the time ended before they were known.
+    """
+    doing = "the process was still being built"
+    try:
+        pricing = compiled.pricing()
+        doing = "the totals of a first policy were being worked out"
+        return pricing, *_initial_policy(pricing, row, guess)
+    except STOPS as stop:
+        heed(stop)
+        raise Stop(told=doing) from stop
+
+
+def _initial_column_within(
+    pricing: PricingProblem, row: FailureRow, stop: BaseException, *known: Column | None
+) -> Column:
+    """The best policy within the budget that is known when the time ends.
+
+    Args:
+        pricing: was stopped.
+        row: the budget.
+        stop: what stopped it.
+        known: columns so far.
+
+    Raises:
+        Stop: none of them keeps to the budget.
+    """
+    columns = _measured_columns(known)
+    try:
+        with closing():
+            if not _columns_within(row, columns):
+                reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
+                columns += _measured_columns([pricing.first() if reached is None else reached])
+    except STOPS as again:
+        heed(again)
+    kept = _columns_within(row, columns)
+    if not kept:
+        least = min((column.failure for column in columns), default=1.0)
+        raise Stop(told=f"the safest policy known by then fails with {least:.6g}") from stop
+    return min(kept, key=lambda column: row.objective(column.cost, column.goal))
+
+
+def _measured_columns(known: Iterable[Column | None]) -> list[Column]:
+    """Columns that stand for a policy, not for a guess at one."""
+    return [c for c in known if c and (c.choice is not None or c.policy is not None)]
+
+
+def _columns_within(row: FailureRow, columns: list[Column]) -> list[Column]:
+    """The columns that keep to the budget and have a worth."""
+    return [c for c in columns if not row.breaks(c) and row.objective(c.cost, c.goal) < np.inf]
+
+
+def _initial_price(
+    price: float, step: float, failure: float, budget: float, *, is_hinted: bool
+) -> float:
+    """A price towards the other side of the budget, at most the factor 1 + step away.
+
+    Failure falls about as fast as the price rises; the square of their ratio overshoots, so that
+    the columns found lie on both sides and not far apart.
+    """
+    most = 1.0 + step
+    if is_hinted or budget <= 0.0 or failure <= 0.0:
+        return price / most if failure <= budget else price * most
+    factor = (failure / budget) ** 2
+    least = min(_LEAST_FACTOR, most)
+    if failure <= budget:
+        return price * float(np.clip(factor, 1.0 / most, 1.0 / least))
+    return price * float(np.clip(factor, least, most))
+
+
+def _initial_policy(
+    pricing: PricingProblem, row: FailureRow, guess: DualGuess | None
+) -> tuple[Column | None, float | None]:
+    """A policy to start from and the first price; None where the goal seems out of reach."""
+    if guess is not None:
+        return None, guess.price
+    first = pricing.first()
+    typical = first.cost if first.goal <= 0.0 else row.objective(first.cost, first.goal)
+    return first, _STEEP * typical if typical > 0.0 else 1.0
+
+
+_IN_BETWEEN = 0.5  # share of the best known prices in those that are tried
+_SLIGHT = 1e-6  # worth of a row, relative to the objective, that a price in between may neglect
+_ROUNDING = 1e-15  # relative, of weighted totals
+_FEASIBLE = 1e-15
+"""Sum of the rows' violations, relative to their sizes, that is no more than rounding."""
+
+
+@dataclass(eq=False)
+class StabilisedMaster:
+    """One phase on a pool of policies, some lottery over which keeps to the rows, unless elastic.
+
+    Elastic: minimise the violation of the rows, each relative to its scale, not the cost.
+    """
+
+    pool: Pool
+    rows: Rows
+    prices: FloatArray  # [rows] the best that are known, or thought to be good
+    bound: float = 0.0  # of the optimum at these prices, uncertified
+    elastic: bool = False
+    in_between: float = _IN_BETWEEN
+    share: float = field(init=False)  # of the best known prices in those that are tried next
+    master: MasterOptimum = field(init=False)
+    tried: FloatArray = field(init=False)  # [rows] prices of the last pricing call
+
+    most_rounds: ClassVar[int] = 2_000
+
+    def __post_init__(self) -> None:
+        """Begin with prices in between."""
+        self.share = self.in_between
+
+    @property
+    def calls(self) -> int:
+        """Pricing calls so far, those of earlier phases included."""
+        return self.pool.calls
+
+    def seek(self, tolerance: float) -> Column | None:
+        """A best policy at prices in between; None where all rows are kept in phase 1."""
+        self.master = self._solved()
+        if self.master.value - self.bound <= self._near(tolerance):
+            self.share = 0.0
+        if self.elastic and self.master.value <= _FEASIBLE:
+            self.prices = self.master.prices
+            return None
+        self.tried = self._between()
+        weights = self.rows.weights(self.tried, 0.0 if self.elastic else 1.0)
+        return self.pool.priced(weights)
+
+    def told(self) -> tuple[float, float]:
+        """The price of failure, and the objective so far."""
+        failure = float(self.tried[self.rows.index == 1].sum())
+        return failure, np.inf if self.elastic else self.master.value
+
+    def learn(self, found: Column, tolerance: float) -> bool:
+        """Keep the better bound and a policy that lies below the master's valuation."""
+        best, near = self.master.value, self._near(tolerance)
+        value = self._value(found, self.tried)
+        beyond = np.abs(found.figures[self.rows.index] - self.rows.bounds)
+        rounding = _ROUNDING * (self._objective(found) + float(self.master.prices @ beyond))
+        below = best - self._value(found, self.master.prices)
+        new = below > max(near, rounding) and self.pool.add(found)
+        finished = self.share == 0.0 and (not new or best - value <= near)
+        if finished or value > self.bound:
+            self.prices, self.bound = self.tried, value
+        self.share = self.in_between if new else 0.0
+        return finished
+
+    def concluded(self, tolerance: float, *, finished: bool) -> Generated:
+        """The master's lottery, and the bound at the best prices."""
+        master = self.master if finished else self._solved()
+        used = np.flatnonzero(master.weights > 0.0)
+        columns = tuple(self.pool.columns[k] for k in used.tolist())
+        bound, weights = self.bound, master.weights[used]
+        return Generated(
+            columns, weights, self.prices, master.value, bound, finished, excess=master.excess
+        )
+
+    def _near(self, tolerance: float) -> float:
+        """A gap that is small enough to go on without stabilisation, or to end."""
+        return max(0.1 * tolerance * self.master.value, 0.0)
+
+    def _between(self) -> FloatArray:
+        """Prices between good ones and the master's; at a share of 0 the master's own, [rows]."""
+        best, share = self.master.value, self.share
+        own = without_trifles(self.master.prices, self.pool.sizes(self.rows), best)
+        if share == 0.0:
+            return own
+        mixed = share * self.prices + (1.0 - share) * own
+        return without_trifles(mixed, self.rows.scales, best, _SLIGHT)
+
+    def _solved(self) -> MasterOptimum:
+        """The best lottery over the policies of the pool."""
+        figures, rows = self.pool.figures, self.rows
+        kept = undominated(np.vstack([rows.objective(figures)[None, :], figures[rows.index]]))
+        some = figures[:, kept]
+        cost, taken = rows.objective(some), some[rows.index]
+        best = solve_master(cost, taken, rows.bounds, rows.scales, elastic=self.elastic)
+        weights = np.zeros(figures.shape[1])
+        weights[kept] = best.weights
+        return replace(best, weights=weights)
+
+    def _value(self, found: Column, prices: FloatArray) -> float:
+        """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
+        beyond = found.figures[self.rows.index] - self.rows.bounds
+        return self._objective(found) + float(prices @ beyond)
+
+    def _objective(self, found: Column) -> float:
+        """The objective of a policy in the master."""
+        return 0.0 if self.elastic else float(self.rows.objective(found.figures))
+
+
+def violation_in_master(pool: Pool, rows: Rows) -> StabilisedMaster:
+    """Phase 1: the lottery that violates the rows least is sought."""
+    return StabilisedMaster(pool, rows, np.zeros(len(rows.index)), elastic=True)
+
+
+def undominated(figures: FloatArray) -> IntArray:
+    """Columns of a master such that no other is at most as large in every row.
+
+    Args:
+        figures: [rows, columns].
+    """
+    at_most = (figures[:, :, None] <= figures[:, None, :]).all(axis=0)  # [which, than which]
+    equal = at_most & at_most.T
+    earlier = np.triu(equal, 1)
+    return np.flatnonzero(~((at_most & ~equal) | earlier).any(axis=0))
+
+
+def without_trifles(
+    prices: FloatArray, sizes: FloatArray, objective: float, trifle: float = 1e-12
+) -> FloatArray:
+    """The master's prices with those too small to matter as 0, [rows].
+
+    Args:
+        prices: [rows].
+        sizes: of each row: what policies take of it, for a price that is to prove a bound; what is
+            allowed of it is not enough, since the saving of a policy that takes more counts.
+        objective: to which a price's worth is compared.
+        trifle: share of it that does not matter.
+    """
+    return np.where(prices * sizes <= trifle * abs(objective), 0.0, prices)
+
+
+_TRIFLE = 1e-9  # of what policies take of a row: no bound is taken to be smaller
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The rows that are limited: which, by how much, and the size of their numbers."""
+
+    index: IntArray  # [rows] position among the pricing problem's rewards
+    bounds: FloatArray  # [rows]
+    scales: FloatArray  # [rows] > 0
+    n_rewards: int
+    ratio: float = 0.0  # what failing counts in the objective besides (Dinkelbach)
+
+    def among(self, some: tuple[int, ...]) -> Rows:
+        """Some of the pool's rows, by position."""
+        kept = list(some)
+        limited = self.index[kept], self.bounds[kept], self.scales[kept]
+        return Rows(*limited, self.n_rewards, self.ratio)
+
+    def relaxed(self, excess: FloatArray) -> Rows:
+        """The rows with their bounds raised by an excess in units of the scales, [rows]."""
+        return replace(self, bounds=self.bounds + np.maximum(excess, 0.0) * self.scales)
+
+    def objective(self, figures: FloatArray) -> FloatArray:
+        """What is minimised of totals in a pool, the first of which are cost and failure, [...]."""
+        return np.asarray(figures[0] + self.ratio * figures[1] if self.ratio else figures[0])
+
+    def weights(self, prices: FloatArray, cost: float = 1.0) -> FloatArray:
+        """The weight of each reward at these prices, and at a weight of the cost, [rewards]."""
+        weights = np.zeros(self.n_rewards)
+        weights[self.index] = prices
+        weights[0] = cost
+        weights[1] += cost * self.ratio
+        return weights
+
+
+@dataclass(eq=False)
+class Pool:
+    """The policies found so far, in every phase, and the work that it took."""
+
+    pricing: ExplicitPricing
+    columns: list[Column]
+    calls: int = 0
+    work: Work = field(default_factory=Work)
+
+    @property
+    def figures(self) -> FloatArray:
+        """Totals of all policies, [rewards, columns]."""
+        return np.stack([column.figures for column in self.columns], axis=1)
+
+    def sizes(self, rows: Rows) -> FloatArray:
+        """The size of each row's bound, or the most that a policy takes of it, [rows]."""
+        taken = self.figures[rows.index].max(axis=1, initial=0.0)
+        return np.asarray(np.maximum(np.abs(rows.bounds), taken))
+
+    def best(self, weights: FloatArray) -> Column:
+        """The known policy of least weighted totals."""
+        return self.columns[int(np.argmin(weights @ self.figures))]
+
+    def priced(self, weights: FloatArray) -> Column:
+        """Price anew: a policy of least weighted totals, improved from the best known one."""
+        found = self.pricing.minimise(weights, self.best(weights))
+        self.calls, self.work = self.calls + 1, self.work + found.work
+        return found
+
+    def proved(self, weights: FloatArray) -> Proof:
+        """A checked lower bound of every policy's weighted totals, lowered as little as can be."""
+        best = self.pricing.minimise(weights, self.best(weights))
+        return self.pricing.check(weights, weighted(required(best.totals), weights))
+
+    def add(self, found: Column) -> bool:
+        """Keep a policy; false where one with the same totals is known."""
+        if any(np.array_equal(found.figures, known.figures) for known in self.columns):
+            return False
+        self.columns.append(found)
+        return True
+
+    def rows(self, index: IntArray, bounds: FloatArray) -> Rows:
+        """Rows with their scales: the bound, but at least a trifle of what known policies take.
+
+        Args:
+            index: of the limited rows among the rewards, [rows].
+            bounds: [rows].
+        """
+        taken = self.figures[index].max(axis=1, initial=0.0)
+        shares = np.where(bounds > 0.0, _TRIFLE, 1.0)  # nothing can be kept to less than nothing
+        scales = np.maximum(np.abs(bounds), shares * taken)
+        scales = np.where(scales > 0.0, scales, 1.0)
+        return Rows(index, bounds, scales, self.pricing.rewards.shape[1])

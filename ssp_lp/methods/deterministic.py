@@ -1,0 +1,710 @@
+"""The best single policy, for a controller that may not toss a coin.
+
+The best lottery attains c*; one deterministic policy that keeps to the budget may have to cost
+more. It is found by a mixed-integer program over the states of the process (case S: state and
+accumulated cost): x counts expected visits, a binary y per pair says which is taken,
+
+    x_pair <= V_state * y_pair,   sum over the pairs of a state of y = 1.
+
+**The bound V on visits** is the greatest expected number of visits of the state over all policies,
+randomised ones included, that keep to the budget and cost no more than the best policy known
+beforehand: a linear program for each state (one for all states together where there are many), 1
+where no state can be visited twice. No better policy is lost by it. It is finite because what
+costs nothing and could go on for ever is collapsed in the process. Under a discount it cannot
+exceed 1 / (1 - discount). V is an optimum over all policies with a margin for rounding, so that an
+answer whose visits come up to it needs no second try with a larger one.
+
+The ratio of case S is minimised by Dinkelbach's iteration. Every policy is read off y and measured
+exactly on the process; one that keeps to the budget only within HiGHS's tolerances is refused and
+excluded by a further row. The lower bound is the better of HiGHS's dual bound, lowered by 1e-9 of
+itself, and the lottery's; the former carries HiGHS's tolerances and is not a checked sub-solution.
+
+Policies that leave a collapsed component by a way that depends on where it was entered, or go on
+beyond the cap of case S otherwise than by the tails, are counted in the bound but not searched: a
+gap may then remain that is not due to the time limit. Policies with more memory than the state of
+the process, which could take coins from chance itself, are not counted at all where the bound is
+HiGHS's.
+
+A state without a choice, and one that is left free, has no y.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import highspy
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph, linalg
+
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray
+from ssp_lp.column_generation.column import Column, FailureRow, relative_gap
+from ssp_lp.column_generation.compiled_problem import (
+    CompiledAccumulatedCost,
+    CompiledFailureLabel,
+    CompiledProblem,
+)
+from ssp_lp.column_generation.search import Generated
+from ssp_lp.compiled.deadline import STOPS, heed, is_late
+from ssp_lp.errors import Argument, ModelError, SolverError
+from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
+from ssp_lp.linear_programming.linear_program import LinearProgram
+from ssp_lp.methods.columns import RefinedOutcome
+from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.layered.layered_process import LayeredProcess
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.processes.quotient import Quotient
+from ssp_lp.programs.program_rows import rows_program
+from ssp_lp.solution import Found, Solution
+
+_OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
+
+
+def best_deterministic(
+    mixed: Solution, outcome: RefinedOutcome, tolerance: float, deadline: float
+) -> Solution:
+    """The best single deterministic policy, beside the best lottery.
+
+    Args:
+        mixed: the best lottery; its price of failure and its value function are kept.
+        outcome: of the search that found it.
+        tolerance: relative gap at which to stop.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Raises:
+        ModelError: the formulation is not supported, or its process is too large.
+    """
+    single, finished = best_single_policy(outcome, tolerance, deadline)
+    gap = relative_gap(single.value, single.bound)
+    is_open = gap > _OPEN
+    cost = f"{'at most ' if is_open else ''}{max(single.value - mixed.objective, 0.0):.9g}"
+    remarks = [
+        f"deterministic: the mixed optimum is {mixed.objective:.9g}, determinism costs {cost}"
+    ]
+    if mixed.note:
+        remarks.append(mixed.note)
+    if not finished and "stopped" not in mixed.note:
+        remarks.append("stopped before the search was finished; the gap is honest")
+    if finished and gap > max(_OPEN, 2.0 * tolerance):
+        remarks.append("the gap is what policies outside the search could gain at most")
+    return replace(
+        mixed,
+        policy=as_lottery(single.policy),
+        objective=single.value,
+        lower_bound=min(single.bound, single.value),
+        budget_used=single.failure,
+        note="; ".join(remarks),
+    )
+
+
+_ROUNDING = 1e-13
+_SMALL = 1e-10  # relative
+"""A policy's failure, summed in another order, may lie so far above the budget that it meets."""
+
+_DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
+_RATIOS = 30  # Dinkelbach's iteration converges in a handful
+_SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances of prices, up and down
+_SKIPS = 8  # states skipped on the way between two policies
+_REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
+
+
+@dataclass(eq=False)
+class _PolicySearch:
+    """The best policy so far, and the view that it is measured on."""
+
+    view: ProcessView
+    row: FailureRow
+    best: Found  # its bound holds of every policy
+    tolerance: float  # relative
+    deadline: float
+    refused: int = 0
+    choice: IntArray | None = None  # [states] of the best policy, where it was found here
+
+    def take(self, answer: IntegerAnswer) -> bool:
+        """Measure an answer's policy and keep it if it is the best; whether it is within budget."""
+        return answer.choice is not None and self.offer(answer.choice)
+
+    def offer(self, choice: IntArray) -> bool:
+        """Measure a choice and keep it if it is the best; whether it is within budget."""
+        whole = self.completed(choice)[0]
+        if whole is None:
+            return False
+        kept = False
+        for column in self.view.measure(whole):
+            if column.failure > _allowed_in_search(self.row):
+                continue
+            kept, value = True, self.row.objective(column.cost, column.goal)
+            if value <= self.best.value:
+                self.choice = whole
+            if value < self.best.value:
+                policy = self.view.compiled.pricing().policy(column)
+                better = Found(policy, value, self.best.bound, column.failure)
+                self.best = better
+        return kept
+
+    def completed(self, choice: IntArray) -> tuple[IntArray | None, BoolArray]:
+        """The choice where it leads, a safe one elsewhere; None if it holds mass for ever."""
+        process = self.view.process
+        chain = sp.csr_array(process.transitions[choice])
+        chain.eliminate_zeros()
+        reached = within_reach(chain, process.start > 0)
+        leaks = process.goal[choice] + process.failure[choice] > 0
+        leaves = within_reach(sp.csr_array(chain.T), leaks)
+        if (reached & ~leaves).any():
+            return None, reached
+        return np.where(reached, choice, self.view.safe), reached
+
+
+def best_single_policy(
+    outcome: RefinedOutcome, tolerance: float, deadline: float
+) -> tuple[Found, bool]:
+    """Search for the best deterministic policy, stationary in the states of the process.
+
+    The search begins with the best member of the best lottery that keeps to the budget and the
+    policies between its members; the lottery's own bound is the first lower bound.
+
+    Args:
+        outcome: of the search for the best lottery.
+        tolerance: relative gap at which to stop.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Returns:
+        The policy, with a bound of every one, and whether the search was finished.
+
+    Raises:
+        ModelError: the process is of no known kind, or too large.
+    """
+    found, row, pricing = outcome.found, outcome.row, outcome.compiled.pricing()
+    inside = [c for c in found.columns if c.failure <= _allowed_in_search(row)]
+    first = min(inside, key=lambda c: row.objective(c.cost, c.goal))
+    value = row.objective(first.cost, first.goal)
+    start = Found(pricing.policy(first), value, found.lower_bound, first.failure)
+    if len(found.columns) == 1 or is_late():
+        return start, len(found.columns) == 1 and found.finished
+    try:
+        view = process_view(outcome.compiled, found.price)
+    except STOPS as stop:
+        heed(stop)
+        return start, False
+    search = _PolicySearch(view, row, start, tolerance, deadline)
+    try:
+        return _searched_policy(search, found)
+    except STOPS as stop:
+        heed(stop)
+        return search.best, False
+
+
+def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
+    """Walk between two policies, then solve the programs; the search keeps the best policy."""
+    view, tolerance = search.view, search.tolerance
+    _search_between(search, found.price)
+    if relative_gap(search.best.value, found.lower_bound) <= tolerance:
+        return search.best, True
+    bound, finished = _minimised_in_search(search, view.process, is_outer=False)
+    if view.free.any():
+        bound, finished = _minimised_in_search(search, view.outer, is_outer=True)
+    best = search.best
+    return replace(best, bound=min(max(bound, found.lower_bound), best.value)), finished
+
+
+def _allowed_in_search(row: FailureRow) -> float:
+    """The budget, with room for rounding."""
+    return row.budget + min(_ROUNDING, _SMALL * row.budget)
+
+
+def _search_between(search: _PolicySearch, price: float) -> None:
+    """Begin the search with policies between two, as near to the budget as changing states allows.
+
+    The two that are best at prices just beside the lottery's are both optimal at it, and so is
+    every policy that follows the one in some states and the other elsewhere: of these, the one that
+    fails most within the budget is cheapest. Farther prices differ in more states.
+    """
+    compiled = search.view.compiled
+    for spread in _SPREADS:
+        if is_late():
+            return
+        safe, risky = (
+            compiled.explicit_choice(compiled.pricing().minimise(price * factor))
+            for factor in (1.0 + spread, 1.0 / (1.0 + spread))
+        )
+        differing = np.flatnonzero(safe != risky)
+        for order in (differing, differing[::-1]):
+            if search.offer(safe):
+                _search_walk(search, safe, risky, order)
+
+
+def _search_walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: IntArray) -> None:
+    """Change states in order while that keeps to the budget, by bisection; skip one that does not.
+
+    Args:
+        search: keeps the policies on the way.
+        safe: a choice that keeps to the budget, [states].
+        risky: another, [states].
+        order: states in which they differ.
+    """
+    here = safe
+    for _ in range(_SKIPS):
+        kept, broken = 0, order.size + 1  # states changed, and too many
+        while broken - kept > 1 and not is_late():
+            middle = (kept + broken) // 2
+            within = search.offer(_mixed_choice(here, risky, order[:middle]))
+            kept, broken = (middle, broken) if within else (kept, middle)
+        here, order = _mixed_choice(here, risky, order[:kept]), order[kept + 1 :]
+        if order.size == 0:
+            return
+
+
+def _minimised_in_search(
+    search: _PolicySearch, process: ExplicitProcess, *, is_outer: bool
+) -> tuple[float, bool]:
+    """A lower bound of what policies of a process attain, and whether the search was finished.
+
+    Case S by Dinkelbach's iteration. Where no policy is worth less than D >= -1 at the price c of
+    success, ``cost >= c * goal + D``, so that ``cost / goal >= c + D / (1 - budget)`` for D < 0.
+
+    Args:
+        search: keeps the policies that are found.
+        process: the process.
+        is_outer: whether free states may randomise, so that answers are no policies.
+    """
+    row, known = search.row, search.best.value
+    limits = (0.0, known) if row.ratio else (known, 0.0)
+    visits = most_visits(process, row.budget, *limits, search.deadline)
+    if visits is None:
+        return 0.0, False
+    free = search.view.free if is_outer else np.zeros_like(search.view.free)
+    program = IntegerProgram(process, _allowed_in_search(row), visits, free)
+    if not row.ratio:
+        program.stop_at(search.tolerance)
+    if program.pairs.size == 0:
+        return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
+    ratio, bound = known if row.ratio else 0.0, 0.0
+    for _ in range(_RATIOS):
+        cost = process.cost - ratio * process.goal
+        _begin_policy_search(search, program, cost)
+        answer = _searched_program(search, program, cost, is_outer=is_outer)
+        bound = max(bound, min(_bound_of_search(row, ratio, answer.bound), known))
+        if not answer.finished:
+            return bound, False
+        better = ratio
+        if row.ratio and answer.x is not None:
+            goal = float(process.goal @ answer.x)
+            better = float(process.cost @ answer.x) / goal if goal > 0.0 else np.inf
+        if not better < ratio * (1.0 - _DUAL):
+            return bound, True
+        ratio = better
+    return bound, False
+
+
+def _begin_policy_search(search: _PolicySearch, program: IntegerProgram, cost: FloatArray) -> None:
+    """Begin at the best policy so far, where it is one of the process's."""
+    choice = search.choice
+    if choice is None:
+        return
+    chain = sp.csc_array(program.process.transitions[choice].T)
+    stay = sp.csc_array(sp.eye_array(len(choice)) - chain)
+    x = np.zeros(len(cost))
+    x[choice] = linalg.spsolve(stay, program.process.start)
+    program.start_at(x, choice)
+
+
+def _searched_program(
+    search: _PolicySearch, program: IntegerProgram, cost: FloatArray, *, is_outer: bool
+) -> IntegerAnswer:
+    """Solve, and solve again without each policy that breaks the budget when it is measured."""
+    while True:
+        answer = program.solve(cost, search.deadline)
+        if search.take(answer) or answer.choice is None or is_outer:
+            return answer
+        if search.refused == _REFUSED:
+            return replace(answer, finished=False)
+        search.refused += 1
+        program.forbid(answer.choice, search.completed(answer.choice)[1])
+
+
+def _bound_of_search(row: FailureRow, ratio: float, value: float) -> float:
+    """The objective's bound from the least ``cost - ratio * goal`` of any policy."""
+    if not np.isfinite(value):
+        return value
+    safe, share = value - _DUAL * (1.0 + abs(value)), 1.0 - row.budget
+    if not row.ratio:
+        return safe
+    if safe >= 0.0:
+        return ratio
+    return max(ratio + safe / share, 0.0) if share > 0.0 else 0.0
+
+
+def _mixed_choice(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
+    """The first choice of pairs, in some states the second, [states]."""
+    mixed = first.copy()
+    mixed[states] = second[states]
+    return mixed
+
+
+_MOST_PAIRS = 500_000
+_METHOD = Argument("method", "deterministic")
+_ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, by which no tail fails at will
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessView:
+    """The process that policies live on, and one of which they are special cases.
+
+    A deterministic policy may leave a collapsed component by a way that depends on where it came
+    in, and may go on beyond the cap of case S by other policies than the tails. In ``outer`` this
+    is allowed for: states that are ``free`` randomise, and beyond the cap success costs no more
+    than what had been paid at its border, with any probability that some policy attains.
+    """
+
+    compiled: CompiledProblem
+    process: ExplicitProcess
+    outer: ExplicitProcess
+    free: BoolArray  # [states] those within reach of the start
+    safe: IntArray  # [states] pairs of a policy that leaves from every state
+    measure: Callable[[IntArray], list[Column]]  # a choice to policies, each measured exactly
+
+
+def process_view(compiled: CompiledProblem, price: float) -> ProcessView:
+    """Write a process out.
+
+    Args:
+        compiled: of case M or S.
+        price: of failure at the best lottery.
+
+    Raises:
+        ModelError: a problem of another kind, or one with too many pairs.
+    """
+    here = compiled.for_program()
+    if isinstance(here, CompiledFailureLabel):
+        return _view_of_case_m(here, price)
+    if isinstance(here, CompiledAccumulatedCost):
+        return _view_of_case_s(here, price)
+    raise ModelError(_METHOD, f" does not know {type(compiled).__name__}")
+
+
+def _view_of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
+    """The view of a process in case M."""
+    pricing = compiled.pricing()
+    process = pricing.process
+    _check_view_size(process.n_pairs)
+    best = pricing.minimise(price)
+    free = np.zeros(process.n_states, dtype=np.bool_)
+    merged = _merged_nodes(compiled.labelled.quotient)
+    free[: len(merged)] = merged
+    return ProcessView(
+        compiled=compiled,
+        process=process,
+        outer=process,
+        free=free & within_reach(steps_between(process), process.start > 0),
+        safe=compiled.explicit_choice(best),
+        measure=lambda choice: [pricing.measure(choice.astype(np.int32))],
+    )
+
+
+def _view_of_case_s(compiled: CompiledAccumulatedCost, price: float) -> ProcessView:
+    """The view of a process in case S, layer by layer."""
+    layered, pricing = compiled.process, compiled.pricing()
+    base, cap = layered.base, layered.cap
+    _check_view_size(cap * len(base.gain))
+    process = compiled.explicit()
+    beyond = np.arange((base.width - 1) * base.n_nodes) + cap * base.n_nodes
+    free = np.zeros(process.n_states, dtype=np.bool_)
+    free[: cap * base.n_nodes] = np.tile(_merged_nodes(base.quotient), cap)
+    free[beyond] = True
+    prices = (price, 0.0, _ENDLESS * (1.0 + price))
+
+    def measure(choice: IntArray) -> list[Column]:
+        """A choice followed by the tails of each price, measured."""
+        within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
+        shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
+        return [pricing.measure((within - shift).astype(np.int32), tail) for tail in prices]
+
+    return ProcessView(
+        compiled=compiled,
+        process=process,
+        outer=_view_with_loose_tails(process, layered, beyond),
+        free=free & within_reach(steps_between(process), process.start > 0),
+        safe=compiled.explicit_choice(pricing.minimise(price)),
+        measure=measure,
+    )
+
+
+def _view_with_loose_tails(
+    process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
+) -> ExplicitProcess:
+    """Replace the tails by the greatest and the least success, which cost what has been paid.
+
+    Every success from accumulated cost r on costs at least ``r * E[gamma^(T-1); goal]``, and its
+    probability lies between the two: their mixtures are no dearer than any policy.
+    """
+    base, tails = layered.base, layered.tails
+    n_layers = base.width - 1
+    first = process.pair_offsets[beyond]
+    last = process.pair_offsets[beyond + 1] - 1
+    paid = np.repeat(layered.cap + np.arange(n_layers), base.n_nodes) * base.unit / base.survival
+    cost, goal, failure = process.cost.copy(), process.goal.copy(), process.failure.copy()
+    for pairs, success in ((first, tails.greatest_goal), (last, tails.least_goal)):
+        share = np.tile(np.clip(success, 0.0, 1.0), n_layers)
+        cost[pairs], goal[pairs], failure[pairs] = paid * share, share, 1.0 - share
+    return replace(process, cost=cost, goal=goal, failure=failure)
+
+
+def _merged_nodes(quotient: Quotient) -> BoolArray:
+    """Nodes of the process viewed that stand for a component of several states, [nodes]."""
+    members = np.bincount(quotient.node_of[quotient.merged], minlength=quotient.n_nodes)
+    return np.asarray(members > 1)
+
+
+def _check_view_size(n_pairs: int) -> None:
+    """Raise :class:`ModelError` where the view of a process is too large for an integer program."""
+    if n_pairs > _MOST_PAIRS:
+        raise ModelError(
+            _METHOD,
+            f": a mixed-integer program of {n_pairs:,} pairs is too large (at most "
+            f"{_MOST_PAIRS:,}); a coarser grid of costs or a lower ",
+            Argument("cost_cap"),
+            " makes it less",
+        )
+
+
+def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
+    """States of a process viewed to which a path leads, the first ones included, [states]."""
+    n = len(start)
+    first = sp.csr_array(start.astype(np.float64)[None, :])
+    below = sp.vstack([steps, first])
+    graph = sp.csr_array(sp.hstack([below, sp.csr_array((n + 1, 1))]))
+    order = csgraph.breadth_first_order(graph, n, return_predecessors=False)
+    reached = np.zeros(n + 1, dtype=np.bool_)
+    reached[order] = True
+    return reached[:n]
+
+
+def steps_between(process: ExplicitProcess) -> sp.csr_array:
+    """Steps between states of a process viewed, by whatever pair, [states, states]."""
+    of_state = sp.csr_array(
+        (np.ones(process.n_pairs), np.arange(process.n_pairs), process.pair_offsets),
+        shape=(process.n_states, process.n_pairs),
+    )
+    graph = sp.csr_array(of_state @ process.transitions)
+    graph.eliminate_zeros()
+    return graph
+
+
+_LEAST_GAP = 1e-10
+_POLL = 0.1  # seconds between two looks at whether HiGHS has ended
+
+_OPTIONS: HighsOptions = {
+    "mip_rel_gap": _LEAST_GAP,
+    "mip_abs_gap": _LEAST_GAP,
+    "mip_feasibility_tolerance": 1e-9,
+    "primal_feasibility_tolerance": 1e-9,
+    "dual_feasibility_tolerance": 1e-9,
+}
+
+_OVER = {
+    highspy.HighsModelStatus.kInfeasible,
+    highspy.HighsModelStatus.kUnboundedOrInfeasible,
+}
+
+
+def _run_integer_program(solver: highspy.Highs) -> None:
+    """Run HiGHS beside this thread, which so hears of Ctrl-C and ends it."""
+    solver.startSolve()
+    try:
+        while not solver.wait(_POLL)[0]:
+            pass
+    except KeyboardInterrupt:
+        solver.cancelSolve()  # type: ignore[no-untyped-call]
+        solver.wait()
+        raise
+
+
+@dataclass(frozen=True, eq=False)
+class IntegerAnswer:
+    """What HiGHS says; nothing in it is trusted but the bound."""
+
+    x: FloatArray | None  # [pairs] None: no policy was found
+    choice: IntArray | None  # [states]
+    bound: float  # of <cost, x>; infinite where there is no policy
+    finished: bool
+
+
+class IntegerProgram:
+    """The mixed-integer program of a process, from which policies can be excluded one by one."""
+
+    def __init__(
+        self, process: ExplicitProcess, budget: float, visits: FloatArray, free: BoolArray
+    ) -> None:
+        """State the program.
+
+        Args:
+            process: the process.
+            budget: failure budget.
+            visits: upper bounds of the expected visits, [states]; 0: out of reach.
+            free: states that may randomise, [states].
+        """
+        self.process = process
+        decided = (np.diff(process.pair_offsets) > 1) & (visits > 0.0) & ~free
+        self.pairs = np.flatnonzero(decided[process.pair_state])
+        lp = highs_lp(self._stated(budget, visits))
+        upper = np.where(visits > 0.0, highspy.kHighsInf, 0.0)[process.pair_state]
+        lp.col_upper_ = np.append(upper, np.ones(self.pairs.size))
+        lp.integrality_ = [highspy.HighsVarType.kContinuous] * process.n_pairs + [
+            highspy.HighsVarType.kInteger
+        ] * self.pairs.size
+        self._solver = highs_solver(lp, _OPTIONS)
+        self._solver.HandleUserInterrupt = True
+
+    def _stated(self, budget: float, visits: FloatArray) -> LinearProgram:
+        """The occupation-measure program with the rows of y below it."""
+        process, n_y = self.process, self.pairs.size
+        base = rows_program(process, {FAILURE_ROW: (process.failure, budget)}, ratio=False)
+        state = process.pair_state[self.pairs]
+        picks, group = np.unique(state, return_inverse=True)
+        each, one = np.arange(n_y), np.ones(n_y)
+        taken = sp.csr_array((one, (each, self.pairs)), shape=(n_y, process.n_pairs))
+        linked = sp.csr_array((-visits[state], (each, each)), shape=(n_y, n_y))
+        single = sp.csr_array((one, (group, each)), shape=(picks.size, n_y))
+        left = sp.vstack([base.matrix, taken, sp.csr_array((picks.size, process.n_pairs))])
+        right = sp.vstack([sp.csr_array((base.matrix.shape[0], n_y)), linked, single])
+        return LinearProgram(
+            cost=np.append(process.cost, np.zeros(n_y)),
+            matrix=sp.csc_array(sp.hstack([left, right])),
+            lower=np.concatenate([base.lower, np.full(n_y, -np.inf), np.ones(picks.size)]),
+            upper=np.concatenate([base.upper, np.zeros(n_y), np.ones(picks.size)]),
+            rows=base.rows,
+        )
+
+    def forbid(self, choice: IntArray, reached: BoolArray) -> None:
+        """Exclude all policies that agree with a choice in the states that it reaches."""
+        position = np.flatnonzero(np.isin(self.pairs, choice[reached]))
+        columns = (self.process.n_pairs + position).astype(np.int32)
+        most = float(position.size) - 1.0
+        self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
+
+    def stop_at(self, tolerance: float) -> None:
+        """Stop at a relative gap."""
+        self._solver.setOptionValue("mip_rel_gap", max(tolerance, _LEAST_GAP))
+
+    def start_at(self, x: FloatArray, choice: IntArray) -> None:
+        """Tell HiGHS of a policy with which to begin."""
+        given = highspy.HighsSolution()
+        given.col_value = np.append(x, np.isin(self.pairs, choice)).tolist()
+        self._solver.setSolution(given)
+
+    def solve(self, cost: FloatArray, deadline: float) -> IntegerAnswer:
+        """Minimise a cost of the pairs, [pairs], until the deadline of ``time.perf_counter``."""
+        left = deadline - time.perf_counter()
+        if left <= 0.0:
+            return IntegerAnswer(None, None, -np.inf, finished=False)
+        solver, n = self._solver, self.process.n_pairs
+        solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
+        solver.changeColsCost(n, np.arange(n, dtype=np.int32), cost)
+        _run_integer_program(solver)
+        status, info = solver.getModelStatus(), solver.getInfo()
+        if status in _OVER:
+            return IntegerAnswer(None, None, np.inf, finished=True)
+        finished = status == highspy.HighsModelStatus.kOptimal
+        bound = float(info.mip_dual_bound)
+        if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
+            return IntegerAnswer(None, None, bound, finished=False)
+        values = np.asarray(solver.getSolution().col_value, dtype=np.float64)
+        return IntegerAnswer(values[:n], self._choice(values), bound, finished)
+
+    def _choice(self, values: FloatArray) -> IntArray:
+        """The pair of greatest y, or of greatest x where there is no y, [states]."""
+        n = self.process.n_pairs
+        weight = values[:n].copy()
+        weight[self.pairs] = values[n:]
+        order = np.lexsort((weight, self.process.pair_state))
+        return order[self.process.pair_offsets[1:] - 1]
+
+
+_MARGIN = 1e-6
+"""Relative room above the optimum of a linear program, a thousand times HiGHS's tolerances."""
+
+_ROOM = 1e-9  # relative, in the rows that say which policies count
+_EACH = 400  # states up to which each gets a program of its own
+
+
+def most_visits(
+    process: ExplicitProcess, budget: float, most: float, ratio: float, deadline: float
+) -> FloatArray | None:
+    """Bound the visits that an integer program allows each state, over all policies, [states].
+
+    States out of reach get 0. Where no state can be visited twice all others get 1. Else one
+    linear program finds the greatest expected number of visits of all states together, and, where
+    there are few states, one more for each state the greatest number of its own visits. They are
+    finite: what costs nothing and could go on for ever has been collapsed in the process, so that
+    a limited cost limits the visits.
+
+    Args:
+        process: the process; policies may be randomised.
+        budget: of failure.
+        most: ``<cost - ratio * goal, x>`` of a policy that is as good as a known one.
+        ratio: what success earns; 0 in case M.
+        deadline: on the clock of ``time.perf_counter``.
+
+    Returns:
+        None where time ran out.
+
+    Raises:
+        SolverError: a program has no optimum.
+    """
+    steps = steps_between(process)
+    reached = within_reach(steps, process.start > 0)
+    once = float(process.start.sum()) * (1.0 + _MARGIN)
+    n_parts, _ = csgraph.connected_components(steps, directed=True, connection="strong")
+    if n_parts == process.n_states and not steps.diagonal().any():
+        return np.where(reached, once, 0.0)
+    solver = _prepared_integer_program(process, budget, most, ratio)
+    total = _greatest_by_integers(solver, np.ones(process.n_pairs), deadline)
+    if total is None:
+        return None
+    visits = np.where(reached, total, 0.0)
+    decided = np.flatnonzero(reached & (np.diff(process.pair_offsets) > 1))
+    for state in decided if decided.size <= _EACH else ():
+        own = _greatest_by_integers(
+            solver, (process.pair_state == state).astype(np.float64), deadline
+        )
+        if own is None:
+            return visits
+        visits[state] = min(own, total)
+    return visits
+
+
+def _prepared_integer_program(
+    process: ExplicitProcess, budget: float, most: float, ratio: float
+) -> highspy.Highs:
+    """The policies within the limit, as a program whose objective is still to be said."""
+    limits = {FAILURE_ROW: (process.failure, budget + _ROOM)}
+    program = rows_program(process, limits, ratio=False)
+    lp = highs_lp(program)
+    lp.sense_ = highspy.ObjSense.kMaximize
+    solver = highs_solver(lp, {})
+    row = process.cost - ratio * process.goal
+    filled = np.flatnonzero(row).astype(np.int32)
+    room = _ROOM * (1.0 + abs(most))
+    solver.addRow(-highspy.kHighsInf, most + room, filled.size, filled, row[filled])
+    return solver
+
+
+def _greatest_by_integers(
+    solver: highspy.Highs, counted: FloatArray, deadline: float
+) -> float | None:
+    """For the integer program, the greatest expected number of counted steps, with a margin."""
+    left = deadline - time.perf_counter()
+    if left <= 0.0:
+        return None
+    solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
+    solver.changeColsCost(counted.size, np.arange(counted.size, dtype=np.int32), counted)
+    run_highs(solver)
+    status = solver.getModelStatus()
+    if status == highspy.HighsModelStatus.kTimeLimit:
+        return None
+    if status != highspy.HighsModelStatus.kOptimal:
+        raise SolverError(f"the visits have no bound: {solver.modelStatusToString(status)}")
+    return float(solver.getInfo().objective_function_value) * (1.0 + _MARGIN) + _MARGIN

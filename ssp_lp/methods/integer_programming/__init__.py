@@ -1,1 +1,0 @@
-"""The best single deterministic policy, by mixed-integer programs."""

@@ -1,0 +1,824 @@
+"""Risk of the total cost given success: its least quantile and its least conditional value at risk.
+
+Both are searches over trials, each of which minimises E[charge(total cost) | goal].
+
+**The quantile**, by Newton's method on its bound. With a charge of 1 for every arrival beyond B the
+least E[charge | goal] is the least Pr(C > B | goal), which falls as B grows. The least B at which
+it keeps to 1 - level is the answer; its policy is the one that keeps to B most often. At given
+prices of failure and of the other rows a lower bound of that share is known for every B, where
+failure alone is limited by one sweep; so the greatest B that is refuted at those prices is, and at
+the best prices it is the answer's neighbour. The search alternates: the best prices at a B, and the
+first B that they do not refute.
+
+**The conditional value at risk.** For any policy it is the least over z of z + E[(C - z)^+ | goal]
+/ share, share = 1 - level (Rockafellar and Uryasev 2000), attained at the quantile, a total that
+can occur. So the optimum is the least over such z of F(z), the least E[charge | goal] with that
+integrand as the charge: S3P with a kink. The search alternates between the best policy at z and
+that policy's own quantile.
+
+F is a least of convex functions and need not be convex itself, so that values on both sides of a z
+prove nothing of it. What is proved is proved of whole intervals: for a <= z <= b and every c
+
+    z + (c - z)^+ / share  >=  max(a, min(b, c)) + (c - b)^+ / share.
+
+For c <= z the left side is z, and the right one max(a, min(b, c)) <= z. For z < c <= b the right
+side is c, and the left one z + (c - z) / share >= c. For c > b the left side falls by 1 / share - 1
+where z rises by 1, and at z = b both are equal. The right side is a charge that does not fall as c
+grows: one backward sweep at any price of failure bounds F on all of [a, b] from below. Intervals
+whose bound lies below the best value are split, the weakest first, down to single totals, which are
+searched; beyond the best value none is needed, as F(z) >= z. The bound of the whole is the least of
+what is left: it is what the sweeps say, whenever the search ends.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from functools import cached_property
+from heapq import heappop, heappush, heapreplace
+from typing import NamedTuple
+
+import numpy as np
+
+from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.total_cost.cost_law import CostLaw, success_costs
+from ssp_lp.arrays import QUANTILE, FloatArray
+from ssp_lp.column_generation.column import FailureRow, Proof, required
+from ssp_lp.column_generation.compiled_problem import (
+    CompiledArrivalCost,
+    CompiledConstrained,
+    checked_least_failure,
+)
+from ssp_lp.column_generation.search import DualGuess
+from ssp_lp.compiled.deadline import STOPS, Stop, has_answer, heed, is_late
+from ssp_lp.errors import ModelError
+from ssp_lp.methods.columns import refined_optimum
+from ssp_lp.methods.rows import Truth, bound_at, least_goal_within, rows_optimum, taken_by_lottery
+from ssp_lp.model import SSP
+from ssp_lp.options import SolveOptions
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem, by_rows, compiled_constrained
+from ssp_lp.processes.layered.charges import Charge, ExcessCharge, LateCharge, TotalCostCharge
+from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.processes.totals.step_sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
+from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
+
+
+def least_risk(
+    problem: Problem,
+    options: SolveOptions,
+    question: Question | None = None,
+    near: Near | None = None,
+) -> Solution:
+    """The least quantile, or the least conditional value at risk, of the cost given success.
+
+    Args:
+        problem: its measure says which, and at which level.
+        options: method, tolerance and limits.
+        question: the policies that count; None: as the problem says.
+        near: where the search may begin; None: unknown.
+
+    Raises:
+        InfeasibleError: the budget is below the least failure, or the goal is out of reach.
+        ModelError: another measure, or a table of costs that would be too large.
+    """
+    has_answer()
+    question = question_of(problem) if question is None else question
+    match problem.semantics.measure:
+        case CostQuantileOf(level):
+            return least_quantile(problem, question, level, options, near)
+        case TailMeanOf(level):
+            return least_tail_mean(problem, question, level, options, near)
+    raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
+
+
+def risk_bound(problem: Problem, attained: float, options: SolveOptions) -> tuple[float, float]:
+    """Prove a lower bound of the least risk afresh, from the model alone.
+
+    Args:
+        problem: the problem.
+        attained: the risk of the policy in question.
+        options: tolerance and limits.
+
+    Returns:
+        The bound, and the failure that is allowed.
+    """
+    question = question_of(problem)
+    match problem.semantics.measure:
+        case CostQuantileOf(level):
+            return quantile_bound(question, level, attained, options), question.allowed
+        case TailMeanOf(level):
+            return tail_mean_bound(problem, question, level, options), question.allowed
+    raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
+
+
+@dataclass(frozen=True)
+class ThresholdMultiples:
+    """Multiples of a unit: of all costs, or, not sharp, of a grid."""
+
+    unit: Fraction
+    sharp: bool = True  # no total can occur between two of them
+
+    def total(self, number: int) -> float:
+        """The total of a number, as the nearest float."""
+        return float(number * self.unit)
+
+    def number(self, total: float) -> int:
+        """The number of the multiple nearest to a total."""
+        return round(total / float(self.unit))
+
+
+class ThresholdSums:
+    """Sums of steps of which the last one leads into the goal. Mutable: they are found as needed.
+
+    Raises:
+        ModelError: more of them are needed than are told apart.
+    """
+
+    sharp = True
+
+    def __init__(self, model: SSP) -> None:
+        self._model = model
+        self._steps, self._last = step_lattice(model)[1], last_steps(model)[1]
+        self._cap = 4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0
+        self._totals = self._found()
+
+    def total(self, number: int) -> float:
+        """The total of a number; the greatest one where there are no more."""
+        while number >= len(self._totals):
+            before, self._cap = len(self._totals), 2.0 * self._cap
+            self._totals = self._found()
+            if len(self._totals) == before:
+                break
+        return float(self._totals[min(number, len(self._totals) - 1)])
+
+    def number(self, total: float) -> int:
+        """The number of the nearest total."""
+        while self._cap <= total * (1.0 + 1e-9):
+            self._cap *= 2.0
+            self._totals = self._found()
+        above = int(np.searchsorted(self._totals, total))
+        if above == 0:
+            return 0
+        if above == len(self._totals):
+            return above - 1
+        nearer_below = total - self._totals[above - 1] <= self._totals[above] - total
+        return above - 1 if nearer_below else above
+
+    def _found(self) -> FloatArray:
+        """All sums up to the cap that a threshold may be."""
+        sums = sums_in(self._model, self._cap, MOST_SUMS)
+        if sums is None:
+            raise ModelError(f"more than {MOST_SUMS:,} sums of costs lie below {self._cap:g}")
+        every = np.unique((sums[:, None] + self._last).ravel())
+        every = every[every < self._cap]
+        room = room_of(np.union1d(self._steps, self._last), self._cap)
+        return np.asarray(every[np.diff(every, prepend=-np.inf) > room])
+
+
+Thresholds = ThresholdMultiples | ThresholdSums
+"""Totals, each with its number, 0, 1, ..."""
+
+
+_AHEAD = 8.0  # typical costs up to which all sums must be few to be told apart
+_FINE = 500  # thresholds in a typical cost, where totals are rounded
+_NEARBY = 1e-2  # relative uncertainty of a price of failure from another threshold
+_ROUNDING = 1e-14
+"""A budget above the least failure by this share of the success is meant to be equal to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """The least E[charge | goal], with its proof."""
+
+    value: float
+    lower_bound: float
+    policy: MixedPolicy
+    kappa: float  # price of failure at the optimum
+    calls: int
+    prices: Mapping[str, float] = field(default_factory=dict)  # of constraints, by name
+
+
+class Near(NamedTuple):
+    """Where a search may begin: what is known from rounder costs."""
+
+    total: float  # quantile of a good policy
+    kappa: float  # what failing is worth there; 0: unknown
+
+
+@dataclass(frozen=True, eq=False)
+class _QuestionWithinBudget:
+    """Failure alone is limited."""
+
+    compiled: CompiledArrivalCost  # of the total cost
+    budget: float | None  # of failure; None: only policies of least failure
+    least: float  # the least failure
+    typical: float  # a cost given success: of the policy that fails least
+    note: str = ""
+
+    @cached_property
+    def thresholds(self) -> Thresholds:
+        """The totals that can occur."""
+        if self.compiled.by_sums:
+            return ThresholdSums(self.compiled.model)
+        return ThresholdMultiples(self.compiled.base.exact_unit)
+
+    @property
+    def allowed(self) -> float:
+        """The failure that is allowed: the budget, or what is least."""
+        return self.least if self.budget is None else self.budget
+
+    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+        """Minimise E[charge | goal] by one search.
+
+        Args:
+            charge: of the total cost.
+            options: method, tolerance and limits.
+            kappa: what the price of failure may be, to choose the size of the table; 0: unknown.
+        """
+        compiled = self._charging(charge, kappa)
+        if self.budget is None:
+            pricing = compiled.pricing()
+            column = pricing.minimise(0.0)
+            policy = MixedPolicy((pricing.policy(column),), np.ones(1))
+            value = column.cost / column.goal
+            return Trial(value, min(self._bound(compiled, 0.0), value), policy, 0.0, 2)
+        guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
+        outcome = refined_optimum(compiled, self.budget, options, guess)
+        found = outcome.found
+        return Trial(
+            found.objective, found.lower_bound, outcome.lottery, found.price, outcome.calls
+        )
+
+    def refuted_below(
+        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> float:
+        """A lower bound of E[charge | goal] by one sweep at a guess of what failing is worth.
+
+        Policies of least failure all fail alike: there no price matters.
+
+        Args:
+            charge: of the total cost.
+            kappa: the guess.
+            prices: guesses of the multipliers of further rows, by name; there are none.
+            slack: the budget is thought to be slack: success is counted rather than failure, which
+                is exact where it is best to fail.
+        """
+        return self._bound(self._charging(charge, kappa), kappa, slack=slack)
+
+    def late_shares(
+        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> Callable[[int], float]:
+        """Lower bounds of Pr(C > B | goal) for the bounds B up to one, by their numbers.
+
+        What is best depends on what is left of the bound alone. So where layers are multiples of a
+        unit one sweep for the greatest bound answers all: whoever begins with as much paid as parts
+        two bounds has the lesser one left.
+
+        Args:
+            number: of the greatest bound.
+            kappa: what failing is thought to be worth.
+            prices: of further rows, by name; there are none.
+            slack: as of :meth:`refuted_below`.
+        """
+        charge = LateCharge(self.thresholds.total(number))
+        if self.compiled.by_sums:
+            return lambda k: self.refuted_below(
+                LateCharge(self.thresholds.total(k)), kappa, prices, slack=slack
+            )
+        compiled = self.compiled.charging(charge)
+        price = 0.0 if self.budget is None else kappa
+        proof = compiled.pricing().prove(price, slack=slack and self.budget is not None)
+        by_layer = required(proof.by_layer)
+        last = len(by_layer) - 1
+        return lambda k: self._share(replace(proof, bound=by_layer[min(number - k, last)]))
+
+    def _charging(self, charge: Charge, kappa: float) -> CompiledArrivalCost:
+        """The process with a charge, as large as a price of failure asks for."""
+        compiled = self.compiled.charging(charge)
+        if kappa <= 0.0 or self.budget is None:
+            return compiled
+        return self.compiled.charging(charge, compiled.lossless_units(kappa))
+
+    def _bound(self, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False) -> float:
+        """One sweep's bound at a price of failure."""
+        kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
+        return self._share(compiled.pricing().prove(kappa, slack=slack))
+
+    def _share(self, proof: Proof) -> float:
+        """A bound given success, from one of every policy's value."""
+        if self.budget is not None:
+            return FailureRow(self.budget, ratio=True).lower_bound(proof)
+        greatest = float(self.compiled.start @ self.compiled.greatest.bound)
+        return max(proof.bound, 0.0) / min(greatest, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _QuestionWithinRows:
+    """Other quantities are limited, too."""
+
+    problem: Problem
+    compiled: CompiledConstrained  # of the total cost
+
+    @cached_property
+    def thresholds(self) -> Thresholds:
+        """The totals that can occur, or those of a grid."""
+        if self.compiled.rungs is None:
+            return ThresholdMultiples(self.compiled.base.exact_unit)
+        try:
+            found = ThresholdSums(self.compiled.model)
+            found.number(_AHEAD * self.compiled.typical_cost)
+        except ModelError:
+            return ThresholdMultiples(Fraction(self.compiled.typical_cost / _FINE), sharp=False)
+        return found
+
+    @property
+    def budget(self) -> float | None:
+        """Of failure; None: only policies of least failure."""
+        return self.compiled.budget
+
+    @property
+    def allowed(self) -> float:
+        """The failure that is allowed: the budget, or what is least."""
+        if self.budget is not None:
+            return self.budget
+        return max(1.0 - self.compiled.least_goal, 0.0)
+
+    @property
+    def typical(self) -> float:
+        """The cost given success of the policy that fails least."""
+        return self.compiled.typical_cost
+
+    @property
+    def note(self) -> str:
+        """No note: nothing is rounded here."""
+        return ""
+
+    def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
+        """Minimise E[charge | goal] by column generation with all rows."""
+        del kappa  # the table grows until its gap is closed
+        found = rows_optimum(self.compiled.charging(charge), options, self._truth(charge))
+        failing = found.prices.get(FAILURE_ROW, 0.0) + found.value
+        return Trial(found.value, found.bound, found.policy, failing, found.calls, found.prices)
+
+    def refuted_below(
+        self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> float:
+        """The bound at the prices of another charge's optimum."""
+        del slack
+        ratio = kappa - prices.get(FAILURE_ROW, 0.0)
+        return bound_at(self.compiled.charging(charge), prices, ratio, self._least_goal)
+
+    @cached_property
+    def _least_goal(self) -> float:
+        """A goal probability that all lotteries within the rows have."""
+        bounds = self.compiled.bounds
+        return least_goal_within(self.compiled, np.where(np.isfinite(bounds), bounds, 0.0))
+
+    def late_shares(
+        self, number: int, kappa: float, prices: Mapping[str, float], *, slack: bool = False
+    ) -> Callable[[int], float]:
+        """Lower bounds of Pr(C > B | goal) by the numbers of bounds B, a sweep for each.
+
+        Args:
+            number: of the greatest bound that is asked for.
+            kappa: what failing is thought to be worth.
+            prices: of further rows, by name.
+            slack: as of :meth:`refuted_below`.
+        """
+        del number
+        total = self.thresholds.total
+        return lambda k: self.refuted_below(LateCharge(total(k)), kappa, prices, slack=slack)
+
+    def _truth(self, charge: Charge) -> Truth:
+        """The charge of a lottery given success, by the law of its total cost."""
+
+        def value(policy: MixedPolicy) -> float:
+            """The charge given success of a lottery."""
+            law = success_costs(policy, self.problem)
+            return _expected_in_question(charge, law) / law.goal
+
+        def figures(policy: Policy) -> FloatArray:
+            """Charge, failure and rows of one policy."""
+            law, found = success_costs(policy, self.problem), evaluate(policy, self.problem)
+            spent = taken_by_lottery(self.compiled, found)
+            return np.array([_expected_in_question(charge, law), found.failure_probability, *spent])
+
+        return Truth(value, figures)
+
+
+Question = _QuestionWithinBudget | _QuestionWithinRows
+"""The policies among which the least risk is sought."""
+
+
+def _expected_in_question(charge: Charge, law: CostLaw) -> float:
+    """E[charge; goal].
+
+    Raises:
+        ModelError: no charge of a risk.
+    """
+    match charge:
+        case TotalCostCharge():
+            return law.cost
+        case LateCharge(bound):
+            return law.goal - law.within(bound)
+        case ExcessCharge(threshold, share):
+            return threshold * law.goal + law.excess(threshold) / share
+    raise ModelError(f"{charge!r} is no charge of a risk")
+
+
+def question_of(problem: Problem) -> Question:
+    """Check the budget, and say which policies count.
+
+    A budget above the least failure by no more than rounding counts as equal to it.
+
+    Args:
+        problem: a criterion given success.
+
+    Raises:
+        InfeasibleError: the budget is below the least failure, or the goal is out of reach.
+        ModelError: the problem is not compiled to accumulated costs.
+    """
+    if by_rows(problem):
+        return _QuestionWithinRows(problem, compiled_constrained(problem).settled())
+    compiled = problem.compile()
+    if not isinstance(compiled, CompiledArrivalCost):
+        raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
+    return question_of_compiled(compiled, problem.failure_budget)
+
+
+def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> Question:
+    """The same of a problem whose failure alone is limited, already compiled.
+
+    Args:
+        compiled: of the total cost.
+        budget: of failure; None: only policies of least failure count.
+
+    Raises:
+        InfeasibleError: the budget is below the least failure, or the goal is out of reach.
+    """
+    column = checked_least_failure(compiled, budget).column
+    least, typical = column.failure, column.cost / column.goal
+    if budget is not None and budget > least + _ROUNDING * column.goal:
+        return _QuestionWithinBudget(compiled, budget, least, typical)
+    note = ""
+    if budget is not None and budget != least:
+        side = "below" if budget < least else "above"
+        away = abs(budget - least)
+        note = f"the budget lies {away:.1e} {side} the least failure and counts as equal"
+    return _QuestionWithinBudget(compiled.safest(), None, least, typical, note)
+
+
+def question_remarks(question: Question, *, in_time: bool) -> str:
+    """The note, and whether time ran out."""
+    return "; ".join(told for told in (question.note, "" if in_time else CUT_SHORT) if told)
+
+
+_ROUGH = 1e-2  # how exactly a share is worked out that need only lie on one side of another
+_NEWTON = 6  # steps, after which the bounds in question are halved, or doubled while none is kept
+_ABOVE = 1e-9  # relative: by which a price of failure lies above a share, where both are equal
+
+
+def least_quantile(
+    problem: Problem,
+    question: Question,
+    level: float,
+    options: SolveOptions,
+    near: Near | None = None,
+) -> Solution:
+    """Search for the least bound that some policy keeps to.
+
+    Args:
+        problem: the problem.
+        question: the policies that count.
+        level: in (0, 1).
+        options: method, tolerance and limits.
+        near: where the quantile may be; None: unknown.
+
+    Raises:
+        ModelError: the quantile lies beyond the largest table of costs.
+        Stop: the time ended before some policy kept to a bound.
+    """
+    places, kept, calls, kappa = question.thresholds, None, 0, 0.0 if near is None else near.kappa
+    low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
+    number = places.number(question.typical if near is None else near.total)
+    rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
+    try:
+        while kept is None or (high - low > 1 and not is_late()):
+            trial = question.attempt(LateCharge(places.total(number)), rough, kappa)
+            calls, kappa, tried = calls + trial.calls, trial.kappa, tried + 1
+            if trial.lower_bound <= _late_share(level) < trial.value and not is_late():
+                trial = question.attempt(LateCharge(places.total(number)), options, kappa)
+                calls, kappa = calls + trial.calls, trial.kappa
+            if trial.value <= _late_share(level):
+                kept, high = trial, number
+            else:
+                low = number
+            if kept is None and is_late():
+                break
+            last = high if kept else 2 * number + 1
+            refuted = max(refuted, _last_refuted(question, trial, level, refuted, last))
+            low, number = max(low, refuted), max(low, refuted) + 1
+            if tried > _NEWTON:
+                number = (low + high) // 2 if kept is not None else last
+        if kept is not None and not is_late():  # of all that keep to the bound: most often
+            best = question.attempt(LateCharge(places.total(high)), options, kappa)
+            calls, kept = calls + best.calls, min(kept, best, key=lambda trial: trial.value)
+    except STOPS as stop:
+        heed(stop)
+    if kept is None:
+        below = _beyond_refuted(question, refuted)
+        raise Stop(told=f"no policy's quantile lies below {below:g}")
+    law = success_costs(kept.policy, problem)
+    objective = law.quantile(level)
+    found = Found(
+        policy=kept.policy,
+        value=objective,
+        bound=min(_beyond_refuted(question, refuted), objective),
+        failure=1.0 - law.goal,
+        note=question_remarks(question, in_time=high - low <= 1),
+    )
+    reason = f"{tried} cost bounds, {calls} pricing calls"
+    return assembled(problem, found, Run(options.method, reason, calls, 0.0))
+
+
+def quantile_bound(
+    question: Question, level: float, quantile: float, options: SolveOptions
+) -> float:
+    """Prove afresh that no policy has a lower quantile than this one, or than one below it.
+
+    Args:
+        question: the policies that count.
+        level: in (0, 1).
+        quantile: what no policy undercuts.
+        options: tolerance and limits.
+    """
+    number = question.thresholds.number(quantile)
+    if number == 0:
+        return 0.0
+    trial = question.attempt(LateCharge(question.thresholds.total(number - 1)), options)
+    return _beyond_refuted(question, _last_refuted(question, trial, level, -1, number))
+
+
+def _last_refuted(question: Question, trial: Trial, level: float, first: int, last: int) -> int:
+    """The greatest number of a bound that no policy keeps to, as is proved at a trial's prices.
+
+    Args:
+        question: the policies that count.
+        trial: of some bound.
+        level: in (0, 1).
+        first: a number that is too low.
+        last: a number that is looked for below.
+    """
+    share = _late_share(level)
+    slack = trial.kappa <= trial.value * (1.0 + _ABOVE)  # of the budget
+    kappa = share * (1.0 + _ABOVE) if slack else max(trial.kappa, share)
+    shares = question.late_shares(last, kappa, trial.prices, slack=slack)
+    numbers = range(first + 1, last)
+    return first + bisect_left(numbers, True, key=lambda number: shares(number) <= share)
+
+
+def _beyond_refuted(question: Question, refuted: int) -> float:
+    """The least total that can occur beyond one that is refuted; -1: none is."""
+    places = question.thresholds
+    if places.sharp:
+        return places.total(refuted + 1)
+    return places.total(refuted) if refuted >= 0 else 0.0
+
+
+def _late_share(level: float) -> float:
+    """The share of the successes that may lie beyond the quantile, with the slack of its law.
+
+    Below 1, however low the level: some success must be in time, beyond what may be rounding.
+    """
+    return 1.0 - max(level, QUANTILE) * (1.0 - QUANTILE)
+
+
+_TIED = 1e-12  # relative difference of values that is rounding
+_PRICES = 8  # of failure that are tried at a threshold before it is searched
+_FACTOR = 1.5  # between the first two
+_NEAR = 0.02  # relative distance of prices at which trying others ends
+
+
+@dataclass(frozen=True, eq=False)
+class _BestTailMean:
+    """The least value so far, who attains it, and what its search took."""
+
+    value: float
+    policy: MixedPolicy
+    failure: float
+    threshold: int  # number of the policy's quantile
+    kappa: float  # price of failure
+    calls: int
+    prices: Mapping[str, float]  # of constraints, by name
+
+    @property
+    def price(self) -> float:
+        """What failing costs beyond the value; 0 where that is rounding."""
+        beyond = self.kappa - self.value
+        return beyond if beyond > _TIED * self.value else 0.0
+
+
+@dataclass(eq=False)
+class _TailMeanSearch:
+    """A search over thresholds. Mutable: it learns."""
+
+    problem: Problem
+    question: Question
+    level: float
+    options: SolveOptions
+    best: _BestTailMean | None = None
+    tried: dict[int, Trial] = field(default_factory=dict)  # by the number of the threshold
+    kappas: dict[int, float] = field(default_factory=dict)  # what failing is worth there
+    sweeps: int = 0
+
+    @property
+    def in_time(self) -> bool:
+        """Whether there is time left."""
+        return not is_late()
+
+    def attempt(self, threshold: int) -> _BestTailMean:
+        """The better of the best so far and the best policy at a threshold."""
+        best = self.best
+        charge = ExcessCharge(self.question.thresholds.total(threshold), 1.0 - self.level)
+        trial = self.question.attempt(charge, self.options, self._kappa(threshold))
+        self.tried[threshold], self.kappas[threshold] = trial, trial.kappa
+        law = success_costs(trial.policy, self.problem)
+        value = law.tail_mean(self.level)
+        quantile = self.question.thresholds.number(law.quantile(self.level))
+        calls = trial.calls + (0 if best is None else best.calls)
+        tied = _TIED if quantile == threshold else -_TIED  # of equals: whose z is its quantile
+        if best is not None and value > best.value * (1.0 + tied):
+            self.best = replace(best, calls=calls)
+        else:
+            found = value, trial.policy, 1.0 - law.goal, quantile, trial.kappa, calls
+            self.best = _BestTailMean(*found, trial.prices)
+        return self.best
+
+    def refuted(self, first: int, last: int) -> float:
+        """A lower bound of F on all thresholds between two, and at them, by one sweep.
+
+        Of a single one the price of failure is sought that proves most: the bound is concave in it.
+        """
+        places, middle = self.question.thresholds, (first + last) // 2
+        charge = ExcessCharge(places.total(last), 1.0 - self.level, places.total(first))
+        kappa = self._kappa(middle)
+        bound = self._swept(charge, middle, kappa)
+        if first < last or self.question.budget is None or kappa <= 0.0:
+            return bound
+        factor = _FACTOR if bound > 0.0 else 1.0 / _FACTOR
+        for _ in range(_PRICES):
+            if bound >= self.target or abs(factor - 1.0) < _NEAR:
+                break
+            other = self._swept(charge, middle, kappa * factor)
+            if other > bound:
+                bound, kappa = other, kappa * factor
+            else:
+                factor = factor**-0.5
+        self.kappas[middle] = kappa
+        return bound
+
+    @property
+    def target(self) -> float:
+        """The value that thresholds must not fall below."""
+        return 0.0 if self.best is None else self.best.value * (1.0 - self.options.tolerance)
+
+    def _swept(self, charge: ExcessCharge, threshold: int, kappa: float) -> float:
+        """The bound at a guess of what failing is worth."""
+        near, target = self._nearest(threshold), self.target
+        prices: Mapping[str, float] = {} if near is None else near.prices
+        self.sweeps += 1
+        return self.question.refuted_below(
+            charge, max(kappa, target), prices, slack=kappa <= target
+        )
+
+    def _kappa(self, threshold: int) -> float:
+        """What failing may be worth at a threshold, between those at which it is known."""
+        known = sorted(self.kappas)
+        if not known:
+            return 0.0
+        return float(np.interp(threshold, known, [self.kappas[number] for number in known]))
+
+    def _nearest(self, threshold: int) -> Trial | None:
+        """The trial at the nearest threshold."""
+        if not self.tried:
+            return None
+        return self.tried[min(self.tried, key=lambda number: abs(number - threshold))]
+
+
+def least_tail_mean(
+    problem: Problem,
+    question: Question,
+    level: float,
+    options: SolveOptions,
+    near: Near | None = None,
+) -> Solution:
+    """Find a policy by alternating, and prove that no other threshold gives a better one.
+
+    Args:
+        problem: the problem.
+        question: the policies that count.
+        level: in [0, 1).
+        options: method, tolerance and limits.
+        near: where the best threshold may be; None: unknown.
+    """
+    search = _TailMeanSearch(problem, question, level, options)
+    best, bound = _proved_tail_mean(search, near)
+    sweeps = f", {search.sweeps} sweeps over intervals" if search.sweeps else ""
+    reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
+    price = None if question.budget is None else best.price
+    note = question_remarks(question, in_time=search.in_time)
+    found = Found(
+        best.policy,
+        best.value,
+        min(bound, best.value),
+        best.failure,
+        price,
+        None,
+        best.prices,
+        note,
+    )
+    return assembled(problem, found, Run(options.method, reason, best.calls, 0.0))
+
+
+def tail_mean_bound(
+    problem: Problem, question: Question, level: float, options: SolveOptions
+) -> float:
+    """Prove a lower bound of every policy's tail mean afresh.
+
+    Args:
+        problem: the problem.
+        question: the policies that count.
+        level: in [0, 1).
+        options: tolerance and limits.
+    """
+    return _proved_tail_mean(_TailMeanSearch(problem, question, level, options))[1]
+
+
+def _proved_tail_mean(
+    search: _TailMeanSearch, near: Near | None = None
+) -> tuple[_BestTailMean, float]:
+    """The best policy, and a lower bound of every policy's tail mean."""
+    places, best = search.question.thresholds, search.attempt(0)
+    whole = search.tried[0].lower_bound
+    if search.level == 0.0:
+        return best, max(whole, 0.0)  # the whole mean: the least threshold is best
+    if near is not None:
+        search.kappas.setdefault(places.number(near.total), near.kappa)
+    try:
+        while best.threshold not in search.tried and search.in_time:
+            best = search.attempt(best.threshold)
+    except STOPS as stop:
+        heed(stop)
+    last = places.number(best.value) + 1
+    least = whole * (1.0 - search.level)  # no tail's mean is below its share of the whole's
+    bounds = [trial.lower_bound for trial in search.tried.values()]
+    known = sorted(number for number in search.tried if number < last)
+    between = 1 if places.sharp else 0  # else every real number has to be covered
+    weakest = [
+        (least, after + between, before - between)
+        for after, before in zip(known, [*known[1:], last + 1], strict=True)
+        if before - after > between
+    ]
+    while weakest and search.in_time and weakest[0][0] < search.target:
+        try:
+            _split_thresholds(search, weakest, bounds)
+        except STOPS as stop:
+            heed(stop)
+    best = search.best or best
+    return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
+
+
+def _split_thresholds(
+    search: _TailMeanSearch, weakest: list[tuple[float, int, int]], bounds: list[float]
+) -> None:
+    """Refute the interval of the least bound, or halve it; of one threshold a policy is found.
+
+    Args:
+        search: what is known.
+        weakest: bound, first and last threshold of each interval, a heap; changed.
+        bounds: of what will not be looked at again; added to.
+    """
+    places = search.question.thresholds
+    bound, first, final = weakest[0]
+    if search.best is not None and places.total(first) >= search.best.value:
+        heappop(weakest)
+        return  # as F(z) >= z
+    bound = max(bound, search.refuted(first, final))
+    if bound >= search.target:
+        heapreplace(weakest, (bound, first, final))
+    elif first == final:
+        search.attempt(first)
+        bounds.append(max(bound, search.tried[first].lower_bound))
+        heappop(weakest)
+    elif final - first == 1 and not places.sharp:
+        bounds.append(bound)
+        heappop(weakest)
+    else:
+        middle, between = (first + final) // 2, 1 if places.sharp else 0
+        heapreplace(weakest, (bound, first, middle))
+        heappush(weakest, (bound, middle + between, final))

@@ -1,1 +1,0 @@
-"""Risk of the total cost given success: its quantile and its conditional value at risk."""

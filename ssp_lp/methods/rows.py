@@ -1,0 +1,803 @@
+"""Problems with rows: several quantities limited at once, and priced one by one.
+
+Column generation with phase 1 and phase 2 (``column_generation.search``), or the full linear
+program first, whose duals are then the prices to begin with. A cost given success is found by
+Dinkelbach's iteration: the least of ``cost + ratio * failure`` falls to the ratio itself at the
+optimum. Where accumulated cost is cut at a cap, the process bounds the optimum from below and the
+policy's own value from above; the cap is doubled until they meet.
+
+On a grid of totals the process bounds every policy from below. The policies that it finds remember
+the rounded total; what they cost and how they fail is evaluated with the true costs, and the
+lottery is chosen by these numbers, so that it keeps to the budget and to all limits.
+
+Phase 1 ends with a lottery that keeps to all rows, or with the smallest set of rows that none keeps
+to. That rows cannot be kept is proved by prices z >= 0 at which every policy's ``z @ activity``
+exceeds ``z @ bounds`` (Farkas), never by the status of a program. Sets of rows are tried by size;
+where there are too many, rows are taken away from a conflicting set as long as it stays one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
+from ssp_lp.column_generation.column import Proof, least_of, relative_gap
+from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledConstrained
+from ssp_lp.column_generation.explicit_pricing import LARGEST
+from ssp_lp.column_generation.restricted_master import solve_master
+from ssp_lp.column_generation.search import (
+    Generated,
+    Pool,
+    Rows,
+    StabilisedMaster,
+    generate,
+    violation_in_master,
+    without_trifles,
+)
+from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
+from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.errors import Argument, InfeasibleError, SolverError
+from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
+from ssp_lp.options import CERTIFYING, LinearProgramming, SolveOptions
+from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.policy import Policy
+from ssp_lp.problem import Problem, compiled_constrained
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
+from ssp_lp.processes.goal_reach import greatest_goal_reach
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.processes.totals.ladder import Rungs
+from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
+
+_PATIENCE = 6  # refinements that need not even halve the gap
+_COARSE_RUNGS = 64  # of the grid that a search on totals begins with
+_COARSE_GAP = 1e-4  # and how exactly it is solved
+_COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
+_FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RowsOptimum(Found):
+    """The best lottery that was found, with its proof, and what it took."""
+
+    policy: MixedPolicy
+    compiled: CompiledConstrained
+    calls: int
+    work: Work
+    program: str = ""
+
+    @property
+    def kappa(self) -> float:
+        """What a failure may cost: the failure row's price, in case S with the ratio."""
+        ratio = self.value if self.compiled.ratio else 0.0
+        return ratio + self.prices.get(FAILURE_ROW, 0.0)
+
+    @property
+    def gap(self) -> float:
+        """Relative gap, of what is asked for."""
+        worth = self.compiled.sense.worth
+        attained, limit = worth(self.value), worth(self.bound)
+        return relative_gap(max(attained, limit), min(attained, limit))
+
+
+def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
+    """Solve a problem with constraints beside its failure budget.
+
+    Args:
+        problem: the problem; no measure of risk.
+        options: method, tolerance and limits.
+
+    Raises:
+        InfeasibleError: no policy keeps to the failure budget and the limits; names the smallest
+            conflict that was found.
+        SolverError: the time ran out before any such policy was found, or the linear program's
+            answer fails its check.
+    """
+    stated = compiled_constrained(problem)
+    found = rows_optimum(stated, options, truth_of(problem, stated))
+    compiled = found.compiled
+    many = int(np.isfinite(compiled.bounds).sum())
+    reason = f"column generation with {many} rows, {found.calls} pricing calls"
+    if found.program:
+        reason = f"the full linear program, as asked, then {reason}"
+    if compiled.charge is not None:
+        reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
+    run = Run(options.method, reason, found.calls, 0.0, found.work, found.program)
+    return assembled(problem, found, run, compiled.sense)
+
+
+def rows_optimum(
+    stated: CompiledConstrained, options: SolveOptions, truth: Truth | None = None
+) -> RowsOptimum:
+    """The best lottery that keeps to all rows, refined until the gap meets the tolerance.
+
+    Args:
+        stated: the problem.
+        options: method, tolerance and limits.
+        truth: where accumulated cost is told apart, the true value of a lottery.
+
+    Raises:
+        InfeasibleError: no policy keeps to all rows; names the smallest conflict that was found.
+        SolverError: the time ran out before any such policy was found, or the linear program's
+            answer fails its check.
+    """
+    calls, work, gaps = 0, Work(), list[float]()
+    best: RowsOptimum | None = None
+    guess: RowsOptimum | None = None
+    if stated.rungs is not None:
+        coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
+        guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
+        stated = stated.up_to(guess.kappa)
+    while True:
+        try:
+            found = _rows_attempt(stated, options.after(calls), truth, guess)
+        except STOPS as stop:
+            heed(stop)
+            if best is None:
+                raise Stop from stop
+            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
+        except SolverError:
+            if best is None or not is_late():
+                raise
+            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
+        calls, work = calls + found.calls, work + found.work
+        gaps.append(found.gap)
+        best = found if best is None or found.gap < best.gap else best
+        best = replace(best, calls=calls, work=work)
+        if best.gap <= options.tolerance:
+            return best
+        if is_late():
+            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
+        stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
+        finer = None if stuck else found.compiled.refined(found.kappa)
+        if finer is None and not (stated.precise or found.compiled.is_rounded or options.program):
+            finer = replace(stated, precise=True)
+        if finer is None:
+            return _optimum_with_value(best)
+        stated = finer
+        if found.compiled.ladder is not None and np.isfinite(found.value):
+            guess = found
+
+
+def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
+    """The optimum with a remark on rounded totals, if some policy keeps to the rows.
+
+    Raises:
+        SolverError: none was found that does so on the model itself.
+    """
+    if np.isfinite(found.value) and (found.note or not found.compiled.is_rounded):
+        return found
+    levels = f"{found.compiled.layers:,} levels"
+    if found.compiled.ladder is not None:
+        levels = f"{levels} up to {found.compiled.ladder.rungs[-1]:.6g}"
+    if not np.isfinite(found.value):
+        raise SolverError(
+            f"no policy on {levels} of accumulated cost keeps to the limits: more ",
+            Argument("cost_levels"),
+            ", or more time, make them finer",
+        )
+    told = f"totals are rounded to {levels}: more of them leave a smaller gap"
+    return replace(found, note=told)
+
+
+def _rows_attempt(
+    stated: CompiledConstrained,
+    options: SolveOptions,
+    truth: Truth | None,
+    guess: RowsOptimum | None,
+) -> RowsOptimum:
+    """One search for the rows' optimum, in the precision that the compiled problem says."""
+    finer = 1.0 if stated.sense.constant is None else _FINER
+    options = replace(options, tolerance=finer * options.tolerance)
+    compiled = stated.settled()
+    opened, program = phase_one_opening(compiled, stated, options), None
+    if guess is not None:
+        opened = begun_at_guess(compiled, opened, guess)
+    if options.program is not None:
+        if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
+            best_lottery(compiled, opened, replace(options, tolerance=_COARSE))
+        program, opened = begun_at_duals(compiled, opened, options.program, options.deadline)
+    found, ratio = best_lottery(compiled, opened, options)
+    return _concluded_for_rows(compiled, stated, opened, found, ratio, truth, program)
+
+
+def _concluded_for_rows(
+    compiled: CompiledConstrained,
+    stated: CompiledConstrained,
+    opened: StabilisedMaster,
+    found: Generated,
+    ratio: float,
+    truth: Truth | None,
+    program: ProgramOptimum | None,
+) -> RowsOptimum:
+    """The lottery, and a certified bound at the prices that the search ended with."""
+    pool, rows = opened.pool, opened.rows
+    cost, failure = found.figures[:2].tolist()
+    value = found.ratio if compiled.ratio else cost
+    if program is not None and found.finished:
+        check_agreement(program, value)
+    prices = without_trifles(found.prices, pool.sizes(rows), cost + ratio * failure)
+    bound, values = bound_in_time(compiled, rows, prices, ratio, pool)
+    policy = found.lottery(compiled.pricing)
+    if truth is not None and truth.figures is not None and compiled.is_rounded:
+        kept = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
+        policy, failure = kept or (policy, failure)
+        value = truth.value(policy) if kept else np.inf
+    elif truth is not None:
+        value = truth.value(policy)
+    named = dict.fromkeys(compiled.names, 0.0) | by_name(compiled, rows, prices)
+    if compiled.budget is None:
+        del named[FAILURE_ROW]
+    return RowsOptimum(
+        compiled=compiled,
+        value=value,
+        bound=compiled.sense.settled_bound(
+            value, least_of(bound, value), float(prices @ np.abs(rows.bounds))
+        ),
+        policy=policy,
+        failure=failure,
+        price=named.get(FAILURE_ROW),
+        prices=named,
+        values=values,
+        calls=pool.calls,
+        work=pool.work,
+        note=_note_on_rows(compiled, stated, rows, found.finished),
+        program="" if program is None else program.report,
+    )
+
+
+def _note_on_rows(
+    compiled: CompiledConstrained, stated: CompiledConstrained, rows: Rows, finished: bool
+) -> str:
+    """What a reader should know of an optimum within rows: raised bounds, a cut search."""
+    remarks = []
+    if compiled.budget is None and stated.budget is not None:
+        remarks.append("the failure budget counts as equal to the least failure")
+    for place, granted in zip((rows.index - 1).tolist(), rows.bounds, strict=True):
+        if granted > (asked := compiled.bounds[place]):
+            remarks.append(
+                f"the bound of {compiled.names[place]!r} lies {granted - asked:.1e} below "
+                "what is attainable and counts as equal to it"
+            )
+    if not finished:
+        remarks.append(CUT_SHORT)
+    return "; ".join(remarks)
+
+
+_MOST = 8  # policies of the search that are evaluated
+_STEEPER = (0.01, 0.1, 1.0, 100.0)  # shares of the prices that are added for further ones
+_TRUE_RATIOS = 30  # steps of Dinkelbach's iteration
+_TRUE_SETTLED = 1e-13  # relative change of a ratio that is rounding
+_RATIOS = 40  # steps of Dinkelbach's iteration
+_SETTLED = 1e-14  # relative change of a ratio that is rounding
+_STEEP = 1e3  # factor of a ratio at which nothing reached the goal
+_STEEPEST = 1e15
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a policy is worth by itself, where the process truncates or rounds it."""
+
+    value: Callable[[MixedPolicy], float]  # of a lottery, in what is minimised
+    figures: Callable[[Policy], FloatArray] | None = None  # cost, failure and rows of one policy
+
+
+def best_lottery(
+    compiled: CompiledConstrained, opened: StabilisedMaster, options: SolveOptions
+) -> tuple[Generated, float]:
+    """The best lottery over columns, and in case S its ratio (Dinkelbach's iteration)."""
+    if not compiled.ratio:
+        return generate(replace(opened), options), 0.0
+    rule, best, ratio = opened, None, opened.rows.ratio
+    for _ in range(_RATIOS):
+        rule = replace(rule, rows=replace(opened.rows, ratio=ratio))
+        found = generate(rule, options)
+        attained = found.ratio
+        if best is None and not np.isfinite(attained):
+            ratio *= _STEEP
+            if ratio > _STEEPEST:
+                raise InfeasibleError(
+                    "no policy that keeps to all limits reaches the goal: no cost given success "
+                    "exists",
+                    failure_budget=compiled.budget,
+                    least_failure=max(1.0 - compiled.greatest_goal, 0.0),
+                )
+            rule = opened
+            continue
+        if best is not None and not attained < ratio * (1.0 - _SETTLED):
+            return replace(found, columns=best.columns, weights=best.weights), ratio
+        best, ratio, rule = found, attained, replace(rule, prices=found.prices, bound=0.0)
+        if not found.finished or ratio == 0.0:
+            break
+    if best is None:
+        raise SolverError("no policy that reaches the goal was found within the time limit")
+    return best, ratio
+
+
+def true_lottery(
+    compiled: CompiledConstrained,
+    rows: Rows,
+    pool: Pool,
+    weights: FloatArray,
+    figures: Callable[[Policy], FloatArray],
+) -> tuple[MixedPolicy, float] | None:
+    """The best lottery within the rows, by true figures, and its failure.
+
+    Args:
+        compiled: the problem.
+        rows: what is limited.
+        pool: policies of the process; the first goes for the goal.
+        weights: prices of their totals, by which the best are chosen, [rewards].
+        figures: a policy's true cost, failure and rows.
+
+    Returns:
+        None where none of them keeps to the rows: the grid is too coarse.
+    """
+    policies = _lottery_candidates(compiled, rows, pool, weights)
+    true = np.stack([figures(policy) for policy in policies], axis=1)
+    taken_by_lottery, limits = true[rows.index], (rows.bounds, rows.scales)
+    cost, failure = true[0], true[1]
+    nearest = solve_master(cost, taken_by_lottery, *limits, elastic=True)
+    if (taken_by_lottery @ nearest.weights > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
+        return None
+    chosen = nearest.weights
+    if not compiled.ratio:
+        chosen = solve_master(cost, taken_by_lottery, *limits, elastic=False).weights
+        return _lottery_of(policies, chosen), float(failure @ chosen)
+    ratio = _ratio_of_lottery(cost, failure, chosen)
+    if not np.isfinite(ratio):
+        ratio = float((cost / np.maximum(1.0 - failure, 1e-300)).max()) + 1.0
+    for _ in range(_TRUE_RATIOS):
+        found = solve_master(cost + ratio * failure, taken_by_lottery, *limits, elastic=False)
+        attained = _ratio_of_lottery(cost, failure, found.weights)
+        if not attained < ratio * (1.0 - _TRUE_SETTLED):
+            break
+        chosen, ratio = found.weights, attained
+    return _lottery_of(policies, chosen), float(failure @ chosen)
+
+
+def _lottery_candidates(
+    compiled: CompiledConstrained, rows: Rows, pool: Pool, weights: FloatArray
+) -> list[Policy]:
+    """The best policies of the search and, where something is limited, some of steeper prices.
+
+    What breaks a limit by rounding needs a policy on the other side.
+    """
+    pricing, order = compiled.pricing, np.argsort(weights @ pool.figures, kind="stable")
+    best = pool.columns[int(order[0])]
+    if not compiled.ratio and rows.index.size == 0:
+        return [pricing.policy(best)]
+    least = np.where(
+        rows.bounds > 0.0, weights[0] * float(best.figures @ weights) / rows.scales, 0.0
+    )
+    points = [pool.columns[k] for k in order[:_MOST].tolist()]
+    for factor in _STEEPER:
+        steeper = weights.copy()
+        steeper[rows.index] += factor * np.maximum(weights[rows.index], least)
+        points.append(pricing.minimise(steeper, best))
+    return [pricing.policy(point) for point in points]
+
+
+def _lottery_of(policies: list[Policy], weights: FloatArray) -> MixedPolicy:
+    """The lottery of the policies that have a weight."""
+    used = np.flatnonzero(weights > 0.0)
+    return MixedPolicy(tuple(policies[k] for k in used.tolist()), weights[used])
+
+
+def _ratio_of_lottery(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:
+    """The cost given success of a lottery."""
+    goal = float((1.0 - failure) @ weights)
+    return float(cost @ weights) / goal if goal > 0.0 else float("inf")
+
+
+def truth_of(problem: Problem, stated: CompiledConstrained) -> Truth | None:
+    """What the policies of a lottery are worth on the model itself, where tables truncate them."""
+    if stated.charge is None:
+        return None
+
+    def value(policy: MixedPolicy) -> float:
+        """What a lottery is worth, in what is minimised."""
+        attained = evaluate(policy, problem).objective
+        return attained if stated.sense.constant is None else stated.sense.constant - attained
+
+    def figures(policy: Policy) -> FloatArray:
+        """Cost, failure and rows of one policy."""
+        found = evaluate(policy, problem)
+        failure = found.discounted_failure
+        failure = found.failure_probability if failure is None else failure
+        cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
+        if not stated.ratio:
+            cost = value(MixedPolicy((policy,), np.ones(1)))
+        return np.array([cost, failure, *taken_by_lottery(stated, found)])
+
+    return Truth(value, figures)
+
+
+def taken_by_lottery(stated: CompiledConstrained, found: Evaluation) -> list[float]:
+    """What a policy of the lottery takes of each row beside failure."""
+    spent = found.secondary_costs
+    return [row.activity(spent[row.condition.name]) for row in stated.side]
+
+
+def phase_one_opening(
+    compiled: CompiledConstrained, stated: CompiledConstrained, options: SolveOptions
+) -> StabilisedMaster:
+    """The cheapest policy of all, and more until some lottery keeps to all rows (phase 1).
+
+    Args:
+        compiled: at least failure, where the stated budget is equal to that.
+        stated: the problem with the budget that was stated.
+        options: tolerance and limits.
+
+    Returns:
+        The search for the least cost to begin with: its rows raised where they lie below what is
+        attainable by rounding, and in case S with the ratio of some lottery.
+    """
+    pricing = compiled.pricing
+    pool = Pool(pricing, [pricing.first()])
+    cheapest = pool.priced(np.eye(1, pricing.rewards.shape[1])[0])
+    pool.add(cheapest)
+    limited = np.flatnonzero(np.isfinite(compiled.bounds))
+    rows = pool.rows(1 + limited, compiled.bounds[limited])
+    ended = generate(violation_in_master(pool, rows), options)
+    if _kept_to(ended, rows):
+        raised = rows.relaxed(ended.excess)
+        ratio = _first_ratio(pool, ended) if compiled.ratio else 0.0
+        at_none = np.zeros(len(limited)), cheapest.cost
+        return StabilisedMaster(pool, replace(raised, ratio=ratio), *at_none)
+    if compiled.budget is None and stated.budget is not None:
+        anyhow = replace(stated, budget=1.0)
+        phase_one_opening(
+            anyhow, anyhow, options
+        )  # raises where the limits contradict each other anyhow
+    with closing():
+        first = _proved_conflict(pool, rows, ended)
+    if first is None and not ended.finished:
+        raise Stop
+    if first is None:
+        raise SolverError(
+            "no policy within all limits was found, and it was not proved that there is none: "
+            "rounding ended the search"
+        )
+    conflict = _smallest_conflict(pool, rows, first, options)
+    raise _refusal_in_phase_one(compiled, stated, conflict, rows)
+
+
+def _first_ratio(pool: Pool, ended: Generated) -> float:
+    """A ratio for phase 1 to begin with: that of the known lottery, or some policy's."""
+    attained = ended.ratio
+    if np.isfinite(attained) and attained > 0.0:
+        return attained
+    with np.errstate(divide="ignore", invalid="ignore"):
+        known = pool.figures[0] / (1.0 - pool.figures[1])
+    known = known[np.isfinite(known) & (known > 0.0)]
+    return float(known.max()) if known.size else 1.0
+
+
+def _refusal_in_phase_one(
+    compiled: CompiledConstrained, stated: CompiledConstrained, conflict: _Conflict, rows: Rows
+) -> InfeasibleError:
+    """The conflict as an error, with the least failure of all policies."""
+    at_least, budget = compiled.budget is None, stated.budget
+    places = [int(rows.index[k]) - 1 for k in conflict.rows]
+    named = [compiled.names[k] for k in places]
+    every = "every policy of least failure" if at_least else "every policy"
+    told = conflict.told(
+        [compiled.told[k] for k in places], rows.bounds[list(conflict.rows)], every
+    )
+    if at_least and budget is not None:
+        told = f"no policy keeps to {FAILURE_ROW!r} <= {budget:.12g} and the limits: {told}"
+        named = [FAILURE_ROW, *named]
+    discount = compiled.discount
+    return InfeasibleError(
+        told,
+        failure_budget=budget,
+        least_failure=_least_failure_in_phase_one(compiled, None),
+        least_discounted_failure=None
+        if discount is None
+        else _least_failure_in_phase_one(compiled, discount),
+        conflicting_rows=tuple(named),
+    )
+
+
+def _least_failure_in_phase_one(compiled: CompiledConstrained, discount: float | None) -> float:
+    """The least failure of all policies, for phase 1."""
+    reach = greatest_goal_reach(compiled.model, survival_of(discount), compiled.start).goal
+    return max(1.0 - float(compiled.start @ reach), 0.0)
+
+
+_MOST_SETS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class _Conflict:
+    """Rows that no lottery keeps to together, with the proof."""
+
+    rows: tuple[int, ...]  # positions
+    shares: FloatArray  # [rows] > 0, sum 1: of each row in the sum that is too large
+    least: float  # certified: the sum is at least this under every policy
+    allowed: float  # the sum that the bounds allow
+
+    def told(self, names: list[str], bounds: FloatArray, every: str) -> str:
+        """The proof of phase 1's conflict in words.
+
+        Args:
+            names: of the rows of the conflict.
+            bounds: of the same, [rows].
+            every: which policies there are, such as "every policy".
+        """
+        digits = next(
+            (d for d in (6, 9, 12) if f"{self.least:.{d}g}" != f"{self.allowed:.{d}g}"), 17
+        )
+        least, allowed = f"{self.least:.{digits}g}", f"{self.allowed:.{digits}g}"
+        if len(names) == 1:
+            return f"{names[0]!r} is at least {least} under {every}, {allowed} allowed"
+        asked = [f"{name!r} <= {bound:.12g}" for name, bound in zip(names, bounds, strict=True)]
+        together = f"{', '.join(asked[:-1])} and {asked[-1]}"
+        terms = zip(self.shares, names, strict=True)
+        total = " + ".join(f"{share:.{digits}g} {name}" for share, name in terms)
+        return (
+            f"no policy keeps to {together} together: {total} is at least {least} under {every}, "
+            f"{allowed} allowed"
+        )
+
+
+def _proved_conflict(pool: Pool, rows: Rows, found: Generated) -> _Conflict | None:
+    """The conflict that phase 1 ended with, if its bound can be certified.
+
+    Args:
+        pool: the policies that it found.
+        rows: the rows that it was about.
+        found: how it ended.
+    """
+    sizes = pool.sizes(rows)
+    matters = found.prices * sizes > ATTAINABLE * min(found.objective, 1.0)
+    prices = np.where(matters, found.prices, 0.0)
+    total = float(prices.sum())
+    if total <= 0.0:
+        return None
+    shares = prices / total
+    least = pool.proved(rows.weights(shares, 0.0)).bound
+    allowed = float(shares @ rows.bounds)
+    room = (ATTAINABLE + 4.0 * len(shares) * MACHINE_EPSILON) * max(allowed, 0.0)
+    if least <= allowed + room:
+        return None
+    kept = tuple(np.flatnonzero(shares).tolist())
+    return _Conflict(kept, shares[list(kept)], least, allowed)
+
+
+def _smallest_conflict(
+    pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions
+) -> _Conflict:
+    """The smallest conflict that can be found.
+
+    Args:
+        pool: policies to begin with; what is found is added.
+        rows: all rows.
+        first: a conflict among them.
+        options: tolerance and limits.
+    """
+    tried = 0
+    for size in range(1, len(first.rows)):
+        for some in combinations(range(len(rows.index)), size):
+            tried += 1
+            if tried > _MOST_SETS:
+                return _thinned_conflict(pool, rows, first, options)
+            found = _conflict_among(pool, rows, some, options)
+            if found is not None:
+                return found
+    return first
+
+
+def _conflict_among(
+    pool: Pool, rows: Rows, some: tuple[int, ...], options: SolveOptions
+) -> _Conflict | None:
+    """A conflict among some rows, by position among all; None where they can be kept together."""
+    part = rows.among(some)
+    ended = generate(violation_in_master(pool, part), options)
+    found = None if _kept_to(ended, part) else _proved_conflict(pool, part, ended)
+    if found is None:
+        return None
+    return _Conflict(tuple(some[k] for k in found.rows), found.shares, found.least, found.allowed)
+
+
+def _thinned_conflict(pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions) -> _Conflict:
+    """A conflict none of whose rows can be left out."""
+    conflict = first
+    for row in first.rows:
+        rest = tuple(k for k in conflict.rows if k != row)
+        found = (
+            _conflict_among(pool, rows, rest, options) if rest and row in conflict.rows else None
+        )
+        conflict = conflict if found is None else found
+    return conflict
+
+
+def _kept_to(ended: Generated, rows: Rows) -> bool:
+    """Whether phase 1 ended with every row kept, but for an excess that counts as none."""
+    return bool((ended.excess * rows.scales <= ATTAINABLE * rows.bounds).all())
+
+
+def begun_at_guess(
+    compiled: CompiledConstrained, opened: StabilisedMaster, guess: Found
+) -> StabilisedMaster:
+    """The same search, begun at the ratio and the prices of another one."""
+    ratio = guess.value if compiled.ratio else 0.0
+    rows = replace(opened.rows, ratio=ratio or opened.rows.ratio)
+    named = by_name(compiled, rows, np.zeros(len(rows.index)))
+    prices = np.array([guess.prices.get(name, 0.0) for name in named])
+    return replace(opened, rows=rows, prices=prices, bound=0.0)
+
+
+def begun_at_duals(
+    compiled: CompiledConstrained,
+    opened: StabilisedMaster,
+    asked: LinearProgramming,
+    deadline: float,
+) -> tuple[ProgramOptimum, StabilisedMaster]:
+    """The optimum of the full linear program, and the search begun at its duals."""
+    pricing, rows = compiled.pricing, opened.rows
+    limits = {
+        compiled.names[index - 1]: (pricing.rewards[:, index], float(bound))
+        for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
+    }
+    process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
+    program = solve_rows_program(process, limits, asked.backend, deadline, ratio=compiled.ratio)
+    prices = np.array([program.prices[name] for name in limits])
+    if compiled.ratio:
+        rows = replace(rows, ratio=program.objective or rows.ratio)
+    weights = rows.weights(prices)
+    found = opened.pool.priced(weights)
+    opened.pool.add(found)
+    bound = float(found.figures @ weights) - float(prices @ rows.bounds)
+    return program, replace(opened, rows=rows, prices=prices, bound=bound)
+
+
+def by_name(compiled: CompiledConstrained, rows: Rows, values: FloatArray) -> dict[str, float]:
+    """A value of phase 1 for each limited row, by its name."""
+    names = [compiled.names[index - 1] for index in rows.index.tolist()]
+    return dict(zip(names, values.tolist(), strict=True))
+
+
+def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> float:
+    """The lower bound ``least - prices @ bounds``, rounding counted against it.
+
+    Args:
+        least: certified bound of ``cost + prices @ activity`` of every policy.
+        prices: >= 0, [rows].
+        bounds: [rows].
+    """
+    paid = float(prices @ bounds)
+    return least - paid - (len(prices) + 1.0) * MACHINE_EPSILON * float(prices @ np.abs(bounds))
+
+
+def bound_in_time(
+    compiled: CompiledConstrained, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
+) -> tuple[float, FloatArray]:
+    """A certified lower bound of every lottery within the rows, at prices, and its values.
+
+    Where no time is left the bound is 0, and the values ask for the best.
+
+    Args:
+        compiled: the problem.
+        rows: what is limited.
+        prices: [rows] >= 0.
+        ratio: case S: the value that is to be proved.
+        pool: policies to begin with.
+    """
+    every, bounds = np.zeros((2, rows.n_rewards - 1))
+    every[rows.index - 1], bounds[rows.index - 1] = prices, rows.bounds
+    try:
+        with closing():
+            bound, proof = rows_bound(compiled, every, bounds, ratio, pool.proved)
+        return bound, read_only(proof.values)
+    except STOPS as stop:
+        heed(stop)
+        return 0.0, np.broadcast_to(np.inf, compiled.pricing.value_shape)
+
+
+def rows_bound(
+    compiled: CompiledConstrained,
+    prices: FloatArray,
+    bounds: FloatArray,
+    ratio: float,
+    prove: Callable[[FloatArray], Proof],
+    least_goal: float | None = None,
+) -> tuple[float, Proof]:
+    """What checked bounds of the priced cost say of the objective, and the best of them.
+
+    As ``cost - ratio * goal >= D`` for every lottery within the rows, the cost given success is at
+    least ``ratio + D / goal``. That is tried at the ratio itself, and at one where failing is best.
+
+    Args:
+        compiled: the problem.
+        prices: of all rows, [rows].
+        bounds: of the same, finite, [rows].
+        ratio: case S: the value that is to be proved.
+        prove: a checked bound of every policy's totals, by the weights of the rewards.
+        least_goal: a goal probability that all lotteries within the rows have; None: worked out
+            where a bound without it is poor.
+    """
+    if not compiled.ratio:
+        proof = prove(np.append(1.0, prices))
+        proved = _beyond_paid(compiled, prices, bounds, 0.0, proof) + compiled.sense.shift
+        return max(proved, 0.0), proof  # what is minimised is a sum of terms of at least 0
+    found = []
+    for priced in (ratio, ratio * BELOW_RATIO):
+        proof = prove(np.concatenate([[1.0, prices[0] + priced], prices[1:]]))
+        found.append((priced, _beyond_paid(compiled, prices, bounds, priced, proof), proof))
+
+    def best(goal: float) -> tuple[float, Proof]:
+        """The best bound, where every lottery has a goal probability."""
+        goal = max(goal, compiled.least_goal, 1.0 / LARGEST)
+        proved = [(max(r + min(beyond, 0.0) / goal, 0.0), proof) for r, beyond, proof in found]
+        return max(proved, key=lambda pair: pair[0])
+
+    bound = best(least_goal or 0.0)
+    if least_goal is None and relative_gap(ratio, bound[0]) > RELATIVE_GAP:
+        return best(least_goal_within(compiled, bounds))
+    return bound
+
+
+def _beyond_paid(
+    compiled: CompiledConstrained,
+    prices: FloatArray,
+    bounds: FloatArray,
+    ratio: float,
+    proof: Proof,
+) -> float:
+    """By how much every lottery within the rows exceeds what every episode pays, at least."""
+    paid, less = ratio if compiled.ratio else compiled.sense.shift, -np.inf
+    if paid > 0.0:
+        weights = np.append(1.0, prices)
+        less = compiled.pricing.check_less(weights, ratio, compiled.own_cost, paid, proof.values)
+    return max(
+        lagrange_bound(proof.bound, prices, bounds) - paid, lagrange_bound(less, prices, bounds)
+    )
+
+
+def least_goal_within(compiled: CompiledConstrained, bounds: FloatArray) -> float:
+    """A certified goal probability that every lottery within the rows has, by a search of its own.
+
+    It follows from all rows together: where "little fuel" and "seldom the pit" leave no room for
+    giving up, it is more than any of them says. Costs need not be told apart.
+
+    Args:
+        compiled: the problem, settled.
+        bounds: of all rows, finite, [rows].
+    """
+    if compiled.budget is None:
+        return compiled.least_goal
+    semantics = FailureSemantics(aim=Aim.LEAST_GOAL)
+    reach = replace(compiled, semantics=semantics, charge=None, ratio=False, rungs=None)
+    try:
+        opened = phase_one_opening(reach, reach, CERTIFYING)
+    except InfeasibleError:
+        return 0.0  # then no lottery is within the rows, and nothing is to be proved
+    found, rows = generate(opened, CERTIFYING), opened.rows
+    prices = np.zeros(len(bounds))
+    prices[rows.index - 1] = found.prices
+    return rows_bound(reach, prices, bounds, 0.0, opened.pool.proved)[0]
+
+
+def bound_at(
+    compiled: CompiledConstrained, prices: Mapping[str, float], ratio: float, least_goal: float
+) -> float:
+    """A proof of a lower bound of every lottery within the rows, at prices by name.
+
+    Args:
+        compiled: the problem, settled.
+        prices: multipliers of the rows, >= 0.
+        ratio: case S: the value that is to be proved.
+        least_goal: a goal probability that all of them have.
+    """
+    pool = Pool(compiled.pricing, [compiled.pricing.first()])
+    limited = np.isfinite(compiled.bounds)
+    known = np.array([prices.get(name, 0.0) for name in compiled.names]) * limited
+    bounds = np.where(limited, compiled.bounds, 0.0)
+    pool.add(pool.priced(np.concatenate([[1.0, known[0] + ratio], known[1:]])))
+    return rows_bound(compiled, known, bounds, ratio, pool.proved, least_goal)[0]
