@@ -18,8 +18,8 @@ from ssp_lp.arrays import (
     sorted_unique,
 )
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
+from ssp_lp.dynamic_programming.equations import System
+from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends, reached_along

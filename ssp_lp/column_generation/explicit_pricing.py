@@ -26,16 +26,11 @@ import numpy as np
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.compiled.deadline import Stop, is_limited
-from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.dynamic_programming.leaving import leaving_choice
-from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
-from ssp_lp.dynamic_programming.policy_iteration import (
-    evaluate_policy,
-    first_of_equals,
-    iterate_policy,
-    switched,
-)
+from ssp_lp.dynamic_programming.dynamics import leaving_choice
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES
+from ssp_lp.dynamic_programming.evaluation import evaluate_policy
+from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.contraction import Contraction, bound_of, contract
@@ -139,7 +134,7 @@ class ExplicitPricing:
         if not known:
             return self._leaving, None
         dynamics = self.process.dynamics
-        is_quick = dynamics.n_states <= DIRECT_STATES or is_solved_backwards(dynamics)
+        is_quick = dynamics.n_states <= DIRECT_STATES or dynamics.is_solved_backwards
         if is_quick or any(c.totals is None for c in known):
             return required(known[0].choice), known[0].totals
         known.append(self._first)

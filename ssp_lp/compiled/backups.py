@@ -21,21 +21,10 @@ _LOWERINGS = 16
 
 @one_or_all_cores
 def back_up(
-    offsets: Array,
-    indptr: Array,
-    begins: Array,
-    indices: Array,
-    data: Array,
-    cost: Array,
-    slope: Array,
-    factor: float,
-    values: Array,
-    held: Array,
-    tied: float,
-    minima: Array,
-    choice: Array,
-    here: Array,
-) -> None:
+    offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array, cost: Array,
+    slope: Array, factor: float, values: Array, held: Array, tied: float, minima: Array,
+    choice: Array, here: Array,
+) -> None:  # fmt: skip
     """Least value of each state, the first pair tied with it, and the held pair's value."""
     keeps = held.size > 0
     for s in prange(offsets.size - 1):
@@ -62,21 +51,10 @@ def back_up(
 
 @one_or_all_cores
 def back_up_safely(
-    offsets: Array,
-    indptr: Array,
-    begins: Array,
-    indices: Array,
-    data: Array,
-    cost: Array,
-    magnitude: Array,
-    slope: Array,
-    factor: float,
-    alone: Array,
-    epsilon: float,
-    values: Array,
-    minima: Array,
-    position: Array,
-) -> None:
+    offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array, cost: Array,
+    magnitude: Array, slope: Array, factor: float, alone: Array, epsilon: float, values: Array,
+    minima: Array, position: Array,
+) -> None:  # fmt: skip
     """Least value of each state with the rounding of every pair's sum counted against it.
 
     ``position``, unless it is empty, is written: the first pair that attains it among the state's.
@@ -131,9 +109,8 @@ def _best_of_layers(
 @njit(cache=True)
 def back_up_layers(
     order: Array, most: int, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array,
-    first: int, end: int, owed: Array,
-    gain: Array, failure: Array, survival: float, accuracy: float, tied: float,
+    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array, first: int, end: int,
+    owed: Array, gain: Array, failure: Array, survival: float, accuracy: float, tied: float,
     values: Array, measured: Array, position: Array, keeps: bool,
 ) -> None:  # fmt: skip
     """All layers of a process in one pass, the last of them first.
@@ -223,9 +200,9 @@ def back_up_layers(
 @njit(cache=True)
 def back_up_layers_safely(
     order: Array, most: int, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array,
-    first: int, end: int, owed: Array,
-    saved: Array, epsilon: float, accuracy: float, within: Array, given: Array, values: Array,
+    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array, first: int, end: int,
+    owed: Array, saved: Array, epsilon: float, accuracy: float, within: Array, given: Array,
+    values: Array,
 ) -> None:  # fmt: skip
     """Lower bounds of the least values of all layers; rounding counts against every pair.
 

@@ -8,9 +8,12 @@ import numpy as np
 from numba import njit
 
 from ssp_lp.arrays import LEAST_RISE
-from ssp_lp.compiled.elimination import eliminate_component, gather_component
+from ssp_lp.compiled.equations import eliminate_component, gather_component
 
 Array = np.ndarray[Any, Any]
+Rows = tuple[Array, Array, Array, Array, Array]
+"""A process: where each state's pairs begin, [states + 1], and each pair's entries, [pairs + 1];
+columns and probabilities, [entries] each; and the probability of leaving for good, [pairs]."""
 
 _MOST_ROUNDS = 1_000
 """Rounds in one component that only rounding could need; what it costs shows in the bound."""
@@ -21,8 +24,7 @@ _ROUNDS = 50
 
 @njit(cache=True)
 def improve_components(
-    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    order: Array, components: Array, most: int, cost: Array, noise: float, tied: float,
+    rows: Rows, order: Array, components: Array, most: int, cost: Array, noise: float, tied: float,
     choice: Array, values: Array,
 ) -> int:  # fmt: skip
     """Least values of a process with small components, each solved once and for all, ends first.
@@ -31,11 +33,7 @@ def improve_components(
     given policy, which leaves it.
 
     Args:
-        offsets: [states + 1].
-        indptr: [pairs + 1].
-        indices: [entries].
-        data: [entries].
-        exits: [pairs].
+        rows: of the process.
         order: states, component by component, [states].
         components: offsets of the components in the order, [components + 1].
         most: states of the largest component.
@@ -55,16 +53,14 @@ def improve_components(
         begin, end = components[c], components[c + 1]
         if end - begin > 1:
             _, leaves = improve_component(
-                offsets, indptr, indices, data, exits, order[begin:end], place, cost, noise,
-                0.0, _MOST_ROUNDS, choice, values, inner, low, leaving, right,
+                rows, order[begin:end], place, cost, noise, 0.0, _MOST_ROUNDS, choice, values,
+                inner, low, leaving, right,
             )  # fmt: skip
             if not leaves:
                 return c
             continue
         s = order[begin]
-        pick, least, kept, _ = best_pair(
-            offsets, indptr, indices, data, exits, cost, values, s, choice[s], tied
-        )
+        pick, least, kept, _ = _best_pair(rows, cost, values, s, choice[s], tied)
         if least == np.inf:
             return c
         values[s] = least
@@ -75,8 +71,7 @@ def improve_components(
 
 @njit(cache=True)
 def improve_acyclic(
-    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
-    rewards: Array, weights: Array, keeps: bool, epsilon: float,
+    rows: Rows, order: Array, rewards: Array, weights: Array, keeps: bool, epsilon: float,
     choice: Array, x: Array, runs: Array, missed: Array,
 ) -> bool:  # fmt: skip
     """The best pairs of a process without cycles, or those it keeps, and their totals in one pass.
@@ -84,11 +79,7 @@ def improve_acyclic(
     The rounding of each total is summed beside it (a running error analysis, Higham 2002).
 
     Args:
-        offsets: [states + 1].
-        indptr: [pairs + 1].
-        indices: [entries].
-        data: [entries].
-        exits: [pairs].
+        rows: of the process.
         order: states, ends first, [states].
         rewards: [pairs, rewards].
         weights: of the rewards, whose sum is minimised, [rewards].
@@ -102,6 +93,7 @@ def improve_acyclic(
     Returns:
         False if some state is never left.
     """
+    offsets, indptr, indices, data, exits = rows
     n_rewards, unit = weights.size, 0.51 * epsilon  # beyond a half for products of roundings
     values, wrong = np.empty(runs.size), np.empty(x.shape)
     missed[:] = 0.0
@@ -149,8 +141,7 @@ def improve_acyclic(
 
 @njit(cache=True)
 def improve_component(
-    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    states: Array, place: Array, cost: Array, noise: float, floor: float, rounds: int,
+    rows: Rows, states: Array, place: Array, cost: Array, noise: float, floor: float, rounds: int,
     choice: Array, values: Array, inner: Array, low: Array, leaving: Array, right: Array,
 ) -> tuple[int, bool]:  # fmt: skip
     """Howard's rounds within one component, in place; a policy that does not leave is taken back.
@@ -158,6 +149,7 @@ def improve_component(
     Returns:
         How often a pair was changed, and whether all policies left.
     """
+    _, indptr, indices, data, exits = rows
     column, rewards = values.reshape(values.size, 1), cost.reshape(cost.size, 1)
     size, changed, leaves = states.size, 0, True
     held = np.empty(size, dtype=choice.dtype)
@@ -180,9 +172,7 @@ def improve_component(
         for i in range(size):
             s = states[i]
             held[i] = choice[s]
-            pick, least, kept, terms = best_pair(
-                offsets, indptr, indices, data, exits, cost, values, s, choice[s], 0.0
-            )
+            pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s], 0.0)
             if least < kept - noise * terms - floor:
                 choice[s] = pick
                 now += 1
@@ -195,11 +185,11 @@ def improve_component(
 
 
 @njit(cache=True)
-def best_pair(
-    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    cost: Array, values: Array, s: int, held: int, tied: float,
-) -> tuple[int, float, float, float]:  # fmt: skip
+def _best_pair(
+    rows: Rows, cost: Array, values: Array, s: int, held: int, tied: float
+) -> tuple[int, float, float, float]:
     """The first of a state's best pairs, the least value, the held pair's, and what it sums."""
+    offsets, indptr, indices, data, exits = rows
     pick, least, kept, size, below = held, np.inf, np.inf, 0.0, np.inf
     for pair in range(offsets[s], offsets[s + np.uint32(1)]):
         total, departs, whole = cost[pair], exits[pair], abs(cost[pair])
@@ -221,10 +211,8 @@ def best_pair(
 
 @njit(cache=True)
 def improve_blocks(
-    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array,
-    order: Array, blocks: Array, is_forward: bool, most: int,
-    cost: Array, noise: float, floor: float,
-    entering: Array, entering_offsets: Array, owner: Array,
+    rows: Rows, order: Array, blocks: Array, is_forward: bool, most: int,
+    cost: Array, noise: float, floor: float, entering: Array, entering_offsets: Array, owner: Array,
     choice: Array, values: Array, stale: Array,
 ) -> int:  # fmt: skip
     """Improve a policy block by block, in place, at the latest values of all that lies around.
@@ -234,11 +222,7 @@ def improve_blocks(
     over.
 
     Args:
-        offsets: [states + 1].
-        indptr: [pairs + 1].
-        indices: [entries].
-        data: [entries].
-        exits: [pairs].
+        rows: of the process.
         order: states, block by block, [states].
         blocks: offsets of the blocks in the order, [blocks + 1].
         is_forward: whether blocks are visited in order; else from the last on.
@@ -268,8 +252,8 @@ def improve_blocks(
             if _any_stale(stale, states):
                 before[: states.size] = values[states]
                 moved, _ = improve_component(
-                    offsets, indptr, indices, data, exits, states, place, cost, noise, floor,
-                    _ROUNDS, choice, values, inner, low, leaving, right,
+                    rows, states, place, cost, noise, floor, _ROUNDS, choice, values,
+                    inner, low, leaving, right,
                 )  # fmt: skip
                 changed += moved
                 _mark_to_improve(entering, entering_offsets, owner, states, before, values, stale)
@@ -277,9 +261,7 @@ def improve_blocks(
         s = order[begin]
         if not stale[s]:
             continue
-        pick, least, kept, terms = best_pair(
-            offsets, indptr, indices, data, exits, cost, values, s, choice[s], 0.0
-        )
+        pick, least, kept, terms = _best_pair(rows, cost, values, s, choice[s], 0.0)
         old = values[s]
         if least < kept - noise * terms - floor:
             choice[s], values[s] = pick, least
@@ -326,16 +308,12 @@ def _mark_entering(
 
 @njit(cache=True)
 def improve_states(
-    offsets: Array, indptr: Array, indices: Array, data: Array, order: Array,
-    cost: Array, noise: float, floor: float, choice: Array, values: Array,
-) -> tuple[int, float]:  # fmt: skip
+    rows: Rows, order: Array, cost: Array, noise: float, floor: float, choice: Array, values: Array
+) -> int:
     """Back up each state in turn, in place; it changes its pair only for a gain above the noise.
 
     Args:
-        offsets: [states + 1].
-        indptr: [pairs + 1].
-        indices: [entries].
-        data: [entries].
+        rows: of the process.
         order: the states to visit.
         cost: [pairs].
         noise: relative to the values compared.
@@ -344,9 +322,10 @@ def improve_states(
         values: [states].
 
     Returns:
-        How many pairs were changed, and the greatest gain of a change.
+        How many pairs were changed.
     """
-    changed, most = 0, 0.0
+    offsets, indptr, indices, data, _ = rows
+    changed = 0
     for s in order:
         least, pick, kept = np.inf, choice[s], values[s]
         for pair in range(offsets[s], offsets[s + np.uint32(1)]):
@@ -359,18 +338,17 @@ def improve_states(
             if total < least:
                 least, pick = total, pair
         if least < kept - noise * abs(kept) - floor:
-            most = max(most, kept - least)
             changed += 1
             choice[s], values[s] = pick, least
         else:
             values[s] = kept
-    return changed, most
+    return changed
 
 
 @njit(cache=True)
 def sweep_reach(
-    offsets: Array, indptr: Array, indices: Array, data: Array, order: Array,
-    wanted: Array, epsilon: float, up: bool, follows: bool, choice: Array, values: Array,
+    rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, follows: bool,
+    choice: Array, values: Array,
 ) -> float:  # fmt: skip
     """Back up greatest probabilities of leaving as is wanted, in turn, in place, rounded.
 
@@ -378,10 +356,7 @@ def sweep_reach(
     they are at most 1, and the choice stays.
 
     Args:
-        offsets: [states + 1].
-        indptr: [pairs + 1].
-        indices: [entries].
-        data: [entries].
+        rows: of the process.
         order: the states to visit.
         wanted: probability of leaving so, [pairs].
         epsilon: of the machine.
@@ -393,6 +368,7 @@ def sweep_reach(
     Returns:
         The greatest rise of a value.
     """
+    offsets, indptr, indices, data, _ = rows
     most, sign = 0.0, 1.0 if up else -1.0
     for s in order:
         greatest, pick, first, past = -1.0, choice[s], offsets[s], offsets[s + np.uint32(1)]
@@ -416,16 +392,13 @@ def sweep_reach(
 
 @njit(cache=True)
 def take_first_of_equals(
-    offsets: Array, indptr: Array, indices: Array, data: Array, rewards: Array, totals: Array,
-    slack: Array, runs: Array, nearer: float, choice: Array,
+    rows: Rows, rewards: Array, totals: Array, slack: Array, runs: Array, nearer: float,
+    choice: Array,
 ) -> None:  # fmt: skip
     """Change to the first pair of each state that keeps to the equations of all totals.
 
     Args:
-        offsets: [states + 1].
-        indptr: [pairs + 1].
-        indices: [entries].
-        data: [entries].
+        rows: of the process.
         rewards: [pairs, rewards].
         totals: of the policy, [states, rewards].
         slack: by how much the equations may be missed, [states, rewards].
@@ -433,29 +406,30 @@ def take_first_of_equals(
         nearer: by how much a pair must come nearer to leaving, in steps.
         choice: pair of each state, changed in place, [states].
     """
-    rows = indptr, indices, data
+    offsets = rows[0]
     for s in range(choice.size):
         held = choice[s]
         if held == offsets[s]:
             continue
-        kept = rewards[held, 0] + _ahead(*rows, totals[:, 0], held)
+        kept = rewards[held, 0] + _ahead(rows, totals[:, 0], held)
         for pair in range(offsets[s], held):
             is_alike = (
-                abs(rewards[pair, 0] + _ahead(*rows, totals[:, 0], pair) - kept) <= slack[s, 0]
+                abs(rewards[pair, 0] + _ahead(rows, totals[:, 0], pair) - kept) <= slack[s, 0]
             )
             for j in range(1, totals.shape[1]):
                 if is_alike:
-                    here = rewards[pair, j] + _ahead(*rows, totals[:, j], pair)
-                    own = rewards[held, j] + _ahead(*rows, totals[:, j], held)
+                    here = rewards[pair, j] + _ahead(rows, totals[:, j], pair)
+                    own = rewards[held, j] + _ahead(rows, totals[:, j], held)
                     is_alike = abs(here - own) <= slack[s, j]
-            if is_alike and runs[s] - _ahead(*rows, runs, pair) >= nearer:
+            if is_alike and runs[s] - _ahead(rows, runs, pair) >= nearer:
                 choice[s] = pair
                 break
 
 
 @njit(cache=True)
-def _ahead(indptr: Array, indices: Array, data: Array, values: Array, pair: Any) -> float:
+def _ahead(rows: Rows, values: Array, pair: Any) -> float:
     """The expected value after a pair."""
+    _, indptr, indices, data, _ = rows
     ahead = 0.0
     for k in range(indptr[pair], indptr[pair + np.uint32(1)]):
         ahead += data[k] * values[indices[k]]

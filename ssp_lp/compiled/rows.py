@@ -14,16 +14,9 @@ Array = np.ndarray[Any, Any]
 
 @njit(cache=True)
 def count_rows(
-    outcome_offsets: Array,
-    successors: Array,
-    probabilities: Array,
-    node_of: Array,
-    pair_at: Array,
-    home: Array,
-    counts: Array,
-    departs: Array,
-    leaks: Array,
-) -> None:
+    outcome_offsets: Array, successors: Array, probabilities: Array, node_of: Array, pair_at: Array,
+    home: Array, counts: Array, departs: Array, leaks: Array,
+) -> None:  # fmt: skip
     """Entries of each row, the mass that departs where waiting is left out, what ends there."""
     departing = home.size > 0
     for row in range(pair_at.size):
@@ -52,20 +45,10 @@ def count_rows(
 
 @njit(cache=True)
 def fill_rows(
-    outcome_offsets: Array,
-    successors: Array,
-    probabilities: Array,
-    ahead: Array,
-    node_of: Array,
-    n_nodes: int,
-    pair_at: Array,
-    home: Array,
-    departs: Array,
-    survival: float,
-    indptr: Array,
-    indices: Array,
-    data: Array,
-) -> None:
+    outcome_offsets: Array, successors: Array, probabilities: Array, ahead: Array, node_of: Array,
+    n_nodes: int, pair_at: Array, home: Array, departs: Array, survival: float, indptr: Array,
+    indices: Array, data: Array,
+) -> None:  # fmt: skip
     """Columns and probabilities of the entries that ``count_rows`` counted."""
     departing, layered = home.size > 0, ahead.size > 0
     for row in range(pair_at.size):
@@ -139,14 +122,9 @@ def share_rows(
 
 @one_or_all_cores
 def row_product(
-    choice: Array,
-    indptr: Array,
-    begins: Array,
-    indices: Array,
-    data: Array,
-    x: Array,
+    choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
     result: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Chosen rows of a matrix times one vector."""
     for s in prange(choice.size):
         row = choice[s]
@@ -158,14 +136,9 @@ def row_product(
 
 @one_or_all_cores
 def row_products(
-    choice: Array,
-    indptr: Array,
-    begins: Array,
-    indices: Array,
-    data: Array,
-    x: Array,
+    choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, x: Array,
     result: Array,
-) -> None:
+) -> None:  # fmt: skip
     """Chosen rows times several vectors, [states, vectors]."""
     if x.shape[1] == 3:  # each entry is read once
         for s in prange(choice.size):
@@ -190,15 +163,9 @@ def row_products(
 
 @one_or_all_cores
 def copy_rows(
-    choice: Array,
-    indptr: Array,
-    begins: Array,
-    indices: Array,
-    data: Array,
-    own_indptr: Array,
-    own_indices: Array,
-    own_data: Array,
-) -> None:
+    choice: Array, indptr: Array, begins: Array, indices: Array, data: Array, own_indptr: Array,
+    own_indices: Array, own_data: Array,
+) -> None:  # fmt: skip
     """Copy the chosen rows one after the other, so that products read memory in order."""
     for s in prange(choice.size):
         first, begin, place = indptr[choice[s]], begins[choice[s]], own_indptr[s]

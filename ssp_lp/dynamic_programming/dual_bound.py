@@ -3,7 +3,11 @@
 If v satisfies v_s <= c_u + P_u v for every pair u of s, then v bounds the cost of every policy from
 below: of those that leave the process by iterating the inequality, and of those that stay for ever
 since staying is failure, which costs at least as much as v says. The inequality is checked as
-``c_u + sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``advantages``).
+``c_u + sum_j p_uj (v_j - v_s) - exit_u v_s >= 0`` (see ``evaluation``).
+
+Near-optimal values lack rounding only, and are lowered by as little as is needed. Lowering a state
+by what it lacks makes its predecessors lack as much, so that in a process that is long in leaving
+the lack of a step is met again and again: values are lowered by what is gathered along a whole run.
 """
 
 from __future__ import annotations
@@ -12,31 +16,44 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.bellman import best_pairs
-from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach_leaving, leaving_chain
-from ssp_lp.dynamic_programming.linear_systems.advantages import exact_sum, precise_advantages
-from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
-from ssp_lp.dynamic_programming.lowering import (
-    lowered_at_once,
-    lowered_until_nothing_lacks,
-    raised,
-    shortfall,
+from ssp_lp.arrays import (
+    IMPROVEMENT,
+    MACHINE_EPSILON,
+    FloatArray,
+    IntArray,
+    segment_minima,
+    unsigned,
 )
-from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.bellman import PairCost, best_pairs, safe_minima
+from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES
+from ssp_lp.dynamic_programming.evaluation import (
+    NEARLY,
+    PROVED,
+    PROVED_OF_MANY,
+    RUN_ACCURACY,
+    exact_sum,
+    precise_advantages,
+    safe_advantages,
+)
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy, least_backwards
 from ssp_lp.errors import SolverError
 
 _ROUNDS = 12
 _SPARE = 16.0  # lacks within which a pair is taken to be as good as the best
-_LOST = 1e-11
-"""Share of the values that lowering them may cost before they are worked out more precisely."""
+_LOWERINGS = 4  # by what is lacking, before looking at where it is met again
+_ROUNDED = 2e-15  # of a value: its own rounding and that of a backup
+_TIED = 1024.0  # lacks within which a pair may turn out to be the best after lowering
+_STEPWISE = 4.0  # lacks by which values are lowered in every step
+_LARGE = 50_000  # states from which looking for the least that will do takes too long
+_HOPELESS = 1e-3
+"""Lack, relative to the values, from which they are those of no near-optimal policy."""
 
-_MORE_LOST = 50.0  # times that where there are many states, and each evaluation takes its time
-
-_NEARLY = 1e-9
-"""Lack, relative to the values, up to which they are thought to be optimal but for rounding."""
-
+_LONGEST = 1e9  # steps, beyond which shrinking by the lack's share cannot help
+_RAISING, _MOST_RAISING = 20, 5_000  # sweeps between two looks at what is lost still, and of all
+_RAISED = 0.9  # share of the loss from which sweeps are too slow
 _ONE = np.ones(1)
 
 
@@ -105,7 +122,7 @@ def dual_bound(
             return DualBound(lowered, np.zeros_like(lowered))
     asked = (np.ones_like(values) if start is None else start).nonzero()[0]
     scale = float(np.abs(values).max(initial=0.0))
-    enough = _LOST * scale if least_loss is None else least_loss
+    enough = PROVED * scale if least_loss is None else least_loss
     lack, worst = shortfall(dynamics, pair_cost, values), np.inf
     lowered = np.full_like(values, floor)
     if lack.any() and least_loss is not None:  # of probabilities, which sweeps often settle
@@ -116,9 +133,9 @@ def dual_bound(
         lowered, worst = raised(dynamics, pair_cost, lowered, values, asked, enough)
     bound = DualBound(lowered, np.zeros_like(lowered))
     many = dynamics.n_states > DIRECT_STATES
-    if worst <= (_MORE_LOST * enough if many else enough) or (many and least_loss is not None):
+    if worst <= (PROVED_OF_MANY * scale if many else enough) or (many and least_loss is not None):
         return bound
-    if float(lack.max(initial=0.0)) > _NEARLY * scale:
+    if float(lack.max(initial=0.0)) > NEARLY * scale:
         return bound
     precise = _precise_bound(dynamics, pair_cost, values)
     return bound if precise is None else precise
@@ -174,7 +191,178 @@ def _precisely_for_bound(
     dynamics: Dynamics, pair_cost: FloatArray, high: FloatArray, low: FloatArray
 ) -> FloatArray:
     """Advantages in twice the working precision, rounding counted against us, [pairs]."""
-    ahead, rounding = precise_advantages(
-        dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, high, low
-    )
+    ahead, rounding = precise_advantages(dynamics.moves, pair_cost, high, low)
     return ahead - rounding
+
+
+def shortfall(dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray) -> FloatArray:
+    """How far each state's value has to be lowered to its backup, rounding counted, [states]."""
+    check_time()
+    if accelerated(len(dynamics.transitions.indices)):
+        from ssp_lp.compiled.equations import shortfalls_safely
+
+        lack = np.empty(dynamics.n_states)
+        run = shortfalls_safely(len(dynamics.transitions.indices))
+        run(*dynamics.rows, pair_cost, values, MACHINE_EPSILON, lack)
+        return lack
+    ahead = safe_advantages(dynamics.moves, pair_cost, values)
+    return np.maximum(-segment_minima(ahead, dynamics.pair_offsets), 0.0)
+
+
+def lowered_at_once(
+    dynamics: Dynamics, pair_cost: FloatArray, values: FloatArray, floor: float, choice: IntArray
+) -> FloatArray | None:
+    """Values lowered by what the worst near-optimal policy gathers; None where that costs much.
+
+    A step gathers a few times the greatest lack, less what its pair is worse than the best: of
+    least such totals w, ``v + w`` lacks nothing. Without cycles each value is lowered to its backup
+    in turn, ends first, which is the least that will do.
+    """
+    if not dynamics.is_solved_backwards:
+        return None
+    if dynamics.is_compiled_backwards and dynamics.components.largest <= 1:
+        from ssp_lp.compiled.equations import lower_in_order
+
+        order, lowered = unsigned(dynamics.components.order), values.copy()
+        lower_in_order(*dynamics.rows, order, pair_cost, MACHINE_EPSILON, lowered)
+        lowered = np.maximum(lowered, floor)
+        if (lowered >= values - IMPROVEMENT * np.abs(values)).all():
+            return None if shortfall(dynamics, pair_cost, lowered).any() else lowered
+    ahead = safe_advantages(dynamics.moves, pair_cost, values)
+    lack = -float(ahead.min(initial=0.0))
+    if lack <= 0.0:
+        return values
+    policy = choice.astype(np.int32, copy=False)
+    for step in (_STEPWISE * lack, _STEPWISE**2 * lack):
+        try:
+            _, fall = least_backwards(dynamics, np.maximum(ahead - step, 0.0) - step, policy)
+        except SolverError:
+            return None
+        lowered = np.maximum(values + fall, floor)
+        if (lowered < values - IMPROVEMENT * np.abs(values)).any():
+            return None
+        if not shortfall(dynamics, pair_cost, lowered).any():
+            return lowered
+    return None
+
+
+def lowered_until_nothing_lacks(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    values: FloatArray,
+    lack: FloatArray,
+    floor: float,
+) -> FloatArray:
+    """Values lowered until nothing lacks."""
+    if not lack.any():
+        return values
+
+    def passes(lowered: FloatArray) -> bool:
+        """Whether lowered values lack nothing."""
+        return not shortfall(dynamics, pair_cost, lowered).any()
+
+    def shrunk(share: float) -> FloatArray:
+        """The values, moved towards the floor by a share."""
+        return np.asarray(floor + (1.0 - share) * (values - floor))
+
+    if floor == 0.0 and len(values) > _LARGE and passes(lowered := shrunk(IMPROVEMENT)):
+        return lowered
+    lowered, still = values, lack
+    for _ in range(_LOWERINGS):
+        lowered = np.maximum(lowered - still, floor)
+        still = shortfall(dynamics, pair_cost, lowered)
+        if not still.any():
+            return lowered
+    worst = float(lack.max())
+    rounding = np.minimum(_ROUNDED * np.abs(values), worst)
+    scale = float(np.abs(values).max())
+    share = worst / scale if scale > 0.0 else np.inf
+    for least in (rounding, np.full_like(values, worst)) if share <= _HOPELESS else ():
+        run = _longest_run(dynamics, pair_cost, values, lack, least)
+        if run is None:
+            continue
+        for factor in (1.5, 4.0, 16.0, 64.0, 1024.0):
+            lowered = np.maximum(values - factor * run, floor)
+            if passes(lowered):
+                return lowered
+    for smaller in 10.0 ** np.arange(-12, 0):
+        if smaller > share / _LONGEST and passes(lowered := shrunk(smaller)):
+            return lowered
+    return np.full_like(values, floor)
+
+
+def raised(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    lowered: FloatArray,
+    values: FloatArray,
+    asked: IntArray,
+    enough: float,
+) -> tuple[FloatArray, float]:
+    """Lowered values raised again by backups rounded down, which keeps them a sub-solution.
+
+    Sweeps end where no value that counts has lost more than enough, or where they are slow.
+
+    Args:
+        dynamics: the process.
+        pair_cost: [pairs].
+        lowered: a checked sub-solution, [states].
+        values: what it was lowered from, [states].
+        asked: the states that count.
+        enough: what may be lost there.
+
+    Returns:
+        The sub-solution, and the most that is lost where it counts.
+    """
+    lost, size = values - lowered, np.abs(pair_cost)
+    offsets, rows, cost = dynamics.pair_offsets, dynamics.transitions, PairCost(pair_cost)
+    never, sweeps = np.full(len(size), -1.0), 0
+    while lost[asked].max(initial=0.0) > enough and sweeps < _MOST_RAISING:
+        for _ in range(_RAISING):
+            lowered = np.maximum(lowered, safe_minima(offsets, rows, cost, size, never, lowered))
+        before, lost = lost, values - lowered
+        sweeps += _RAISING
+        if (
+            lost.max() > _RAISED * before.max()
+            and lost[asked].max() > _RAISED * before[asked].max()
+        ):
+            break
+    return lowered, float(lost[asked].max(initial=0.0))
+
+
+def _longest_run(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    values: FloatArray,
+    lack: FloatArray,
+    least: FloatArray,
+) -> FloatArray | None:
+    """Total lack by which values are lowered along the worst near-optimal policy; None: endless.
+
+    A state that comes to lack something counts with at least ``least``, [states]. Lowering the
+    values by this amount absorbs the lack wherever it is met again: the violation times the longest
+    expected run (mathematics, section 5). States that never meet it are left alone.
+    """
+    pair_offsets, transitions = dynamics.pair_offsets, dynamics.transitions
+    worst_lack, met = float(lack.max()), lack > 0
+    backup = best_pairs(pair_offsets, transitions, pair_cost, values)
+    choice, spare = backup.choice, transitions @ values
+    spare += pair_cost
+    spare -= np.repeat(backup.minima, np.diff(pair_offsets))
+    spare[spare <= _TIED * worst_lack] = 0.0
+    run: FloatArray | None = None
+    for _ in range(_ROUNDS):
+        reward = np.where(met, np.maximum(lack, least), 0.0)
+        try:
+            run = dynamics.chain(choice).solve(reward, run, RUN_ACCURACY)
+        except SolverError:
+            return None
+        if not (run >= 0.0).all():
+            return None
+        worst = best_pairs(pair_offsets, transitions, spare, -run, choice)
+        changed = worst.minima < worst.here - 0.1 * reward
+        if not changed.any() and np.array_equal(met, run > 0):
+            return run
+        met = run > 0
+        choice = np.where(changed, worst.choice, choice)
+    return run

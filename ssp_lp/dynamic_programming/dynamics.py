@@ -1,4 +1,7 @@
-"""What a substochastic process does, whatever it costs: transitions, exits, and their graph."""
+"""What a substochastic process does, whatever it costs: transitions, exits, their graph.
+
+Below: policies that leave a process, for only of those are there totals.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import (
+    BoolArray,
     FloatArray,
     IntArray,
     concatenated_ranges,
@@ -17,18 +21,28 @@ from ssp_lp.arrays import (
     segment_ids,
     sorted_unique,
 )
-from ssp_lp.dynamic_programming.bellman import ChosenRows
-from ssp_lp.dynamic_programming.linear_systems.strong_components import (
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.dynamic_programming.bellman import ChosenRows, unsigned_parts
+from ssp_lp.dynamic_programming.equations import (
+    DIRECT_STATES,
+    EXACTLY_SOLVED,
+    Moves,
     StrongComponents,
+    System,
     strong_components,
 )
-from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
+from ssp_lp.dynamic_programming.solvers import HOLDS_MASS
+from ssp_lp.errors import SolverError
+from ssp_lp.model.graph.predecessors import Graph
+from ssp_lp.model.graph.reachability import nearer_pairs
 
 _KEPT_CHAINS = 4
 """Layers of accumulated cost ask for the equations of the same few policies again and again."""
 
 _KEPT_STATES = 100_000  # states up to which they are kept
+_LAYERS = 500  # passes that a process is good for where it is one layer of many
+_SMALL = 48
+"""States of a component up to which it is solved by itself, by dense state reduction."""
 
 
 Level = tuple[IntArray, IntArray, IntArray, sp.csr_array, FloatArray]
@@ -69,10 +83,37 @@ class Dynamics:
         return strong_components(*entries, by_height=True)
 
     @cached_property
-    def predecessors(self) -> Predecessors:
-        """The pairs that may lead to each state."""
+    def graph(self) -> Graph:
+        """Which pairs lead where, in the number types of a model's graph."""
         rows = self.transitions
-        return find_predecessors(self.n_states, rows.indptr, rows.indices, rows.data)
+        offsets = self.pair_offsets.astype(np.int64), rows.indptr.astype(np.int64)
+        return Graph(*offsets, rows.indices, rows.data)
+
+    @property
+    def moves(self) -> Moves:
+        """The pairs of the process, with their states and exits."""
+        return self.pair_state, self.transitions, self.exits
+
+    @cached_property
+    def rows(self) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
+        """The arrays of the process as compiled loops take them."""
+        return *unsigned_parts(self.pair_offsets, self.transitions), self.exits
+
+    @property
+    def is_compiled_backwards(self) -> bool:
+        """Whether a backward pass runs compiled: what is passed often is worth it sooner."""
+        passes = _LAYERS if self.is_reused else 1
+        return accelerated(passes * len(self.transitions.indices))
+
+    @property
+    def is_solved_backwards(self) -> bool:
+        """Whether it falls into components so small that each is solved once and for all."""
+        few = self.n_states <= DIRECT_STATES
+        if self.is_compiled_backwards:
+            return self.components.largest <= (EXACTLY_SOLVED if few else _SMALL)
+        if few and not self.is_reused:
+            return False  # looking at the structure would take longer than it saves
+        return self.components.largest <= 1
 
     @cached_property
     def levels(self) -> list[Level]:
@@ -161,3 +202,60 @@ def without_self_loops(
     departs = np.where(loops, departs, 1.0)  # rows without a self-loop depart for sure
     scaled = entry.data[kept] / departs[entry.row[kept]]
     return sp.csr_array((scaled, (entry.row[kept], entry.col[kept])), shape=rows.shape), departs
+
+
+def approach_leaving(dynamics: Dynamics, leaving: BoolArray) -> IntArray:
+    """A policy under which every state leaves through one of the leaving pairs.
+
+    Each state takes a pair by which it may come nearer, in number of steps, to such a pair.
+
+    Args:
+        dynamics: the process.
+        leaving: pairs that leave with positive probability, [pairs].
+
+    Returns:
+        [states] the pair taken; -1 where no leaving pair can be reached.
+    """
+    return nearer_pairs(dynamics.graph, leaving)
+
+
+def leaving_choice(
+    dynamics: Dynamics, goal: FloatArray, to_goal: IntArray | None = None
+) -> IntArray:
+    """A policy that leaves from every state, towards the goal where it can be reached, [states].
+
+    Args:
+        dynamics: the process.
+        goal: probability of reaching the goal by each pair, [pairs].
+        to_goal: pairs that come nearer to the goal where that is known, -1: none, [states].
+    """
+    to_goal = approach_leaving(dynamics, goal > 0.0) if to_goal is None else to_goal
+    if to_goal.min(initial=0) >= 0:
+        return to_goal
+    return np.where(to_goal >= 0, to_goal, approach_leaving(dynamics, dynamics.exits > 0.0))
+
+
+def leaving_chain(
+    dynamics: Dynamics, choice: IntArray, before: IntArray | None
+) -> tuple[System, IntArray]:
+    """The chain of a policy that leaves: states that no longer do keep the pair they had.
+
+    Args:
+        dynamics: the process.
+        choice: the policy, [states].
+        before: the policy that it is to improve; None: there is none.
+
+    Returns:
+        The chain and the policy whose chain it is.
+
+    Raises:
+        SolverError: they did not leave before either.
+    """
+    system = dynamics.chain(choice)
+    while (closed := system.closed).size:
+        if before is None or np.array_equal(choice[closed], before[closed]):
+            raise SolverError(HOLDS_MASS)
+        choice = choice.copy()
+        choice[closed] = before[closed]
+        system = dynamics.chain(choice)
+    return system, choice

@@ -26,15 +26,19 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, closing, heed, pieces
-from ssp_lp.dynamic_programming.backward_induction import is_solved_backwards
-from ssp_lp.dynamic_programming.bellman import best_pairs, unsigned_parts
+from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
-from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach_leaving
-from ssp_lp.dynamic_programming.linear_systems.advantages import precise_advantages
-from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES, EXACTLY_SOLVED
-from ssp_lp.dynamic_programming.linear_systems.totals import Totals
-from ssp_lp.dynamic_programming.policy_iteration import evaluate_policy, iterate_policy
+from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACTLY_SOLVED
+from ssp_lp.dynamic_programming.evaluation import (
+    PRECISE,
+    PROVED,
+    PROVED_OF_MANY,
+    Totals,
+    evaluate_policy,
+    precise_advantages,
+)
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.model.graph.reachability import nearer_pairs
 
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
@@ -42,13 +46,9 @@ _SMALL = 1e-2
 _SWEEPS = 40  # before the first evaluation: more than most distances take to spread both ways
 _MOST_SWEEPS = 500  # where sweeps alone are to enclose the optimum
 _FOLLOWED = 4  # sweeps along the policy after each one over all pairs
-_ENCLOSED = 1e-11  # width of what encloses it, relative to it
 _NEARER = 0.1  # so much nearer it is before it is tried again from above
 _SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
 _STEPS = 1_000  # over which it is gathered what is lost where cost decides
-_PROVED = 1e-11  # gap of a probability that rounding may leave
-_PROVED_OF_MANY = 5e-10  # the same where there are many states, and each evaluation takes its time
-_PRECISE = 1e-24  # accuracy of probabilities, relative to the greatest, where pairs are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,14 +134,14 @@ def _settled_reach(
         settled = run(choice, precise=enough)
     asked = (np.ones(dynamics.n_states) if start is None else start).nonzero()[0]
     missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
-    bounded = partial(dual_bound, dynamics, other, start=start, least_loss=_PROVED)
+    bounded = partial(dual_bound, dynamics, other, start=start, least_loss=PROVED)
     least = bounded(missed, choice=settled.choice).values
     unproved = float((missed - least)[asked].max(initial=0.0))
-    if unproved > (_PROVED if few else np.inf if last_digits else _PROVED_OF_MANY):
+    if unproved > (PROVED if few else np.inf if last_digits else PROVED_OF_MANY):
         settled = run(settled.choice, precise=True)  # a policy of longer runs may be better
         missed = np.clip(settled.totals[:, 1], 0.0, 1.0)
         least = bounded(missed, choice=settled.choice).values
-    totals = evaluate_policy(dynamics, settled.choice, both, _PRECISE)
+    totals = evaluate_policy(dynamics, settled.choice, both, PRECISE)
     reach, missed = np.clip(totals.values, 0.0, 1.0).T
     least = np.minimum(least, missed)
     most = 1.0 - least
@@ -199,51 +199,39 @@ def _swept_towards(
         optimum from above where it is asked for, [states] each.
     """
     distance = np.zeros(dynamics.n_states, dtype=np.int32)
-    arguments = dynamics.predecessors, dynamics.pair_offsets, dynamics.pair_state, wanted > 0.0
-    choice = nearer_pairs(*arguments, distance=distance)
+    choice = nearer_pairs(dynamics.graph, wanted > 0.0, distance=distance)
     stuck, low = choice < 0, np.zeros(dynamics.n_states)
     if stuck.any():
         choice = np.where(stuck, approach_leaving(dynamics, dynamics.exits > 0.0), choice)
     choice = choice.astype(np.int32)
     is_compiled = accelerated(_SWEEPS * dynamics.transitions.nnz)
-    if (last_digits and not is_compiled) or is_solved_backwards(dynamics):
+    if (last_digits and not is_compiled) or dynamics.is_solved_backwards:
         return choice, low, None
-    parts = unsigned_parts(dynamics.pair_offsets, dynamics.transitions)
     order = np.argsort(distance, kind="stable").astype(np.uint32)
     order = order[~stuck[order]]
     directions = cycle((order, np.ascontiguousarray(order[::-1])))
-    longest = int(np.diff(dynamics.transitions.indptr).max(initial=0))
-    slack = (longest + 5.0) * MACHINE_EPSILON
 
     def sweep(values: FloatArray, *, up: bool = False, follows: bool = False) -> float:
         """The greatest rise of a value."""
-        if not is_compiled:  # all at once
-            backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, -wanted, -values)
-            greatest = -(1.0 + slack if up else 1.0 - slack) * backup.minima
-            greatest = np.where(stuck, values, np.minimum(greatest, 1.0))
-            rises = greatest - values
-            moved = rises != 0.0 if up else rises > LEAST_RISE
-            values[moved] = greatest[moved]
-            if not up:
-                choice[moved] = backup.choice[moved]
-            return float(rises.max(initial=0.0))
+        if not is_compiled:
+            return _sweep_all_at_once(dynamics, wanted, order, up, choice, values)
         from ssp_lp.compiled.improvement import sweep_reach
 
         direction, rise = next(directions), 0.0
         for some in pieces(order.size, dynamics.transitions.nnz):
             rise = max(rise, sweep_reach(
-                *parts, direction[some], wanted, MACHINE_EPSILON, up, follows,
+                dynamics.rows, direction[some], wanted, MACHINE_EPSILON, up, follows,
                 choice.view(np.uint32), values,
             ))  # fmt: skip
         return rise
 
-    rise, near, size = 1.0, _NEARER * _ENCLOSED, 0.0
+    rise, near, size = 1.0, _NEARER * PROVED, 0.0
     try:
         for turn in range(_SWEEPS if last_digits else _MOST_SWEEPS):
             rise_before, rise, size_before = rise, sweep(low), size
             size, left = float(low[asked].min(initial=1.0)), 1.0 - rise / max(rise_before, rise)
             if not last_digits and rise <= near * size * max(left, 1.0 - _SLOWEST):
-                high, near = np.minimum(low + 0.5 * _ENCLOSED * size, 1.0), _NEARER * near
+                high, near = np.minimum(low + 0.5 * PROVED * size, 1.0), _NEARER * near
                 for _ in range(max(turn, _SWEEPS)):
                     if sweep(high, up=True) <= 0.0:
                         return choice, low, high
@@ -258,16 +246,44 @@ def _swept_towards(
     return choice, low, None
 
 
+def _sweep_all_at_once(
+    dynamics: Dynamics,
+    wanted: FloatArray,
+    states: IntArray,
+    up: bool,
+    choice: IntArray,
+    values: FloatArray,
+) -> float:
+    """The greatest rise of a value in a sweep by numpy: of all states from the values before it.
+
+    Args:
+        dynamics: the process.
+        wanted: probability of leaving as is wanted, [pairs].
+        states: those to be swept.
+        up: round up, and keep the choice; else round down.
+        choice: pairs by which values rose, changed in place, [states].
+        values: changed in place, [states].
+    """
+    longest = int(np.diff(dynamics.transitions.indptr).max(initial=0))
+    slack = (longest + 5.0) * MACHINE_EPSILON
+    backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, -wanted, -values)
+    greatest = np.minimum(-(1.0 + slack if up else 1.0 - slack) * backup.minima[states], 1.0)
+    rises = greatest - values[states]
+    moved = rises != 0.0 if up else rises > LEAST_RISE
+    values[states[moved]] = greatest[moved]
+    if not up:
+        choice[states[moved]] = backup.choice[states[moved]]
+    return float(rises.max(initial=0.0))
+
+
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
     """Pairs by which nothing is lost, however often they come round, [pairs]."""
     dynamics, choice, both = found.dynamics, found.choice, found.both
-    totals = found.totals or evaluate_policy(dynamics, choice, both, _PRECISE)
+    totals = found.totals or evaluate_policy(dynamics, choice, both, PRECISE)
     high, lost = totals.values.T
     home = dynamics.pair_state
     gain, loss = (
-        precise_advantages(
-            home, dynamics.transitions, dynamics.exits, *map(np.ascontiguousarray, parts)
-        )[0]
+        precise_advantages(dynamics.moves, *map(np.ascontiguousarray, parts))[0]
         for parts in zip(both.T, totals.values.T, totals.low.T, strict=True)
     )
     ahead = np.where((high < lost)[home], gain, -loss)  # each is exact where it is small

@@ -1,9 +1,16 @@
 """Policy iteration from a policy that leaves: improvement along the structure of a process.
 
-A process of small components is solved in one pass, ends first; others by Howard's rounds. The last
-policy is evaluated with a verified bound of its error; where the process is left so seldom that
-double precision cannot tell which pair is better, improvement goes on in twice that precision: the
-advantage of a pair in a loop that is left with probability q is q times what the choice is worth.
+A process of small components is solved in one pass, ends first; others by Howard's rounds, whose
+evaluations become exact as the gains shrink. Rounds alone are as many as a run is long: between two
+of them a policy is improved in place, along its chain's components, ends first and back, where they
+are small, else by Bellman backups in the order of the values. What a state gains spreads in both
+directions: to the states that lead to it, which come later when ends come first, and, once a better
+pair leads to a state that had none before, the other way round.
+
+The last policy is evaluated with a verified bound of its error; where the process is left so seldom
+that double precision cannot tell which pair is better, improvement goes on in twice that precision:
+the advantage of a pair in a loop that is left with probability q is q times what the choice is
+worth.
 """
 
 from __future__ import annotations
@@ -14,8 +21,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import (
+    IMPROVEMENT,
     MACHINE_EPSILON,
     TIED,
+    BoolArray,
     FloatArray,
     IntArray,
     expected,
@@ -25,39 +34,53 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.backward_induction import (
-    acyclic_totals,
-    is_compiled_backwards,
-    is_solved_backwards,
-    least_backwards,
+from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed, pieces
+from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs
+from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
+from ssp_lp.dynamic_programming.equations import (
+    DIRECT_STATES,
+    EXACT,
+    EXACTLY_SOLVED,
+    StrongComponents,
+    System,
+    chosen_components,
 )
-from ssp_lp.dynamic_programming.bellman import Work, best_pairs, unsigned_parts
-from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.howard_rounds import MOST_ROUNDS, greatest_gain, howard_rounds
-from ssp_lp.dynamic_programming.leaving import leaving_chain
-from ssp_lp.dynamic_programming.linear_systems.advantages import precise_advantages
-from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES
-from ssp_lp.dynamic_programming.linear_systems.totals import (
-    CORRECTIONS,
+from ssp_lp.dynamic_programming.evaluation import (
     EVALUATED,
-    ROUNDED,
-    Totals,
+    NEARLY,
+    PRECISE,
+    PROVED,
+    acyclic_totals,
     evaluate_chain,
+    evaluate_policy,
+    precise_advantages,
 )
+from ssp_lp.dynamic_programming.solvers import HOLDS_MASS
 from ssp_lp.errors import SolverError
 
-_UNCERTAIN = 1e-11
-"""Relative loss that rounding may hide over a run, from which on precision is doubled."""
-
-_OPEN = 1e-13  # the same of gains that were seen and declined, in small processes
-_PRECISE = 1e-24  # accuracy of evaluations in twice the working precision, relative
 _WORTHLESS = 1e-16
 """Worth of all gains, relative to the values, for which policies could go round in circles."""
 
-_CLEARLY = 1e-9  # relative: values nearer to each other may differ by rounding alone
-_MOVED = 1e-12  # relative: the most that taking the first of equal pairs may move a total
 _NEARER = 0.25  # of a step: by so much at least each pair that is taken comes nearer to leaving
+MOST_ROUNDS = 10_000
+"""Rounds that only a defect could need: every round improves what the last one left."""
+
+_ROUGH, _FINE = 0.1, EXACT  # relative residuals of evaluations: the first one, the last one
+_LAST_GAINS = 1e-4  # gains, relative to the values, after which evaluations are exact
+_FORCING = 0.1  # share of the last gain, relative to the values, that an evaluation may miss by
+_NOISE = 0.01  # of a rough residual: changes for less may go back and forth
+_STEADY = 0.3
+"""Share of the last round's changes from which the next round would hardly be shorter."""
+
+_SWEEPS = 20  # of Bellman backups between two evaluations
+_LEAST_SWEEPS = 6
+_DIRECT = 2  # passes over a chain that an evaluation takes which does not iterate
+_SETTLED = 0.1  # share of the first sweep's changes below which sweeping stops
+_RISEN = 10.0  # times the last size of the values, which no improvement makes of them
+
+_Found = tuple[IntArray, System, FloatArray, float, Work]
+
+_PASSES = 20  # there and back
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,14 +128,14 @@ def iterate_policy(
     """
     check_time()
     choice = np.array(choice, dtype=np.int32)
-    work, left = Work(1, 0), 0.0
+    work, left, latest = Work(1, 0), 0.0, [choice]
     try:
         one_pass = (
             None if dynamics.is_reused else acyclic_totals(dynamics, choice, rewards, weights)
         )
         if one_pass is not None:
             choice, totals = one_pass
-        elif is_solved_backwards(dynamics):
+        elif dynamics.is_solved_backwards:
             pair_cost = weighted(rewards, weights)
             choice, values = least_backwards(dynamics, pair_cost, choice)
             if dynamics.is_reused and not precise:  # what is made of all layers is checked
@@ -122,10 +145,13 @@ def iterate_policy(
             left = greatest_gain(best_pairs(offsets, transitions, pair_cost, values, choice))
             totals = evaluate_policy(dynamics, choice, rewards)
         else:
-            found = howard_rounds(dynamics, rewards, weights, choice, guess, floor)
-            choice, system, solved, left, work = found
+            rounds = howard_rounds(dynamics, rewards, weights, latest, guess, floor)
+            choice, system, solved, left, work = rounds
             totals = evaluate_chain(system, rewards[choice], solved)
             work = work + Work(0, system.products)
+    except STOPS as stop:
+        heed(stop)
+        raise Stop(latest[0]) from stop
     except SolverError:
         return improve_precisely(dynamics, rewards, weights, choice, work, floor)
     values = weighted(totals.values, weights)
@@ -146,8 +172,253 @@ def _may_hide_more(values: FloatArray, runs: FloatArray, left: float) -> bool:
     """
     scale, longest = float(np.abs(values).max(initial=0.0)), float(runs.max(initial=0.0))
     hidden = (left + 4.0 * MACHINE_EPSILON * scale) * longest
-    open_ties = len(values) <= DIRECT_STATES and left * longest > _OPEN * scale
-    return open_ties or hidden > _UNCERTAIN * scale
+    open_ties = len(values) <= DIRECT_STATES and left * longest > IMPROVEMENT * scale
+    return open_ties or hidden > PROVED * scale
+
+
+def howard_rounds(
+    dynamics: Dynamics,
+    rewards: FloatArray,
+    weights: FloatArray,
+    latest: list[IntArray],
+    totals: FloatArray | None,
+    floor: float,
+) -> _Found:
+    """Policy iteration whose evaluations become exact as the gains shrink.
+
+    Args:
+        dynamics: the process.
+        rewards: [pairs, rewards].
+        weights: [rewards].
+        latest: the policy to begin with; the last one that was evaluated takes its place.
+        totals: about those of the first policy, [states, rewards].
+        floor: gain of a step that is none, in units of the values.
+
+    Returns:
+        The policy, its equations and totals, the greatest gain that was left to be rounding, and
+        the work.
+    """
+    transitions, pair_cost = dynamics.transitions, weighted(rewards, weights)
+    # where a floor is promised, rough evaluations of long runs would undo what sweeps have settled
+    accuracy = _ROUGH if dynamics.n_states > DIRECT_STATES and floor == 0.0 else _FINE
+    choice, work, rounds, changed_before = latest[0], Work(), 0, np.inf
+    before: IntArray | None = None
+    scale_before = np.inf
+    above: FloatArray | None = None  # values of the last policy, where they were exact
+    while True:
+        check_time()
+        if dynamics.n_states <= DIRECT_STATES:  # what is wrong with small ones shows in the totals
+            system = dynamics.chain(choice)
+        else:
+            system, choice = leaving_chain(dynamics, choice, before)
+        latest[0] = choice
+        totals = system.solve(rewards[choice], totals, accuracy)
+        spent, system.products = system.products, 0
+        work, rounds = work + Work(1, spent), rounds + 1
+        values = weighted(totals, weights)
+        if accuracy <= _FINE and above is not None:
+            rounding = NEARLY * float(np.abs(above).max(initial=0.0))
+            if not (values <= above + rounding).all():
+                raise SolverError("a policy that was to improve the last one is worse")
+        backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
+        exact = system.is_solved_exactly
+        missed = 0.0 if exact and accuracy <= _FINE else accuracy
+        better, gain, scale = _gains_of_round(backup, values, missed, floor)
+        if accuracy > _FINE and scale > _RISEN * scale_before:
+            accuracy = _FINE  # improvement raises nothing: evaluations are too rough for such runs
+            if not exact:
+                scale_before = np.inf
+                continue
+        scale_before = scale
+        if not better.any() and accuracy > _FINE:
+            accuracy = _FINE  # only noise was thought greater
+            if not exact:
+                continue
+            better, gain, scale = _gains_of_round(backup, values, 0.0, floor)
+        above = values if accuracy <= _FINE else None
+        if not better.any():
+            return choice, system, totals, gain, work
+        if rounds > MOST_ROUNDS:
+            raise SolverError("policy iteration goes round in circles")
+        before, changed = choice, int(np.count_nonzero(better))
+        choice = np.where(better, backup.choice, choice).astype(np.int32, copy=False)
+        if changed > _STEADY * changed_before and accelerated(transitions.nnz):
+            work = work + _swept_in_round(dynamics, pair_cost, choice, values, floor, system, spent)
+        changed_before, wanted = changed, _FORCING * gain / scale
+        accuracy = min(wanted if gain > _LAST_GAINS * scale else _FINE, accuracy)
+
+
+def _gains_of_round(
+    backup: Backup, values: FloatArray, missed: float, floor: float
+) -> tuple[BoolArray, float, float]:
+    """Which states gain more than noise, the greatest gain, and the size of the values."""
+    scale = max(float(np.abs(values).max(initial=0.0)), 1e-300)
+    noise = IMPROVEMENT * np.abs(backup.here) + floor
+    noise = noise + (_NOISE * missed if missed > _FINE else missed) * scale
+    better = np.asarray(backup.minima < backup.here - noise)
+    return better, greatest_gain(backup), scale
+
+
+def greatest_gain(backup: Backup) -> float:
+    """The greatest gain of a change in Howard's rounds, made or left to be rounding."""
+    return float((backup.here - backup.minima).max(initial=0.0))
+
+
+def _swept_in_round(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    choice: IntArray,
+    values: FloatArray,
+    floor: float,
+    system: System,
+    spent: int,
+) -> Work:
+    """Improve in place by passes along the chain or, where components are large, by sweeps.
+
+    Args:
+        system: the equations of the last policy that was evaluated.
+        spent: products that its evaluation took.
+    """
+    if system.is_solved_exactly:  # where components were large they hardly become small
+        backups = improve_along_chain(dynamics, pair_cost, choice, values, floor)
+        if backups is not None:
+            return Work(backups, 0)
+    sweeps = _SWEEPS  # at most about as long as the last evaluation took
+    if spent > _DIRECT:
+        share = system.matrix.nnz / max(dynamics.transitions.nnz, 1)
+        sweeps = min(max(int(spent * share), _LEAST_SWEEPS), _SWEEPS)
+    return Work(_sweep_in_round(dynamics, pair_cost, choice, values, floor, sweeps), 0)
+
+
+def _sweep_in_round(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    choice: IntArray,
+    values: FloatArray,
+    floor: float,
+    most_sweeps: int,
+) -> int:
+    """In one of Howard's rounds improve by sweeps, in place, while many states change.
+
+    States of small value come first, then last: so news travels both ways, from the ends on and
+    towards them.
+    """
+    from ssp_lp.compiled.improvement import improve_states
+
+    order = np.argsort(values, kind="stable").astype(np.uint32)
+    backward, most = np.ascontiguousarray(order[::-1]), 0
+    for sweep in range(1, most_sweeps + 1):
+        direction, changed = order if sweep % 2 else backward, 0
+        for some in pieces(order.size, dynamics.transitions.nnz):
+            changed += improve_states(
+                dynamics.rows, direction[some], pair_cost, IMPROVEMENT, floor,
+                choice.view(np.uint32), values,
+            )  # fmt: skip
+        most = max(most, changed)
+        if changed <= _SETTLED * most and sweep > 1:  # where one way changed nothing, the other may
+            return sweep
+    return most_sweeps
+
+
+def improve_along_chain(
+    dynamics: Dynamics,
+    pair_cost: FloatArray,
+    choice: IntArray,
+    values: FloatArray,
+    floor: float = 0.0,
+) -> int | None:
+    """In Howard's rounds improve a policy, in place, until a pass there and back changes nothing.
+
+    Each pass takes the components anew: those of the chain of the policy as it has become.
+
+    Args:
+        dynamics: the process.
+        pair_cost: [pairs].
+        choice: pair of each state of a policy that leaves, [states].
+        values: of no better policy, [states].
+        floor: gain of a step that is none.
+
+    Returns:
+        The number of backups of all states; None where the components are too large.
+    """
+    found = chosen_components(dynamics.transitions, choice)
+    if found.largest > EXACTLY_SOLVED:
+        return None
+    run, stale = 0, np.ones(dynamics.n_states, dtype=np.bool_)
+    for _ in range(_PASSES):
+        changed = 0
+        for is_forward in (True, False):
+            changed += _pass_of_round(
+                dynamics, found, pair_cost, choice, values, floor, stale, is_forward
+            )
+        run += 2
+        if not changed:
+            break
+        found = chosen_components(dynamics.transitions, choice)
+        if found.largest > EXACTLY_SOLVED:
+            break
+    return run
+
+
+def _pass_of_round(
+    dynamics: Dynamics,
+    found: StrongComponents,
+    pair_cost: FloatArray,
+    choice: IntArray,
+    values: FloatArray,
+    floor: float,
+    stale: BoolArray,
+    is_forward: bool,
+) -> int:
+    """One pass along the chain in Howard's rounds, in place; how often a pair was changed."""
+    from ssp_lp.compiled.improvement import improve_blocks
+
+    before, count, changed = dynamics.graph.predecessors, found.n_components, 0
+    for some in pieces(count, dynamics.transitions.nnz):
+        begin, end = (
+            (some.start, some.stop) if is_forward else (count - some.stop, count - some.start)
+        )
+        changed += improve_blocks(
+            dynamics.rows, unsigned(found.order), found.offsets[begin : end + 1], is_forward,
+            found.largest, pair_cost, IMPROVEMENT, floor, unsigned(before.pairs), before.offsets,
+            unsigned(dynamics.pair_state), choice.view(np.uint32), values, stale,
+        )  # fmt: skip
+    return changed
+
+
+def least_backwards(
+    dynamics: Dynamics, pair_cost: FloatArray, choice: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """The best pairs of a process that is solved backwards, and their values, [states] each.
+
+    Args:
+        dynamics: the process.
+        pair_cost: [pairs].
+        choice: a policy that leaves, [states].
+
+    Raises:
+        SolverError: the policy does not leave.
+    """
+    values, choice = np.zeros(dynamics.n_states), choice.copy()
+    tied = TIED if dynamics.is_reused else 0.0
+    if dynamics.is_compiled_backwards:
+        from ssp_lp.compiled.improvement import improve_components
+
+        found = dynamics.components
+        stuck = improve_components(
+            dynamics.rows, unsigned(found.order), found.offsets, max(found.largest, 1),
+            pair_cost, IMPROVEMENT, tied, choice.view(np.uint32), values,
+        )  # fmt: skip
+        if stuck >= 0:
+            raise SolverError(HOLDS_MASS)
+        return choice, values
+    for states, pairs, offsets, rows, departs in dynamics.levels:
+        total = pair_cost[pairs] + rows @ values
+        ahead = np.full_like(total, np.inf)
+        np.divide(total, departs, out=ahead, where=departs > 0.0)
+        values[states] = segment_minima(ahead, offsets)
+        choice[states] = pairs[first_minimisers(ahead, values[states], offsets, tied)]
+    return choice, values
 
 
 def improve_precisely(
@@ -178,11 +449,9 @@ def improve_precisely(
     for _ in range(MOST_ROUNDS):
         check_time()
         system, choice = leaving_chain(dynamics, choice, before)
-        priced = evaluate_chain(system, pair_cost[choice][:, None], accuracy=_PRECISE)
+        priced = evaluate_chain(system, pair_cost[choice][:, None], accuracy=PRECISE)
         values, low = priced.values[:, 0], priced.low[:, 0]
-        ahead, rounding = precise_advantages(
-            dynamics.pair_state, dynamics.transitions, dynamics.exits, pair_cost, values, low
-        )
+        ahead, rounding = precise_advantages(dynamics.moves, pair_cost, values, low)
         gain = -segment_minima(ahead + rounding, offsets) - 2.0 * float(priced.missed[0])
         better = np.flatnonzero(gain > 0.0)
         work = work + Work(1, system.products)
@@ -202,50 +471,6 @@ def improve_precisely(
     raise SolverError("policy iteration goes round in circles")
 
 
-def evaluate_policy(
-    dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None = None
-) -> Totals:
-    """Verified totals of a policy: in one go where the process is solved backwards.
-
-    Args:
-        dynamics: the process.
-        choice: [states].
-        rewards: [pairs, rewards].
-        accuracy: as ``evaluate_chain`` takes it.
-
-    Raises:
-        SolverError: as ``evaluate_chain``.
-    """
-    if accuracy is None and (one_pass := acyclic_totals(dynamics, choice, rewards)) is not None:
-        return one_pass[1]
-    if is_solved_backwards(dynamics) and is_compiled_backwards(dynamics):
-        totals = _evaluated_policy(dynamics, choice, rewards, accuracy)
-        if totals is not None:
-            return totals
-    return evaluate_chain(dynamics.chain(choice), rewards[choice], accuracy=accuracy)
-
-
-def _evaluated_policy(
-    dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None
-) -> Totals | None:
-    """The same compiled; None where the totals cannot be verified."""
-    from ssp_lp.compiled.precision import evaluate_precisely
-
-    found, rows, shape = dynamics.components, dynamics.transitions, (len(choice), rewards.shape[1])
-    if accuracy is None:
-        accuracy = ROUNDED if len(choice) <= DIRECT_STATES else EVALUATED
-    x, low, runs, missed = np.empty(shape), np.empty(shape), np.empty(shape[0]), np.empty(shape[1])
-    verified = evaluate_precisely(
-        unsigned(rows.indptr), unsigned(rows.indices), rows.data, dynamics.exits, unsigned(choice),
-        unsigned(found.order), found.offsets, max(found.largest, 1),
-        rewards, accuracy, CORRECTIONS, MACHINE_EPSILON, x, low, runs, missed,
-    )  # fmt: skip
-    if not verified:
-        return None
-    totals = Totals(x, low, runs, missed)
-    return totals if totals.are_within(max(accuracy, EVALUATED)) else None
-
-
 def switched(
     dynamics: Dynamics, choices: Sequence[IntArray], values: Sequence[FloatArray]
 ) -> tuple[IntArray, IntArray]:
@@ -262,7 +487,7 @@ def switched(
     choice, least = choices[0], values[0]
     follows = np.zeros(len(choice), dtype=np.int8)
     for k in range(1, len(choices)):
-        better = values[k] < least - _CLEARLY * np.abs(least)
+        better = values[k] < least - NEARLY * np.abs(least)
         if better.any():
             choice = np.where(better, choices[k], choice).astype(np.int32, copy=False)
             least = np.where(better, values[k], least)
@@ -300,19 +525,18 @@ def first_of_equals(
     Returns:
         [states].
     """
-    slack = min(TIED, _MOVED * _NEARER / float(runs.max(initial=1.0))) * np.abs(totals)
+    slack = min(TIED, EVALUATED * _NEARER / float(runs.max(initial=1.0))) * np.abs(totals)
     if start is not None:
         longest = max(float(expected(start, runs)), 1.0)
         slack = np.maximum(
-            slack, min(TIED, _MOVED * _NEARER / longest) * np.abs(expected(start, totals))
+            slack, min(TIED, EVALUATED * _NEARER / longest) * np.abs(expected(start, totals))
         )
-    offsets, transitions = dynamics.pair_offsets, dynamics.transitions
-    first = choice.astype(np.int32)
+    transitions, first = dynamics.transitions, choice.astype(np.int32)
     if accelerated(len(transitions.indices)):
         from ssp_lp.compiled.improvement import take_first_of_equals
 
         take_first_of_equals(
-            *unsigned_parts(offsets, transitions), rewards, totals, slack, runs, _NEARER,
+            dynamics.rows, rewards, totals, slack, runs, _NEARER,
             first.view(np.uint32),
         )  # fmt: skip
         return first

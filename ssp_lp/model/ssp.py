@@ -30,12 +30,12 @@ from ssp_lp.model.checked_arrays import (
     indexed_labels,
     unit_sums,
 )
-from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
+from ssp_lp.model.graph.predecessors import Graph
 from ssp_lp.model.naming import Naming, check_state_names
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SSP(Naming):
+class SSP(Graph, Naming):
     """A finite Markov decision process with goal states, in sparse state-action-pair form.
 
     Build it with :meth:`from_transitions`, :meth:`from_arrays` or :meth:`from_successors`, which
@@ -48,10 +48,6 @@ class SSP(Naming):
     states: Sequence[Hashable]  # [states] labels
     action_names: Sequence[Hashable]  # the distinct action labels
     pair_action: IntArray  # [pairs] position in action_names
-    pair_offsets: IntArray  # [states + 1] pairs of state s: pair_offsets[s] : pair_offsets[s + 1]
-    outcome_offsets: IntArray  # [pairs + 1] outcomes of pair k, likewise
-    successors: IntArray  # [outcomes]
-    probabilities: FloatArray  # [outcomes], each pair's sum to one
     costs: FloatArray  # [outcomes], finite and non-negative
     goal_mask: BoolArray  # [states]
     state_labels: Mapping[str, IntArray]  # label -> state indices; for reports only
@@ -233,34 +229,6 @@ class SSP(Naming):
             goal_mask=goal_mask_of(goal_states, n_states),
             state_labels={},
             exact_costs={},
-        )
-
-    @cached_property
-    def n_states(self) -> int:
-        """Number of states, goals included."""
-        return len(self.pair_offsets) - 1
-
-    @cached_property
-    def n_pairs(self) -> int:
-        """Number of state-action pairs."""
-        return len(self.outcome_offsets) - 1
-
-    @cached_property
-    def n_outcomes(self) -> int:
-        """Number of outcomes over all pairs."""
-        return len(self.successors)
-
-    @cached_property
-    def pair_state(self) -> IntArray:
-        """The state of each pair, [pairs]."""
-        counts = np.diff(self.pair_offsets)
-        return read_only(np.repeat(np.arange(self.n_states, dtype=np.int32), counts))
-
-    @cached_property
-    def predecessors(self) -> Predecessors:
-        """For each state the pairs that may lead to it; found at first use, then kept."""
-        return find_predecessors(
-            self.n_states, self.outcome_offsets, self.successors, self.probabilities
         )
 
     @cached_property

@@ -11,18 +11,16 @@ pairs that stay are taken away, and none is added.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model.graph.end_components import end_components
-from ssp_lp.model.graph.predecessors import Predecessors, find_predecessors
 from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
@@ -75,12 +73,8 @@ class Contraction:
         """
         chosen = np.zeros(process.n_pairs, dtype=np.bool_)
         chosen[self.pairs[choice]] = True
-        rows = process.transitions
-        before = find_predecessors(process.n_states, rows.indptr, rows.indices, rows.data)
-        usable = self.inside | chosen
-        home = segment_ids(process.pair_offsets)
-        found = nearer_pairs(before, process.pair_offsets, home, chosen, usable)
-        return found.astype(np.int32)
+        nearer = nearer_pairs(process.dynamics.graph, chosen, self.inside | chosen)
+        return nearer.astype(np.int32)
 
 
 def bound_of(
@@ -121,7 +115,7 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
     free = free & (process.goal == 0.0) & (process.failure == 0.0)
     if not free.any():
         return None
-    component, inside = end_components(_graph_of(process), free)
+    component, inside = end_components(process.dynamics.graph, free)
     if not inside.any():
         return None
     check_time()
@@ -145,25 +139,3 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
         node_of=node_of,
         inside=inside,
     )
-
-
-class _Graph(NamedTuple):
-    """What leads where in a process."""
-
-    n_states: int
-    n_outcomes: int
-    pair_offsets: IntArray
-    pair_state: IntArray
-    outcome_offsets: IntArray
-    successors: IntArray
-    probabilities: FloatArray
-    predecessors: Predecessors
-
-
-def _graph_of(process: ExplicitProcess) -> _Graph:
-    """The graph of a process, in the number types of a model's."""
-    rows, home = process.transitions, process.pair_state.astype(np.int32)
-    offsets, ends = process.pair_offsets.astype(np.int64), rows.indptr.astype(np.int64)
-    before = process.dynamics.predecessors
-    entries = ends, rows.indices, rows.data, before
-    return _Graph(process.n_states, rows.nnz, offsets, home, *entries)

@@ -15,9 +15,9 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, segment_sums
-from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import approach_pairs, pairs_into
+from ssp_lp.model.graph.reachability import nearer_pairs, pairs_into
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.processes.quotient import Quotient
 
@@ -152,7 +152,7 @@ def _flow_of_moves(
         is_target[members[served]] = True
         last = quotient.inside & pairs_into(model, is_target) & ~is_target[model.pair_state]
         usable = quotient.inside & ~is_target[model.pair_state]
-        choice = approach_pairs(model, last, usable)
+        choice = nearer_pairs(model, last, usable)
         moving = np.flatnonzero((choice[members] >= 0) & (share[node] > 0.0))
         taken = choice[members[moving]]
         pairs[taken] += _visits_of_flow(

@@ -14,9 +14,9 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
+from ssp_lp.dynamic_programming.dynamics import approach_leaving
+from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
-from ssp_lp.dynamic_programming.leaving import approach_leaving
-from ssp_lp.dynamic_programming.linear_systems.system import System
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import (

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from ssp_lp.arrays import FloatArray, IntArray, concatenated_ranges, csr_of, offsets_of, segment_ids
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import pieces
-from ssp_lp.dynamic_programming.shared_rows import SharedRows, SparseRows
+from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import segment_chunks
 

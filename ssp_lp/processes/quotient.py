@@ -26,7 +26,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.end_components import end_components
-from ssp_lp.model.graph.reachability import approach_pairs, dead_ends, pairs_into
+from ssp_lp.model.graph.reachability import dead_ends, nearer_pairs, pairs_into
 from ssp_lp.policies.policy import GIVE_UP, GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.live_rows import LiveRows, RowChoice, live_rows
 
@@ -119,7 +119,7 @@ class Quotient:
         if self.merged.any():
             return None
         kept = (self.places >= 0) & (True if usable is None else usable)
-        return self.placed(approach_pairs(self.model, leaving, kept))
+        return self.placed(nearer_pairs(self.model, leaving, kept))
 
     def placed(self, decision: IntArray) -> IntArray:
         """Where the pairs of the live states stand here, -1: nowhere or no pair, [nodes].
@@ -217,7 +217,7 @@ class Quotient:
         if not lost.any():
             return decision
         leading = self.inside & pairs_into(self.model, ~lost)
-        nearer = approach_pairs(self.model, leading & lost[self.model.pair_state], self.inside)
+        nearer = nearer_pairs(self.model, leading & lost[self.model.pair_state], self.inside)
         return np.where(lost, nearer, decision).astype(np.int32)
 
 

@@ -23,8 +23,8 @@ from ssp_lp.arrays import (
     segment_minima,
     segment_sums,
 )
-from ssp_lp.dynamic_programming.leaving import leaving_choice
-from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.dynamics import leaving_choice
+from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.errors import SolverError
 from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -75,7 +75,7 @@ def balanced_visits(
     share = _decomposed_shares(process, kept, unseen, otherwise)
     if gives_up is not None:
         reaching = (share > 0.0) & (process.goal > 0.0)
-        lost = _nearer_pairs(process, reaching, share > 0.0) < 0
+        lost = nearer_pairs(process.dynamics.graph, reaching, share > 0.0) < 0
         lost &= segment_sums(gives_up.astype(np.float64), process.pair_offsets) > 0.0
         if lost.any():
             price = np.where(gives_up, process.cost, np.inf)
@@ -187,11 +187,7 @@ def _nearer_to_leaving(
 ) -> IntArray:
     """Visited pairs by which one that leaves comes nearer; ``otherwise`` where none does."""
     supported = visits > 0.0
-    nearer = _nearer_pairs(process, supported & (process.dynamics.exits > 0.0), supported)
+    nearer = nearer_pairs(
+        process.dynamics.graph, supported & (process.dynamics.exits > 0.0), supported
+    )
     return np.where(nearer >= 0, nearer, otherwise)
-
-
-def _nearer_pairs(process: ExplicitProcess, there: BoolArray, usable: BoolArray) -> IntArray:
-    """Usable pairs by which one that is there comes nearer, [states]; -1 where none does."""
-    places = process.dynamics.predecessors, process.pair_offsets, process.pair_state
-    return nearer_pairs(*places, there, usable)

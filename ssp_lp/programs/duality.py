@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray
-from ssp_lp.dynamic_programming.leaving import leaving_choice
+from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
 from ssp_lp.processes.contraction import bound_of, contract

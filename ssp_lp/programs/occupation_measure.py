@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, segment_sums
-from ssp_lp.dynamic_programming.leaving import leaving_choice
+from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.errors import ModelError, optional_module
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.model.naming import ByName

@@ -17,7 +17,7 @@ from ssp_lp.column_generation.pricing import layer_bounds, layered_pricing
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import until
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
-from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
 from ssp_lp.processes.live_rows import RowChoice, live_rows
 from tests.support.compiled import Switch, assert_same, both

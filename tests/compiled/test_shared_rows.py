@@ -10,8 +10,13 @@ from examples.domains.navigation import navigation
 from formulations import S3P
 from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost, CompiledProblem
 from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
-from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
-from ssp_lp.dynamic_programming.shared_rows import SharedRows
+from ssp_lp.dynamic_programming.bellman import (
+    ChosenRows,
+    PairCost,
+    SharedRows,
+    best_pairs,
+    safe_minima,
+)
 from ssp_lp.model import SSP
 from ssp_lp.processes import live_rows as module
 from ssp_lp.processes.layered.charges import TOTAL_COST, Charge, ExcessCharge

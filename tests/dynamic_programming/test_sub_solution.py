@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import scipy.sparse as sp
 
-from ssp_lp.dynamic_programming.dual_bound import dual_bound, sub_solution
+from ssp_lp.dynamic_programming.dual_bound import dual_bound, shortfall, sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.lowering import shortfall
 
 
 def test_ties_between_a_cost_and_a_free_step_do_not_drop_the_bound() -> None:

@@ -17,7 +17,7 @@ from ssp_lp.analysis.chain import Chain, policy_chain
 from ssp_lp.analysis.layers.layer_moves import LayerMoves, Staying, closed_states
 from ssp_lp.analysis.layers.layered_measures import LARGE
 from ssp_lp.arrays import SAME_TOTAL, FloatArray, IntArray, read_only
-from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
 from ssp_lp.policies.policy import UNDECIDED, CostLayers, Policy
 from ssp_lp.policies.stationary import DeterministicPolicy

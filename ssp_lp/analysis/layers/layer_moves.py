@@ -12,7 +12,7 @@ from scipy.sparse import csgraph
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges, offsets_of
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_components
+from ssp_lp.dynamic_programming.equations import strong_components
 from ssp_lp.model import SSP
 from ssp_lp.model.chunks import chunks
 from ssp_lp.model.graph.reachability import dead_ends, reached_along

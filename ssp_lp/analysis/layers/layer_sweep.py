@@ -27,8 +27,8 @@ from ssp_lp.analysis.layers.layer_moves import (
     marks_of,
 )
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.dynamic_programming.linear_systems.system import System
-from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
+from ssp_lp.dynamic_programming.equations import System
+from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE
 
 _LOG = logging.getLogger("ssp_lp.evaluation")

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from ssp_lp.analysis.layers.layer_moves import LayerMoves
-from ssp_lp.model.graph.reachability import approach_pairs, goal_pairs
+from ssp_lp.model.graph.reachability import goal_pairs, nearer_pairs
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.policy import GIVE_UP_CODE, Policy
 
@@ -42,7 +42,7 @@ def _stopping(policy: Policy) -> Policy:
     for number, tail in enumerate(layers.tails):
         followed = np.zeros(model.n_pairs, dtype=np.bool_)
         followed[tail[tail >= 0]] = True
-        nearer = approach_pairs(model, goal_pairs(model), followed)
+        nearer = nearer_pairs(model, goal_pairs(model), followed)
         beyond[number] = model.goal_mask | (nearer >= 0)
     hopeful = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
     hopeful[:count] = model.goal_mask

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ssp_lp.analysis.chain import Chain, reaching_in_chain
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.dynamic_programming.linear_systems.system import System
+from ssp_lp.dynamic_programming.equations import System
 
 _FEW = 256  # nodes of which a table of all visits is kept
 

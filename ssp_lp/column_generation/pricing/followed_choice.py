@@ -12,8 +12,7 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, unsigned
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.bellman import PairCost
-from ssp_lp.dynamic_programming.shared_rows import row_parts
+from ssp_lp.dynamic_programming.bellman import PairCost, row_parts
 from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
 from ssp_lp.processes.layered.layered_process import LayeredProcess
 from ssp_lp.processes.totals.levels import Levels

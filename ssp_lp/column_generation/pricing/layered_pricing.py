@@ -28,7 +28,7 @@ from ssp_lp.column_generation.pricing.one_pass import OnePass, one_pass
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.dynamic_programming.leaving import approach_leaving
+from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.stationary import DeterministicPolicy

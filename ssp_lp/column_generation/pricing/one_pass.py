@@ -192,7 +192,7 @@ def _order_of_pass(base: AccumulatedCost) -> tuple[IntArray, bool]:
     n, instant = base.n_nodes, base.instant
     if instant.nnz == 0:
         return np.arange(n, dtype=np.uint32), False
-    from ssp_lp.compiled.graph_components import order_components
+    from ssp_lp.compiled.graphs import order_components
 
     owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
     first = unsigned(instant.indptr)[base.pair_offsets]

@@ -64,7 +64,7 @@ def _label_end_components(
         label: [states].
     """
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graph_components import label_components
+        from ssp_lp.compiled.graphs import label_components
 
         arrays = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
         label_components(*arrays, inside, pending.nonzero()[0], label)
@@ -96,7 +96,7 @@ def _crossing_end_components(
     """Inside pairs of pending states that may lead to a state of another label, [pairs]."""
     candidates = inside & pending[model.pair_state]
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graph_components import crossing_pairs
+        from ssp_lp.compiled.graphs import crossing_pairs
 
         arrays = model.outcome_offsets, model.successors, model.probabilities, model.pair_state
         return crossing_pairs(*arrays, candidates, label)

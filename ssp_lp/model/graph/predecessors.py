@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
@@ -14,6 +14,7 @@ from ssp_lp.arrays import (
     IntArray,
     concatenated_ranges,
     read_only,
+    segment_ids,
     sorted_unique,
 )
 from ssp_lp.compiled.accelerator import accelerated
@@ -46,40 +47,41 @@ class Predecessors:
         return found[-1] if len(found) <= 2 else sorted_unique(np.concatenate(found))
 
 
-class Graph(Protocol):
+@dataclass(frozen=True, eq=False, repr=False)
+class Graph:
     """Which pairs lead where: of a model, or of a process."""
 
-    @property
+    pair_offsets: IntArray  # [states + 1] pairs of state s: pair_offsets[s] : pair_offsets[s + 1]
+    outcome_offsets: IntArray  # [pairs + 1] outcomes of pair k, likewise
+    successors: IntArray  # [outcomes]
+    probabilities: FloatArray  # [outcomes], each pair's sum to one
+
+    @cached_property
     def n_states(self) -> int:
-        """Number of states."""
+        """Number of states, goals included."""
+        return len(self.pair_offsets) - 1
 
-    @property
+    @cached_property
+    def n_pairs(self) -> int:
+        """Number of state-action pairs."""
+        return len(self.outcome_offsets) - 1
+
+    @cached_property
     def n_outcomes(self) -> int:
-        """Number of outcomes of all pairs."""
+        """Number of outcomes over all pairs."""
+        return len(self.successors)
 
-    @property
-    def pair_offsets(self) -> IntArray:
-        """The pairs of state s are ``pair_offsets[s] : pair_offsets[s + 1]``, [states + 1]."""
-
-    @property
+    @cached_property
     def pair_state(self) -> IntArray:
         """The state of each pair, [pairs]."""
+        return read_only(segment_ids(self.pair_offsets))
 
-    @property
-    def outcome_offsets(self) -> IntArray:
-        """The outcomes of each pair, likewise, [pairs + 1]."""
-
-    @property
-    def successors(self) -> IntArray:
-        """Where each outcome leads, [outcomes]."""
-
-    @property
-    def probabilities(self) -> FloatArray:
-        """Of each outcome, [outcomes]."""
-
-    @property
+    @cached_property
     def predecessors(self) -> Predecessors:
-        """The graph turned round."""
+        """For each state the pairs that may lead to it; found at first use, then kept."""
+        return find_predecessors(
+            self.n_states, self.outcome_offsets, self.successors, self.probabilities
+        )
 
 
 def find_predecessors(
@@ -94,7 +96,7 @@ def find_predecessors(
         probabilities: [outcomes].
     """
     if accelerated(len(successors)):
-        from ssp_lp.compiled.graph_searches import transpose_graph
+        from ssp_lp.compiled.graphs import transpose_graph
 
         offsets, pairs = transpose_graph(n_states, outcome_offsets, successors, probabilities)
     else:

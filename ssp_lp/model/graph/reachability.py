@@ -12,7 +12,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.model.chunks import pieces_of_chunks
 from ssp_lp.model.graph.kept import kept
-from ssp_lp.model.graph.predecessors import Graph, Predecessors, narrow
+from ssp_lp.model.graph.predecessors import Graph, narrow
 from ssp_lp.model.ssp import SSP
 
 
@@ -30,7 +30,7 @@ def reaching_states(model: SSP, ends: BoolArray) -> BoolArray:
     """
     before, first = model.predecessors, ends.nonzero()[0]
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graph_searches import reaching
+        from ssp_lp.compiled.graphs import reaching
 
         return reaching(before.offsets, before.pairs, model.pair_state, first)
     return reached_along(model.pair_state[before.pairs], before.offsets, first)
@@ -67,7 +67,7 @@ def surely_reaching(model: SSP) -> tuple[BoolArray, BoolArray, IntArray]:
     into_goal = goal_pairs(model)
     kept = np.ones(model.n_states, dtype=np.bool_)
     while True:
-        nearer = approach_pairs(model, into_goal & open_pairs, open_pairs)
+        nearer = nearer_pairs(model, into_goal & open_pairs, open_pairs)
         lost = kept & ~model.goal_mask & (nearer < 0)
         if not lost.any():
             return kept, open_pairs, nearer
@@ -90,7 +90,7 @@ def pairs_into(model: SSP, states: BoolArray) -> BoolArray:
         states: [states].
     """
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graph_searches import leading_into
+        from ssp_lp.compiled.graphs import leading_into
 
         return leading_into(model.outcome_offsets, model.successors, model.probabilities, states)
     leads = np.zeros(model.n_pairs, dtype=np.bool_)
@@ -108,12 +108,6 @@ def attention_pairs(model: SSP, attention: BoolArray) -> BoolArray:
         attention: the result of :func:`attention_states`, [states].
     """
     return np.asarray(attention[model.pair_state] & ~pairs_into(model, ~attention))
-
-
-def approach_pairs(model: SSP, leaving: BoolArray, usable: BoolArray | None = None) -> IntArray:
-    """:func:`nearer_pairs` of a model, [states]; -1 where none can be reached, and at goals."""
-    before = model.predecessors
-    return nearer_pairs(before, model.pair_offsets, model.pair_state, leaving, usable)
 
 
 def reached_along(columns: IntArray, offsets: IntArray, start: IntArray) -> BoolArray:
@@ -152,15 +146,12 @@ def goal_approach(model: SSP) -> tuple[IntArray, IntArray]:
         [states] each.
     """
     distance = np.zeros(model.n_states, dtype=np.int32)
-    arguments = model.predecessors, model.pair_offsets, model.pair_state, goal_pairs(model)
-    choice = nearer_pairs(*arguments, distance=distance)
+    choice = nearer_pairs(model, goal_pairs(model), distance=distance)
     return choice, np.where(choice >= 0, distance + 1, 0)
 
 
 def nearer_pairs(
-    before: Predecessors,
-    pair_offsets: IntArray,
-    pair_state: IntArray,
+    graph: Graph,
     leaving: BoolArray,
     usable: BoolArray | None = None,
     distance: IntArray | None = None,
@@ -171,9 +162,7 @@ def nearer_pairs(
     first is taken.
 
     Args:
-        before: the graph turned round.
-        pair_offsets: [states + 1].
-        pair_state: [pairs].
+        graph: of a model, or of a process.
         leaving: [pairs].
         usable: pairs that may be taken, leaving ones included, [pairs]; all if left out.
         distance: zeros, written: steps before a leaving pair is taken, [states] int32.
@@ -181,13 +170,13 @@ def nearer_pairs(
     Returns:
         [states] the pair taken; -1 where no leaving pair can be reached.
     """
+    before, pair_state, n = graph.predecessors, graph.pair_state, graph.n_states
     free = np.ones(len(pair_state), dtype=np.bool_) if usable is None else usable.copy()
-    n = len(pair_offsets) - 1
     distance = np.zeros(n, dtype=np.int32) if distance is None else distance
     choice = np.full(n, -1, dtype=np.int64)
     useful: IntArray = (leaving & free).nonzero()[0]
     if accelerated(len(before.pairs)):
-        from ssp_lp.compiled.graph_searches import approach
+        from ssp_lp.compiled.graphs import approach
 
         approach(before.offsets, before.pairs, pair_state, useful, free, choice, distance)
         return choice
@@ -198,9 +187,9 @@ def nearer_pairs(
     pairs, reached = before.pairs[kept], reached[kept]
     source = np.concatenate([reached, np.full(useful.size, n, dtype=np.int32)])
     target = pair_state[np.concatenate([pairs, useful])].astype(np.int32, copy=False)
-    graph = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
+    links = sp.csr_array((np.ones(source.size), (source, target)), shape=(n + 1, n + 1))
     steps: FloatArray = csgraph.dijkstra(  # type: ignore[call-overload]
-        graph, indices=n, unweighted=True
+        links, indices=n, unweighted=True
     )[:n]
     distance[:] = np.where(np.isfinite(steps), steps - 1.0, 0.0)
     near = np.full(len(pair_state), np.inf)
@@ -226,7 +215,7 @@ def drain(
         return
     before = model.predecessors
     if accelerated(model.n_outcomes):
-        from ssp_lp.compiled import graph_searches as searches
+        from ssp_lp.compiled import graphs as searches
 
         searches.drain(
             before.offsets, before.pairs, model.pair_state, open_pairs, open_counts, closed_states

@@ -16,9 +16,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, csr_of, unsigned
-from ssp_lp.dynamic_programming.bellman import PairCost
+from ssp_lp.dynamic_programming.bellman import PairCost, SparseRows, written_out
 from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
-from ssp_lp.dynamic_programming.shared_rows import SparseRows, written_out
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_states
 from ssp_lp.processes.expectations import cost_means, successor_means

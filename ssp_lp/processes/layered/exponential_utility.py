@@ -15,8 +15,7 @@ import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
-from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.leaving import approach_leaving, leaving_chain
+from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
 from ssp_lp.processes.expectations import costless_pairs, successor_means

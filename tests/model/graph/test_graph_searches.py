@@ -139,7 +139,7 @@ def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, eve
     leaving = rng.random(model.n_pairs) < 0.15
     usable = None if everything else rng.random(model.n_pairs) < 0.7
     free = [everything or bool(usable[p]) for p in range(model.n_pairs)]
-    choice = reachability.approach_pairs(model, leaving, usable)
+    choice = reachability.nearer_pairs(model, leaving, usable)
     expected, near = {}, set()
     while True:
         found = {}
@@ -163,7 +163,7 @@ def test_scipy_is_given_numbers_of_32_bits(accelerate, monkeypatch):
     monkeypatch.setattr(
         reachability.csgraph, "dijkstra", lambda g, **kw: graphs.append(g) or search(g, **kw)
     )
-    reachability.approach_pairs(model, rng.random(model.n_pairs) < 0.5)
+    reachability.nearer_pairs(model, rng.random(model.n_pairs) < 0.5)
     assert [(g.indices.dtype, g.indptr.dtype) for g in graphs] == [(np.int32, np.int32)]
 
 

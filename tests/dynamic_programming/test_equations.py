@@ -14,20 +14,16 @@ from scipy.sparse import linalg
 from ssp_lp import SolverError
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import Stop, until
-from ssp_lp.dynamic_programming.backward_induction import acyclic_totals, least_backwards
+from ssp_lp.dynamic_programming import equations, solvers
 from ssp_lp.dynamic_programming.dynamics import Dynamics
-from ssp_lp.dynamic_programming.howard_rounds import improve_along_chain
-from ssp_lp.dynamic_programming.linear_systems import (
-    direct_solvers,
-    large_component,
-    system as system_module,
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES, System, strong_components
+from ssp_lp.dynamic_programming.evaluation import acyclic_totals, advantage_bounds, evaluate_chain
+from ssp_lp.dynamic_programming.policy_iteration import (
+    improve_along_chain,
+    iterate_policy,
+    least_backwards,
 )
-from ssp_lp.dynamic_programming.linear_systems.advantages import advantage_bounds
-from ssp_lp.dynamic_programming.linear_systems.direct_solvers import factorised
-from ssp_lp.dynamic_programming.linear_systems.strong_components import strong_components
-from ssp_lp.dynamic_programming.linear_systems.system import DIRECT_STATES, System
-from ssp_lp.dynamic_programming.linear_systems.totals import evaluate_chain
-from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.dynamic_programming.solvers import factorised
 
 
 @pytest.fixture(params=[False, True], ids=["numpy", "numba"])
@@ -191,7 +187,7 @@ def test_bounds_of_advantages_hold_in_fractions(compiled: bool, seed: int) -> No
     steps, exits = slow_chain(rng)
     cost, values = rng.normal(size=(2, len(exits))) * 10.0 ** rng.uniform(-3, 8)
     home, rows = np.arange(len(exits), dtype=np.int32), sp.csr_array(steps)
-    lower, upper = advantage_bounds(home, rows, exits, cost, values)
+    lower, upper = advantage_bounds((home, rows, exits), cost, values)
     exact = [
         Fraction(float(cost[i]))
         - Fraction(float(exits[i])) * Fraction(float(values[i]))
@@ -227,9 +223,9 @@ def test_no_factors_are_made_where_they_fill_in(
         assert equations.shape[0] < n // 2
         return factorised(equations, in_order=in_order)
 
-    monkeypatch.setattr(direct_solvers, "factorised", small)
-    monkeypatch.setattr(system_module, "factorised", small)
-    monkeypatch.delattr(large_component, "band_solver")
+    monkeypatch.setattr(solvers, "factorised", small)
+    monkeypatch.setattr(equations, "factorised", small)
+    monkeypatch.delattr(solvers, "band_solver")
     system, inflow = scattered_chain(n), np.eye(1, n)[0]
     dense = np.eye(n) - system.matrix.toarray()
     totals = system.solve(np.ones((n, 1)))[:, 0]

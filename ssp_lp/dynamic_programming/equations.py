@@ -2,25 +2,33 @@
 
 The chain's strong components are solved ends first, each by what suits it: by substitution where it
 is one state, by state reduction without subtractions where it is small or narrow, and where it is
-large by sweeps, then by a Krylov method on top of them, then by sparse factors. State reduction
-keeps the relative accuracy of every entry whatever the condition (Grassmann, Taksar and Heyman
-1985); what the other methods return is judged by ``evaluate_chain``.
+large by sweeps, then by a Krylov method on top of them, then by sparse factors (``solvers``). State
+reduction keeps the relative accuracy of every entry whatever the condition (Grassmann, Taksar and
+Heyman 1985); what the other methods return is judged by ``evaluate_chain``.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cached_property
 from weakref import proxy
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import linalg
+from scipy.sparse import csgraph, linalg
 
-from ssp_lp.arrays import FloatArray, IntArray, unsigned
+from ssp_lp.arrays import (
+    FloatArray,
+    IntArray,
+    offsets_of,
+    unsigned,
+)
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
+from ssp_lp.dynamic_programming.solvers import (
     HOLDS_MASS,
+    Iteration,
+    LargeComponent,
     Solver,
     dense_solver,
     equations,
@@ -28,12 +36,6 @@ from ssp_lp.dynamic_programming.linear_systems.direct_solvers import (
     factorised,
     reduce_states,
     transposed_solve,
-)
-from ssp_lp.dynamic_programming.linear_systems.iteration import Iteration
-from ssp_lp.dynamic_programming.linear_systems.large_component import LargeComponent
-from ssp_lp.dynamic_programming.linear_systems.strong_components import (
-    StrongComponents,
-    strong_components,
 )
 from ssp_lp.errors import SolverError
 
@@ -47,8 +49,10 @@ EXACTLY_SOLVED = 256
 """States of a component up to which a compiled dense reduction costs no more than other ways."""
 
 EXACT = 4e-15  # relative residual: a few units in the last place of the totals
-
 _NOBODY = np.zeros(0, dtype=np.int64)
+
+Moves = tuple[IntArray, sp.csr_array, FloatArray]
+"""Of each pair its state, [pairs], where it leads, [pairs, states], and what leaves, [pairs]."""
 
 
 class System:
@@ -91,13 +95,18 @@ class System:
         """Each state's own row, [states]."""
         return np.arange(self.size, dtype=np.int32)
 
+    @property
+    def moves(self) -> Moves:
+        """The chain as a process of one pair per state."""
+        return self.home, self.matrix, self.exits
+
     @cached_property
     def closed(self) -> IntArray:
         """States from which the chain never leaves, [some states]."""
         found, rows = self.components, self.matrix
         left = np.zeros(found.n_components, dtype=np.bool_)
         if accelerated(len(rows.indices)):
-            from ssp_lp.compiled.graph_components import mark_left
+            from ssp_lp.compiled.graphs import mark_left
 
             arrays = unsigned(rows.indptr), unsigned(rows.indices), rows.data
             mark_left(*arrays, self.exits, found.label, left)
@@ -271,7 +280,7 @@ class System:
 
     def _solve_compiled(self, first: int, last: int, rewards: FloatArray, x: FloatArray) -> None:
         """Solve a range of the system's components by compiled elimination, in place."""
-        from ssp_lp.compiled.elimination import solve_by_elimination
+        from ssp_lp.compiled.equations import solve_by_elimination
 
         found, rows = self.components, self.matrix
         stuck = solve_by_elimination(
@@ -288,3 +297,105 @@ class System:
         if c not in self._large:
             self._large[c] = LargeComponent(self.matrix, self.exits, self.components.members(c))
         return self._large[c]
+
+
+@dataclass(frozen=True, eq=False)
+class StrongComponents:
+    """Strong components, each after all that it leads to: ends first."""
+
+    label: IntArray  # [states] component of each state
+    order: IntArray  # [states] the states, component by component
+    offsets: IntArray  # [components + 1] where each component lies in the order
+
+    @property
+    def n_components(self) -> int:
+        """Number of components."""
+        return len(self.offsets) - 1
+
+    @cached_property
+    def sizes(self) -> IntArray:
+        """Number of states of each component, [components]."""
+        return np.diff(self.offsets)
+
+    @cached_property
+    def largest(self) -> int:
+        """Number of states of the largest component."""
+        return int(self.sizes.max(initial=0))
+
+    def members(self, component: int) -> IntArray:
+        """The states of a component."""
+        return self.order[self.offsets[component] : self.offsets[component + 1]]
+
+
+def strong_components(
+    indptr: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
+) -> StrongComponents:
+    """Find the components and sort them topologically (Tarjan 1972).
+
+    Args:
+        indptr: offsets of each state's entries, [states + 1].
+        indices: successors, [entries].
+        data: probabilities; entries of 0 are no edges, [entries].
+        by_height: sorted, where compiled, by the most steps to an end: for passes along the order.
+    """
+    n = len(indptr) - 1
+    if accelerated(len(indices)):
+        return _compiled_components(indptr[:-1], indptr[1:], indices, data, by_height=by_height)
+    graph = sp.csr_array((data, indices, indptr), shape=(n, n))
+    found = csgraph.connected_components(_possible_edges(graph), connection="strong")[1]
+    label = _topological_components(graph, found)
+    order = np.argsort(label, kind="stable").astype(np.int32)
+    return StrongComponents(label, order, offsets_of(np.bincount(label)))
+
+
+def chosen_components(rows: sp.csr_array, choice: IntArray) -> StrongComponents:
+    """The same for ``rows[choice]``, compiled; the rows are read where they are.
+
+    Args:
+        rows: [pairs, states].
+        choice: [states].
+    """
+    begin, end = rows.indptr[choice], rows.indptr[1:][choice]
+    return _compiled_components(begin, end, rows.indices, rows.data)
+
+
+def _compiled_components(
+    begin: IntArray, end: IntArray, indices: IntArray, data: FloatArray, *, by_height: bool = False
+) -> StrongComponents:
+    """The strong components by a compiled search."""
+    from ssp_lp.compiled.graphs import order_components
+
+    label, order, count = order_components(begin, end, indices, data, by_height=by_height)
+    sizes = np.bincount(label, minlength=count)
+    return StrongComponents(label, order, offsets_of(sizes))
+
+
+def _possible_edges(graph: sp.csr_array) -> sp.csr_array:
+    """A graph for strong components: each edge once and none of weight 0, as scipy needs it."""
+    kept = graph.copy()
+    kept.sum_duplicates()
+    kept.eliminate_zeros()
+    return kept
+
+
+def _topological_components(graph: sp.csr_array, label: IntArray) -> IntArray:
+    """Labels renumbered, if need be, so that no edge leads to a component of a greater number.
+
+    Those of scipy's search are so already, which is not documented and hence checked.
+    """
+    entry = graph.tocoo()
+    entry_from, entry_to = label[entry.row], label[entry.col]
+    if (entry_from >= entry_to)[entry.data > 0.0].all():
+        return label
+    between = (entry_from != entry_to) & (entry.data > 0.0)
+    source, target = entry_from[between], entry_to[between]
+    height = np.zeros(int(label.max()) + 1, dtype=np.int64)
+    while True:
+        raised = height.copy()
+        np.maximum.at(raised, source, height[target] + 1)
+        if np.array_equal(raised, height):
+            break
+        height = raised
+    position = np.empty_like(height)
+    position[np.argsort(height, kind="stable")] = np.arange(height.size)
+    return position[label].astype(label.dtype)

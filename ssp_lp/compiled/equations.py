@@ -1,0 +1,634 @@
+"""Compiled equations of substochastic chains: reduced, swept, or summed in twice the precision.
+
+State reduction (Grassmann, Taksar and Heyman 1985): a state is taken out by sending what would
+enter it to where it goes next. The probability of departing is summed from where it goes, the exits
+among them, never formed as 1 - p; all numbers stay non-negative and keep their relative accuracy,
+however seldom the chain leaves (Alfa, Xue and Ye 2002). Large components are swept, with a Krylov
+method on top. Sums whose rounding is counted, or undone, are the twins of those in ``evaluation``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from ssp_lp.compiled.cores import one_or_all_cores
+
+Array = np.ndarray[Any, Any]
+
+
+@njit(cache=True)
+def solve_by_elimination(
+    indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
+    order: Array, offsets: Array, first: int, last: int, most: int, rewards: Array, x: Array,
+) -> int:  # fmt: skip
+    """Solve ``x = rewards + chain @ x`` on components ``first .. last - 1``, ends first.
+
+    Args:
+        indptr: [rows + 1].
+        indices: [entries].
+        data: [entries].
+        exits: probability of leaving the chain, [rows].
+        rows: the row of each state, [states].
+        order: states, component by component, [states].
+        offsets: of the components in the order, [components + 1].
+        first: component to begin with; all before it are solved.
+        last: where to end.
+        most: states of the largest component.
+        rewards: [states, rewards].
+        x: written, [states, rewards].
+
+    Returns:
+        The first component that is never left; -1 if there is none.
+    """
+    inner, right = np.empty((most, most)), np.empty((most, rewards.shape[1]))
+    low, leaving = np.empty(most, dtype=np.int64), np.empty(most)
+    place = np.full(rows.size if most > 1 else 0, -1, dtype=np.int32)
+    for c in range(first, last):
+        begin, size = offsets[c], offsets[c + 1] - offsets[c]
+        if size == 1:
+            s = order[begin]
+            if not _eliminate_one_state(indptr, indices, data, exits, rows[s], s, rewards, x):
+                return c
+            continue
+        for i in range(size):
+            place[order[begin + i]] = i
+        gather_component(
+            indptr, indices, data, exits, rows, order, begin, size, place, rewards, False, x,
+            inner, low, leaving, right,
+        )  # fmt: skip
+        if not eliminate_component(inner, low, leaving, right, size):
+            return c
+        for i in range(size):
+            x[order[begin + i], :] = right[i, :]
+            place[order[begin + i]] = -1
+    return -1
+
+
+@njit(cache=True, inline="always")
+def _eliminate_one_state(
+    indptr: Array, indices: Array, data: Array, exits: Array, row: int, s: int,
+    rewards: Array, x: Array,
+) -> bool:  # fmt: skip
+    """Solve a component of one state; false if it is never left."""
+    departs = exits[row]
+    for j in range(x.shape[1]):
+        x[s, j] = rewards[s, j]
+    for k in range(indptr[row], indptr[row + np.uint32(1)]):
+        successor, p = indices[k], data[k]
+        if successor != s and p > 0.0:
+            departs += p
+            for j in range(x.shape[1]):
+                x[s, j] += p * x[successor, j]
+    if departs <= 0.0:
+        return False
+    for j in range(x.shape[1]):
+        x[s, j] /= departs
+    return True
+
+
+@njit(cache=True)
+def gather_component(
+    indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
+    order: Array, begin: int, size: int, place: Array, rewards: Array, by_row: bool, x: Array,
+    inner: Array, low: Array, leaving: Array, right: Array,
+) -> None:  # fmt: skip
+    """For elimination, one component as a matrix, what leaves it, and its rewards.
+
+    ``low[i]`` is the first column of the lower triangle, and the first row of the upper one, that
+    is not zero beside the diagonal's entry i, when all later states have been taken out. ``rows``
+    says which row belongs to each state; rewards are those of rows or of states.
+    """
+    for i in range(size):
+        low[i] = i
+    for i in range(size):
+        s = rows[order[begin + i]]
+        for k in range(indptr[s], indptr[s + np.uint32(1)]):
+            other = np.int64(place[indices[k]])
+            if other >= i:
+                low[other] = min(low[other], i)
+            elif other >= 0:
+                low[i] = min(low[i], other)
+    for i in range(size - 1, 1, -1):
+        if low[i] < i - 1:
+            low[i - 1] = min(low[i - 1], low[i])
+    for i in range(size):
+        for j in range(low[i], i + 1):
+            inner[i, j] = inner[j, i] = 0.0
+    for i in range(size):
+        s = rows[order[begin + i]]
+        leaving[i] = exits[s]
+        owner = s if by_row else order[begin + i]
+        for j in range(right.shape[1]):
+            right[i, j] = rewards[owner, j]
+        for k in range(indptr[s], indptr[s + np.uint32(1)]):
+            successor, p = indices[k], data[k]
+            if place[successor] >= 0:
+                inner[i, place[successor]] += p
+            elif p > 0.0:
+                leaving[i] += p
+                for j in range(right.shape[1]):
+                    right[i, j] += p * x[successor, j]
+
+
+@njit(cache=True)
+def eliminate_component(inner: Array, low: Array, leaving: Array, right: Array, size: int) -> bool:
+    """Solve one component, in place; false if it is never left."""
+    n_rewards = right.shape[1]
+    for i in range(size - 1, -1, -1):
+        departs = leaving[i]
+        for j in range(low[i], i):
+            departs += inner[i, j]
+        if departs <= 0.0:
+            return False
+        for j in range(low[i], i):
+            inner[i, j] /= departs
+        leaving[i] /= departs
+        for j in range(n_rewards):
+            right[i, j] /= departs
+        for r in range(low[i], i):
+            weight = inner[r, i]
+            if weight > 0.0:
+                for j in range(low[i], i):
+                    inner[r, j] += weight * inner[i, j]
+                leaving[r] += weight * leaving[i]
+                for j in range(n_rewards):
+                    right[r, j] += weight * right[i, j]
+    for i in range(1, size):
+        for j in range(low[i], i):
+            weight = inner[i, j]
+            for k in range(n_rewards):
+                right[i, k] += weight * right[j, k]
+    return True
+
+
+@njit(cache=True)
+def eliminate_band(band: Array, leaving: Array, weights: Array) -> bool:
+    """Take the states of a banded chain out, last first, in place.
+
+    Args:
+        band: ``band[i, width + j - i]`` is the probability of going from i to j,
+            [states, 2 * width + 1]; then, for j < i, what remains of it, divided by the
+            probability of departing, and for j > i the weights with which j is replaced.
+        leaving: probability of leaving from each state, [states].
+        weights: probability of departing from each state, written, [states].
+
+    Returns:
+        False if the chain is never left.
+    """
+    n, width = band.shape[0], band.shape[1] // 2
+    for i in range(n - 1, -1, -1):
+        low = max(0, i - width)
+        departs = leaving[i]
+        for j in range(low, i):
+            departs += band[i, width + j - i]
+        if departs <= 0.0:
+            return False
+        weights[i] = departs
+        for j in range(low, i):
+            band[i, width + j - i] /= departs
+        leaving[i] /= departs
+        for r in range(low, i):
+            weight = band[r, width + i - r]
+            if weight > 0.0:
+                for j in range(low, i):
+                    band[r, width + j - r] += weight * band[i, width + j - i]
+                leaving[r] += weight * leaving[i]
+    return True
+
+
+@njit(cache=True)
+def solve_band(band: Array, departs: Array, right: Array) -> None:
+    """Solve with an eliminated band, in place, [states, rewards]."""
+    n, width = band.shape[0], band.shape[1] // 2
+    n_rewards = right.shape[1]
+    for i in range(n - 1, -1, -1):
+        for k in range(n_rewards):
+            right[i, k] /= departs[i]
+        for r in range(max(0, i - width), i):
+            weight = band[r, width + i - r]
+            if weight > 0.0:
+                for k in range(n_rewards):
+                    right[r, k] += weight * right[i, k]
+    for i in range(1, n):
+        for j in range(max(0, i - width), i):
+            weight = band[i, width + j - i]
+            if weight > 0.0:
+                for k in range(n_rewards):
+                    right[i, k] += weight * right[j, k]
+
+
+@one_or_all_cores
+def gather_inside(
+    indptr: Array, indices: Array, data: Array, exits: Array, states: Array, place: Array,
+    own_indptr: Array, own_indices: Array, own_data: Array, departs: Array, leaving: Array,
+) -> None:  # fmt: skip
+    """For sweeps, moves among the members of a component, seen on departing only.
+
+    Args:
+        indptr: of the chain, [states + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [states].
+        states: the members, in the order in which they are swept.
+        place: position of each state among them, -1 elsewhere, [states].
+        own_indptr: the length of each member's row, [members + 1].
+        own_indices: written, positions, its own one where a move leads elsewhere, [own entries].
+        own_data: written, divided by the probability of departing, 0 there, [own entries].
+        departs: written: the probability of departing, [members].
+        leaving: written: the probability of leaving the component, [members].
+    """
+    for i in prange(states.size):
+        s, at = states[i], np.int64(own_indptr[i])
+        leaves, stays = exits[s], 0.0
+        for k in range(indptr[s], indptr[s + np.uint32(1)]):
+            j, p = indices[k], data[k]
+            if j == s or p <= 0.0:
+                continue
+            if place[j] < 0:
+                leaves += p
+                continue
+            stays += p
+            own_indices[at], own_data[at] = place[j], p
+            at += 1
+        departs[i], leaving[i] = leaves + stays, leaves
+        for k in range(np.int64(own_indptr[i]), at):
+            own_data[k] /= departs[i]
+        for k in range(at, np.int64(own_indptr[i + 1])):
+            own_indices[k], own_data[k] = place[s], 0.0
+
+
+@one_or_all_cores
+def from_beyond(
+    indptr: Array, indices: Array, data: Array, states: Array, place: Array, departs: Array,
+    rewards: Array, x: Array, right: Array,
+) -> None:  # fmt: skip
+    """For sweeps, rewards of the members with what they lead to outside, [members, rewards]."""
+    for i in prange(states.size):
+        s = states[i]
+        for j in range(rewards.shape[1]):
+            right[i, j] = rewards[s, j]
+        for k in range(indptr[s], indptr[s + np.uint32(1)]):
+            if place[indices[k]] < 0:
+                for j in range(rewards.shape[1]):
+                    right[i, j] += data[k] * x[indices[k], j]
+        for j in range(rewards.shape[1]):
+            right[i, j] /= departs[i]
+
+
+@njit(cache=True)
+def sweep(
+    indptr: Array, indices: Array, data: Array, right: Array, x: Array
+) -> tuple[float, float]:
+    """Set each x in turn to ``right + rows @ x``, in place (Gauss and Seidel).
+
+    One core only: so the result does not depend on timing, and two cores would save less than
+    using new values at once does.
+
+    Returns:
+        The greatest change and the greatest size.
+    """
+    change, size = 0.0, 0.0
+    if x.shape[1] == 2:  # each entry is read once
+        for s in range(x.shape[0]):
+            first, second = right[s, 0], right[s, 1]
+            for k in range(indptr[s], indptr[np.uint32(s + 1)]):
+                weight, column = data[k], indices[k]
+                first += weight * x[column, 0]
+                second += weight * x[column, 1]
+            change = max(change, max(abs(first - x[s, 0]), abs(second - x[s, 1])))
+            size = max(size, max(abs(first), abs(second)))
+            x[s, 0], x[s, 1] = first, second
+        return change, size
+    for s in range(x.shape[0]):
+        for j in range(x.shape[1]):
+            total = right[s, j]
+            for k in range(indptr[s], indptr[np.uint32(s + 1)]):
+                total += data[k] * x[indices[k], j]
+            change = max(change, abs(total - x[s, j]))
+            size = max(size, abs(total))
+            x[s, j] = total
+    return change, size
+
+
+@njit(cache=True)
+def _miss_of_sweep(indptr: Array, indices: Array, data: Array, x: Array, miss: Array) -> None:
+    """``x - G x``, written, where G is one sweep without rewards (Gauss and Seidel), [states]."""
+    miss[:] = x
+    for s in range(x.size):
+        total = 0.0
+        for k in range(indptr[s], indptr[np.uint32(s + 1)]):
+            total += data[k] * miss[indices[k]]
+        miss[s] = total
+    for s in range(x.size):
+        miss[s] = x[s] - miss[s]
+
+
+def start_bicgstab(residual: Array) -> tuple[Array, Array, Array, Array]:
+    """What ``bicgstab`` carries from step to step: shadow, p and v, [members], and rho, [1]."""
+    rho = np.zeros(1)
+    _square_in_sweep(residual, rho)
+    return residual.copy(), residual.copy(), np.zeros_like(residual), rho
+
+
+@njit(cache=True)
+def _square_in_sweep(residual: Array, rho: Array) -> None:
+    """The sum of squares, in order."""
+    for s in range(residual.size):
+        rho[0] += residual[s] * residual[s]
+
+
+@njit(cache=True)
+def bicgstab(
+    indptr: Array, indices: Array, data: Array,
+    residual: Array, target: float, most_steps: int, x: Array,
+    shadow: Array, p: Array, v: Array, scalar: Array,
+) -> tuple[int, bool]:  # fmt: skip
+    """Add to ``x`` until ``residual``, which is overwritten, is at most ``target`` everywhere.
+
+    BiCGStab of van der Vorst (1992) on ``x - G x = g``, where G is one sweep: the sweep is the
+    preconditioner and costs no more than a product. ``residual`` is ``g - (x - G x)``. What
+    ``start_bicgstab`` made is carried on, so that steps can be taken a few at a time.
+
+    Returns:
+        The number of sweeps, and whether it ended.
+    """
+    n = residual.size
+    t, rho = np.empty(n), scalar[0]
+    for step in range(most_steps):
+        _miss_of_sweep(indptr, indices, data, p, v)
+        along = 0.0
+        for s in range(n):
+            along += shadow[s] * v[s]
+        if along == 0.0 or not np.isfinite(along):
+            return 2 * step + 1, True
+        alpha = rho / along
+        for s in range(n):
+            residual[s] -= alpha * v[s]
+        _miss_of_sweep(indptr, indices, data, residual, t)
+        cross, square = 0.0, 0.0
+        for s in range(n):
+            cross += t[s] * residual[s]
+            square += t[s] * t[s]
+        omega = cross / square if square > 0.0 else 0.0
+        following, size = 0.0, 0.0
+        for s in range(n):
+            x[s] += alpha * p[s] + omega * residual[s]
+            residual[s] -= omega * t[s]
+            following += shadow[s] * residual[s]
+            size = max(size, abs(residual[s]))
+        if size <= target or omega == 0.0 or following == 0.0 or not np.isfinite(following):
+            return 2 * step + 2, True
+        beta = following / rho * (alpha / omega)
+        rho = scalar[0] = following
+        for s in range(n):
+            p[s] = residual[s] + beta * (p[s] - omega * v[s])
+    return 2 * most_steps, False
+
+
+@njit(cache=True)
+def widest_level(indptr: Array, indices: Array) -> int:
+    """Before sweeping: most states at one distance from the first one."""
+    n = indptr.size - 1
+    seen, queue = np.zeros(n, dtype=np.bool_), np.empty(n, dtype=np.uint32)
+    seen[0], queue[0] = True, 0
+    begin, filled, widest = 0, 1, 1
+    while begin < filled:
+        end = filled
+        for head in range(begin, end):
+            s = queue[head]
+            for k in range(indptr[s], indptr[s + np.uint32(1)]):
+                if not seen[indices[k]]:
+                    seen[indices[k]] = True
+                    queue[filled] = indices[k]
+                    filled += 1
+        widest, begin = max(widest, filled - end), end
+    return widest
+
+
+_LOWERINGS = 8  # of a value by what it still lacks: after two of them nothing does, as a rule
+_SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
+
+
+@njit(cache=True, inline="always")
+def exact_sum(a: float, b: float) -> tuple[float, float]:
+    """With twice the precision: a + b, rounded, and what the rounding lost (Knuth)."""
+    total = a + b
+    back = total - a
+    return total, (a - (total - back)) + (b - back)
+
+
+@njit(cache=True, inline="always")
+def _precise_product(a: float, b: float) -> tuple[float, float]:
+    """With twice the precision: a * b, rounded, and what the rounding lost (Dekker)."""
+    total = a * b
+    c, d = _SPLIT * a, _SPLIT * b
+    a_high, b_high = c - (c - a), d - (d - b)
+    a_low, b_low = a - a_high, b - b_high
+    return total, a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
+
+
+@njit(cache=True, inline="always")
+def precise_advantage(
+    row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
+    high: Array, low: Array, epsilon: float,
+) -> tuple[float, float]:  # fmt: skip
+    """``cost + sum p (v[successor] - v[s]) - exits * v[s]``, v = high + low, and its rounding."""
+    total, rest, small, whole = cost, 0.0, 0.0, 0.0
+    if exits[row] != 0.0:
+        term, lost = _precise_product(-exits[row], high[s])
+        total, slip = exact_sum(total, term)
+        bit = exits[row] * low[s]
+        rest += slip + lost - bit
+        small += abs(slip) + abs(lost) + abs(bit)
+        whole += abs(term)
+    for k in range(indptr[row], indptr[row + np.uint32(1)]):
+        j, p = indices[k], data[k]
+        step, missed = exact_sum(high[j], -high[s])
+        missed += low[j] - low[s]
+        term, lost = _precise_product(p, step)
+        total, slip = exact_sum(total, term)
+        bit = p * missed
+        rest += slip + lost + bit
+        small += abs(slip) + abs(lost) + abs(bit)
+        whole += abs(term)
+    total += rest
+    terms = float(indptr[row + np.uint32(1)] - indptr[row]) + 4.0
+    return total, epsilon * (abs(total) + terms * (small + epsilon * whole))
+
+
+@njit(cache=True, inline="always")
+def safe_advantage(
+    row: int, s: int, indptr: Array, indices: Array, data: Array, exits: Array, cost: float,
+    values: Array, epsilon: float,
+) -> float:  # fmt: skip
+    """The same in working precision, less a running bound of its rounding."""
+    here, leaves = values[s], exits[row]
+    total, rounded = cost, 0.0
+    if leaves != 0.0:
+        term = leaves * here
+        total -= term
+        rounded += abs(total)
+        if leaves != 1.0:
+            rounded += abs(term)
+    for k in range(indptr[row], indptr[row + np.uint32(1)]):
+        term = data[k] * (values[indices[k]] - here)
+        if term != 0.0:
+            total += term
+            rounded += abs(total) + 2.0 * abs(term)
+    return total - epsilon * rounded
+
+
+@one_or_all_cores
+def advantages_precisely(
+    home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
+    high: Array, low: Array, epsilon: float, result: Array, rounding: Array,
+) -> None:  # fmt: skip
+    """Advantages of all pairs in twice the working precision, and bounds of their rounding."""
+    for row in prange(home.size):
+        result[row], rounding[row] = precise_advantage(
+            row, home[row], indptr, indices, data, exits, cost[row], high, low, epsilon
+        )
+
+
+@one_or_all_cores
+def advantages_safely(
+    home: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
+    values: Array, epsilon: float, result: Array,
+) -> None:  # fmt: skip
+    """Advantages of all pairs in working precision, never too high."""
+    for row in prange(home.size):
+        result[row] = safe_advantage(
+            row, home[row], indptr, indices, data, exits, cost[row], values, epsilon
+        )
+
+
+@one_or_all_cores
+def shortfalls_safely(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, cost: Array,
+    values: Array, epsilon: float, result: Array,
+) -> None:  # fmt: skip
+    """By what each state's value exceeds its backup at most, rounding counted, [states]."""
+    for s in prange(result.size):
+        worst = 0.0
+        for row in range(offsets[s], offsets[s + np.uint32(1)]):
+            ahead = safe_advantage(row, s, indptr, indices, data, exits, cost[row], values, epsilon)
+            worst = max(worst, -ahead) if ahead == ahead else np.inf
+        result[s] = worst
+
+
+@njit(cache=True)
+def lower_in_order(
+    offsets: Array, indptr: Array, indices: Array, data: Array, exits: Array, order: Array,
+    cost: Array, epsilon: float, values: Array,
+) -> None:  # fmt: skip
+    """Lower values of a process without cycles, in place, until none exceeds its backup.
+
+    Args:
+        offsets: [states + 1].
+        indptr: [pairs + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [pairs].
+        order: states, ends first, [states].
+        cost: [pairs].
+        epsilon: of the machine.
+        values: [states].
+    """
+    for s in order:
+        for row in range(offsets[s], offsets[s + np.uint32(1)]):
+            departs = exits[row]
+            for k in range(indptr[row], indptr[row + np.uint32(1)]):
+                departs += data[k] if indices[k] != s else 0.0
+            for _ in range(_LOWERINGS):
+                lack = -safe_advantage(
+                    row, s, indptr, indices, data, exits, cost[row], values, epsilon
+                )
+                if not (lack > 0.0 and departs > 0.0):
+                    break
+                values[s] -= max(lack / departs, epsilon * abs(values[s]))
+
+
+@njit(cache=True)
+def evaluate_precisely(
+    indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
+    order: Array, offsets: Array, most: int, rewards: Array, accuracy: float, corrections: int,
+    epsilon: float, x: Array, low: Array, runs: Array, missed: Array,
+) -> bool:  # fmt: skip
+    """Expected totals ``x + low`` and run lengths of the policy whose rows are given.
+
+    Args:
+        indptr: [rows + 1].
+        indices: [entries].
+        data: [entries].
+        exits: [rows].
+        rows: the row of each state, [states].
+        order: states, component by component, ends first, [states].
+        offsets: of the components in the order, [components + 1].
+        most: states of the largest component.
+        rewards: of rows, [rows, rewards].
+        accuracy: error, relative to the greatest total, down to which to correct.
+        corrections: how often at most.
+        epsilon: of the machine.
+        x: written, [states, rewards].
+        low: written, [states, rewards].
+        runs: written, checked run lengths, [states].
+        missed: written, by what the equations are missed at most, [rewards].
+
+    Returns:
+        Whether the run lengths are a super-solution.
+    """
+    n, k = x.shape
+    right, solved = np.ones((n, k + 1)), np.empty((n, k + 1))
+    for s in range(n):
+        right[s, :k] = rewards[rows[s], :]
+    chain = indptr, indices, data, exits, rows
+    if solve_by_elimination(*chain, order, offsets, 0, offsets.size - 1, most, right, solved) >= 0:
+        return False
+    longest = 0.0
+    for s in range(n):
+        x[s, :], low[s, :], runs[s] = solved[s, :k], 0.0, -solved[s, k]
+        longest = max(longest, solved[s, k])
+    for s in range(n):
+        row = rows[s]
+        if not safe_advantage(row, s, indptr, indices, data, exits, -0.5, runs, epsilon) >= 0.0:
+            return False
+    runs *= -1.0
+    before = np.full(k, np.inf)
+    right, solved = np.empty((n, k)), np.empty((n, k))
+    for _ in range(corrections):
+        _precise_miss(*chain, rewards, x, low, epsilon, right, missed)
+        enough, better = True, False
+        for j in range(k):
+            scale = 0.0
+            for s in range(n):
+                scale = max(scale, abs(x[s, j]))
+            enough &= 2.0 * longest * missed[j] <= accuracy * scale
+            better |= missed[j] < 0.5 * before[j]
+        if enough or not better:
+            break
+        before[:] = missed
+        solve_by_elimination(*chain, order, offsets, 0, offsets.size - 1, most, right, solved)
+        for s in range(n):
+            for j in range(k):
+                x[s, j], low[s, j] = exact_sum(x[s, j], low[s, j] + solved[s, j])
+    return True
+
+
+@njit(cache=True)
+def _precise_miss(
+    indptr: Array, indices: Array, data: Array, exits: Array, rows: Array,
+    rewards: Array, x: Array, low: Array, epsilon: float, off: Array, missed: Array,
+) -> None:  # fmt: skip
+    """By what totals miss their equations, in twice the working precision, and the most of it."""
+    for j in range(x.shape[1]):
+        missed[j] = 0.0
+        for s in range(x.shape[0]):
+            row = rows[s]
+            off[s, j], rounding = precise_advantage(
+                row, s, indptr, indices, data, exits, rewards[row, j], x[:, j], low[:, j], epsilon
+            )
+            wrong = abs(off[s, j]) + rounding
+            missed[j] = max(missed[j], wrong) if wrong == wrong else np.inf

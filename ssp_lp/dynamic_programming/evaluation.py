@@ -1,0 +1,394 @@
+"""Expected totals of a policy with a bound of their error that was verified: the last digits.
+
+Let t be a super-solution of the run length: t - chain @ t >= 1/2, checked with its rounding. If
+computed totals x miss their equations by at most r in every state, then they are wrong by at most
+2 r t: (I - chain)^-1 is non-negative. Where r, bounded in working precision, is too large, what x
+misses is worked out in twice that precision (``precise_advantages``), and x is corrected, as a sum
+of two numbers, until the bound is small.
+
+The advantage of pair u in state s at values v is ``c_u + P_u v - v_s``, written as ``c_u + sum_j
+p_uj (v_j - v_s) - exit_u v_s``: where a process is hardly left all v_j are near v_s, and what
+counts is small beside them. Values of twice the working precision are sums ``high + low``; sums and
+products are then exact to twice the precision (Dekker 1971; Ogita, Rump and Oishi 2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.arrays import (
+    MACHINE_EPSILON,
+    FloatArray,
+    IntArray,
+    unsigned,
+)
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.bellman import unsigned_parts
+from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.equations import DIRECT_STATES, EXACT, Moves, System
+from ssp_lp.dynamic_programming.solvers import HOLDS_MASS
+from ssp_lp.errors import SolverError
+
+EVALUATED = 1e-12
+"""Largest error of totals, relative to the greatest of them, that is let pass uncorrected."""
+
+_ROUNDED = 4e-16  # of small chains, where a correction costs next to nothing
+PRECISE = 1e-24  # of evaluations in twice the working precision
+PROVED = 1e-11
+"""Gap, relative, that rounding may leave between a policy's totals and what is proved of others."""
+
+PROVED_OF_MANY = 5e-10
+"""The same where there are many states, and each evaluation in twice the precision takes long."""
+
+NEARLY = 1e-9
+"""Relative distance up to which two values may differ by rounding alone."""
+
+RUN_ACCURACY = 1e-3  # of run lengths, which are checked and used times 1.5 or 2
+_FINE_RUN_ACCURACY = 1e-8  # where that is not enough
+_CORRECTIONS = 6
+_SPLIT = 134217729.0  # 2**27 + 1 (Veltkamp)
+
+
+_Solve = Callable[[FloatArray, FloatArray | None, float], FloatArray]
+
+
+@dataclass(frozen=True, eq=False)
+class Totals:
+    """Expected totals, as sums of two numbers, and how wrong they may be."""
+
+    values: FloatArray  # [states, rewards]
+    low: FloatArray  # [states, rewards] what the rounding of the values lost
+    runs: FloatArray  # [states] checked: twice this is at least the expected number of steps
+    missed: FloatArray  # [rewards] the most by which the equations are missed
+
+    @property
+    def error(self) -> FloatArray:
+        """Bound of the error of each total, [states, rewards]."""
+        return 2.0 * np.outer(self.runs, self.missed)
+
+    def are_within(self, accuracy: float) -> bool:
+        """Whether no total is wrong by more, relative to the greatest of its reward."""
+        longest = float(self.runs.max(initial=0.0))
+        scale = _sizes_of_totals(self.values)
+        return bool((2.0 * longest * self.missed <= accuracy * scale).all())
+
+
+def evaluate_policy(
+    dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None = None
+) -> Totals:
+    """Verified totals of a policy: in one go where the process is solved backwards.
+
+    Args:
+        dynamics: the process.
+        choice: [states].
+        rewards: [pairs, rewards].
+        accuracy: as ``evaluate_chain`` takes it.
+
+    Raises:
+        SolverError: as ``evaluate_chain``.
+    """
+    if accuracy is None and (one_pass := acyclic_totals(dynamics, choice, rewards)) is not None:
+        return one_pass[1]
+    if dynamics.is_solved_backwards and dynamics.is_compiled_backwards:
+        totals = _evaluated_policy(dynamics, choice, rewards, accuracy)
+        if totals is not None:
+            return totals
+    return evaluate_chain(dynamics.chain(choice), rewards[choice], accuracy=accuracy)
+
+
+def _evaluated_policy(
+    dynamics: Dynamics, choice: IntArray, rewards: FloatArray, accuracy: float | None
+) -> Totals | None:
+    """The same compiled; None where the totals cannot be verified."""
+    from ssp_lp.compiled.equations import evaluate_precisely
+
+    found, rows, shape = dynamics.components, dynamics.transitions, (len(choice), rewards.shape[1])
+    if accuracy is None:
+        accuracy = _ROUNDED if len(choice) <= DIRECT_STATES else EVALUATED
+    x, low, runs, missed = np.empty(shape), np.empty(shape), np.empty(shape[0]), np.empty(shape[1])
+    verified = evaluate_precisely(
+        unsigned(rows.indptr), unsigned(rows.indices), rows.data, dynamics.exits, unsigned(choice),
+        unsigned(found.order), found.offsets, max(found.largest, 1),
+        rewards, accuracy, _CORRECTIONS, MACHINE_EPSILON, x, low, runs, missed,
+    )  # fmt: skip
+    if not verified:
+        return None
+    totals = Totals(x, low, runs, missed)
+    return totals if totals.are_within(max(accuracy, EVALUATED)) else None
+
+
+def acyclic_totals(
+    dynamics: Dynamics, choice: IntArray, rewards: FloatArray, weights: FloatArray | None = None
+) -> tuple[IntArray, Totals] | None:
+    """The best pairs of a large process without cycles, and their verified totals, in one pass.
+
+    Args:
+        dynamics: the process.
+        choice: pairs, which stay among equals, [states].
+        rewards: [pairs, rewards].
+        weights: of the rewards, whose sum is minimised, [rewards]; None: the pairs stay.
+
+    Returns:
+        None where the process is of another kind, or where rounding may exceed ``EVALUATED``.
+
+    Raises:
+        SolverError: some state is never left.
+    """
+    shape = dynamics.n_states, rewards.shape[1]
+    if shape[0] <= DIRECT_STATES or not dynamics.is_compiled_backwards:
+        return None
+    if dynamics.components.largest > 1:
+        return None
+    from ssp_lp.compiled.improvement import improve_acyclic
+
+    choice, runs, missed, x = choice.copy(), np.empty(shape[0]), np.empty(shape[1]), np.empty(shape)
+    if not improve_acyclic(
+        dynamics.rows, unsigned(dynamics.components.order),
+        rewards, np.zeros(shape[1]) if weights is None else weights, weights is None,
+        MACHINE_EPSILON, choice.view(np.uint32), x, runs, missed,
+    ):  # fmt: skip
+        raise SolverError(HOLDS_MASS)
+    totals = Totals(x, np.zeros_like(x), runs, missed)
+    return (choice, totals) if totals.are_within(EVALUATED) else None
+
+
+def evaluate_chain(
+    system: System,
+    rewards: FloatArray,
+    solved: FloatArray | None = None,
+    *,
+    accuracy: float | None = None,
+) -> Totals:
+    """Expected totals of several rewards, corrected until their error is small.
+
+    Args:
+        system: the chain's equations.
+        rewards: [states, rewards].
+        solved: totals that were worked out before, like ``rewards``.
+        accuracy: error, relative to each reward's greatest total, down to which to correct; None:
+            rounding for small chains, ``EVALUATED`` for large ones.
+
+    Raises:
+        SolverError: the chain holds mass for ever, or its totals cannot be had to
+            ``EVALUATED``.
+    """
+    if accuracy is None:
+        accuracy = _ROUNDED if system.size <= DIRECT_STATES else EVALUATED
+    for solve in (system.solve, lambda right, *_: system.solve_by_reduction(right)):
+        try:
+            first = solve(rewards, None, EXACT) if solved is None else solved
+            totals = _verified_totals(system, rewards, first, solve, accuracy)
+        except SolverError:
+            if system.closed.size:
+                raise
+            continue
+        finally:
+            solved = None
+        if totals is not None:
+            return totals
+    return _reduced_totals(system, rewards)
+
+
+def _reduced_totals(system: System, rewards: FloatArray) -> Totals:
+    """Totals of a chain left so seldom that no residual verifies them, by state reduction alone.
+
+    It subtracts nothing, so that every total of rewards of one sign is accurate whatever the
+    condition (Alfa, Xue and Ye 2002); gains and losses are totalled apart.
+
+    Raises:
+        SolverError: a component is too large for state reduction.
+    """
+    k, gains, losses = rewards.shape[1], np.maximum(rewards, 0.0), np.maximum(-rewards, 0.0)
+    found = system.solve_by_reduction(np.column_stack([gains, losses, np.ones(system.size)]))
+    gained, lost = found[:, :k], found[:, k:-1]
+    rounding = 4.0 * MACHINE_EPSILON * (gained + lost).max(axis=0, initial=0.0)
+    return Totals(gained - lost, np.zeros_like(gained), found[:, -1], rounding)
+
+
+def _verified_totals(
+    system: System, rewards: FloatArray, x: FloatArray, solve: _Solve, accuracy: float
+) -> Totals | None:
+    """Totals corrected and verified; None where that fails."""
+    runs = system.kept_runs
+    if runs is None:
+        runs = system.kept_runs = _run_lengths(system, solve)
+    if runs is None:
+        return None
+    longest, low = float(runs.max(initial=0.0)), np.zeros_like(x)
+    if accuracy >= EVALUATED:
+        plain = Totals(x, low, runs, _missed_by_totals_at_most(system, rewards, x))
+        if plain.are_within(accuracy):
+            return plain
+    before = np.full(rewards.shape[1], np.inf)
+    for _ in range(_CORRECTIONS):
+        # by what totals miss their equations, [states, rewards], and the most of it
+        off, missed = np.empty_like(x), np.zeros(rewards.shape[1])
+        for j in range(rewards.shape[1]):
+            check_time()
+            columns = (np.ascontiguousarray(part[:, j]) for part in (rewards, x, low))
+            off[:, j], rounding = precise_advantages(system.moves, *columns)
+            missed[j] = (np.abs(off[:, j]) + rounding).max(initial=0.0)
+        scale = _sizes_of_totals(x)
+        wrong = 2.0 * longest * missed
+        if (wrong <= accuracy * scale).all() or not (missed < 0.5 * before).any():
+            break
+        before = missed
+        x, low = exact_sum(x, low + solve(off, None, EXACT))
+    totals = Totals(x, low, runs, missed)
+    return totals if totals.are_within(max(accuracy, EVALUATED)) else None
+
+
+def _missed_by_totals_at_most(system: System, rewards: FloatArray, x: FloatArray) -> FloatArray:
+    """The most by which totals miss their equations, bounded in working precision, [rewards]."""
+    most = np.empty(rewards.shape[1])
+    for j in range(most.size):
+        check_time()
+        columns = np.ascontiguousarray(rewards[:, j]), np.ascontiguousarray(x[:, j])
+        bounds = advantage_bounds(system.moves, *columns)
+        most[j] = max(float(np.abs(bound).max(initial=0.0)) for bound in bounds)
+    return most
+
+
+def _run_lengths(system: System, solve: _Solve) -> FloatArray | None:
+    """Total expected steps, checked: at least one half more than what follows them, [states]."""
+    ones, half = np.ones((system.size, 1)), np.full(system.size, -0.5)
+    for accuracy in (RUN_ACCURACY, _FINE_RUN_ACCURACY):
+        runs = solve(ones, None, accuracy)[:, 0]
+        if not (np.isfinite(runs).all() and runs.min(initial=0.0) >= 0.0):
+            return None
+        if (safe_advantages(system.moves, half, -runs) >= 0.0).all():
+            return runs
+    return None
+
+
+def _sizes_of_totals(x: FloatArray) -> FloatArray:
+    """The greatest total of each reward, [rewards]; numpy is slow along rows of two numbers."""
+    return np.asarray(np.abs(x.T, order="C").max(axis=1, initial=0.0))
+
+
+def precise_advantages(
+    moves: Moves, cost: FloatArray, high: FloatArray, low: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Advantages of pairs at values ``high + low``, and bounds of their rounding.
+
+    Args:
+        moves: of the process.
+        cost: [pairs].
+        high: [states].
+        low: [states].
+
+    Returns:
+        Advantages and bounds of what each may be wrong by, [pairs] each.
+    """
+    home, transitions, exits = moves
+    if accelerated(len(transitions.indices)):
+        from ssp_lp.compiled.equations import advantages_precisely
+
+        result, rounding = np.empty(len(cost)), np.empty(len(cost))
+        parts = unsigned_parts(home, transitions)
+        run = advantages_precisely(len(transitions.indices))
+        run(*parts, exits, cost, high, low, MACHINE_EPSILON, result, rounding)
+        return result, rounding
+    here, here_low = high[home], low[home]
+    term, lost = exact_product(-exits, here)
+    total, slip = exact_sum(cost, term)
+    bit = exits * here_low
+    rest, small, whole = slip + lost - bit, np.abs(slip) + np.abs(lost) + np.abs(bit), np.abs(term)
+    begin, lengths = transitions.indptr[:-1], np.diff(transitions.indptr)
+    for k in range(int(lengths.max(initial=0))):
+        rows = np.flatnonzero(lengths > k)
+        entry = begin[rows] + k
+        column, p = transitions.indices[entry], transitions.data[entry]
+        step, missed = exact_sum(high[column], -here[rows])
+        missed = missed + (low[column] - here_low[rows])
+        term, lost = exact_product(p, step)
+        total[rows], slip = exact_sum(total[rows], term)
+        bit = p * missed
+        rest[rows] += slip + lost + bit
+        small[rows] += np.abs(slip) + np.abs(lost) + np.abs(bit)
+        whole[rows] += np.abs(term)
+    result = total + rest
+    terms = lengths + 4.0
+    rounding = np.abs(result) + terms * (small + MACHINE_EPSILON * whole)
+    return result, MACHINE_EPSILON * rounding
+
+
+def safe_advantages(moves: Moves, cost: FloatArray, values: FloatArray) -> FloatArray:
+    """Advantages in working precision, less bounds of their rounding: never too high, [pairs].
+
+    Args:
+        moves: of the process.
+        cost: [pairs].
+        values: [states].
+    """
+    home, transitions, exits = moves
+    if accelerated(len(transitions.indices)):
+        from ssp_lp.compiled.equations import advantages_safely
+
+        result = np.empty(len(cost))
+        parts = unsigned_parts(home, transitions)
+        run = advantages_safely(len(transitions.indices))
+        run(*parts, exits, cost, values, MACHINE_EPSILON, result)
+        return result
+    here = values[home]
+    term = exits * here
+    total = cost - term
+    rounded = np.where(exits == 0.0, 0.0, np.abs(total) + np.where(exits == 1.0, 0.0, np.abs(term)))
+    begin, lengths = transitions.indptr[:-1], np.diff(transitions.indptr)
+    for k in range(int(lengths.max(initial=0))):
+        rows = np.flatnonzero(lengths > k)
+        entry = begin[rows] + k
+        term = transitions.data[entry] * (values[transitions.indices[entry]] - here[rows])
+        total[rows] += term
+        rounded[rows] += np.where(term == 0.0, 0.0, np.abs(total[rows]) + 2.0 * np.abs(term))
+    return np.asarray(total - MACHINE_EPSILON * rounded)
+
+
+def advantage_bounds(
+    moves: Moves, cost: FloatArray, values: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Bounds of advantages from below and from above, in working precision, [pairs] each.
+
+    Args:
+        moves: of the process.
+        cost: [pairs].
+        values: [states].
+    """
+    home, transitions, exits = moves
+    if accelerated(len(transitions.indices)):
+        return safe_advantages(moves, cost, values), -safe_advantages(moves, -cost, -values)
+    here, lengths = values[home], np.diff(transitions.indptr)
+    terms = transitions.data * (values[transitions.indices] - np.repeat(here, lengths))
+    shape, ones = transitions.shape, np.ones(transitions.shape[1])
+    total, whole = (
+        sp.csr_array((part, transitions.indices, transitions.indptr), shape=shape) @ ones
+        for part in (terms, np.abs(terms))
+    )
+    leaving = exits * here
+    result = total + (cost - leaving)
+    rounding = MACHINE_EPSILON * (
+        (lengths + 2.0) * whole + np.abs(cost) + 2.0 * np.abs(leaving) + np.abs(result)
+    )
+    return result - rounding, result + rounding
+
+
+def exact_sum(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """For precise advantages: ``a + b`` rounded, and what the rounding lost (Knuth)."""
+    total = a + b
+    back = total - a
+    return total, (a - (total - back)) + (b - back)
+
+
+def exact_product(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """For precise advantages: ``a * b`` rounded, and what the rounding lost (Dekker)."""
+    total = a * b
+    c, d = _SPLIT * a, _SPLIT * b
+    a_high, b_high = c - (c - a), d - (d - b)
+    a_low, b_low = a - a_high, b - b_high
+    lost = a_low * b_low - (((total - a_high * b_high) - a_low * b_high) - a_high * b_low)
+    return total, lost

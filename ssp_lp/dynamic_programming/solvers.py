@@ -1,0 +1,521 @@
+"""Solvers of a chain's equations: iterated, reduced as a band, by factors, or densely.
+
+A large strong component is iterated for as long as that takes less than solving it directly. Sweeps
+are best where it is left soon; where they contract too slowly, BiCGStab takes a sweep as its
+preconditioner. Either goes on until it has taken as much work as a direct solution would, as far as
+that can be foreseen: so no choice costs more than about twice the best one. Solved directly, a
+component that is narrow in some order is reduced state by state without subtractions; others take
+sparse factors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+from weakref import proxy
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse import csgraph, linalg
+
+from ssp_lp.arrays import (
+    FloatArray,
+    IntArray,
+    offsets_of,
+    unsigned,
+)
+from ssp_lp.compiled.accelerator import accelerated, has_accelerator
+from ssp_lp.compiled.deadline import check_time, pieces
+from ssp_lp.errors import SolverError
+
+HOLDS_MASS = "a policy's chain holds mass for ever: from some states it is never left"
+
+
+Solver = Callable[[FloatArray], FloatArray]
+
+_MOST_STATES = 200_000
+"""States above which sparse factors may exceed memory."""
+
+_BAND_WORK = 6e8
+"""States times the square of the bandwidth: about a second of compiled reduction."""
+
+_MOST_BAND_WORK = 1e10  # the same where nothing else is precise enough
+_TRIAL = 6  # sweeps over which the contraction is judged
+_CONTRACTION = 0.7  # per sweep; slower components are left to other methods
+_SWEEPS = 300
+_KRYLOV_STEPS = 400
+_AT_ONCE = 10_000_000  # entries of steps between two looks at the time
+_RESTARTS = 8
+_SWEEPS_BETWEEN = 20  # where a Krylov run broke down
+_LEAST_RESIDUAL = 1e-12
+"""Relative residual of a Krylov method that is let pass: what is missed is corrected later."""
+
+_LITTLE_WORK = 1e6
+"""Multiplications of a direct solution that take as long as the calls around a Krylov method."""
+
+_ENTRY = 2.0  # multiplications of a direct solution that take as long as an entry of a sweep
+
+
+class LargeComponent:
+    """Equations ``y = right + own @ y`` of one component, seen on departing only."""
+
+    def __init__(self, matrix: sp.csr_array, exits: FloatArray, states: IntArray) -> None:
+        """Take the component out of its chain.
+
+        Args:
+            matrix: of the whole chain, [states, states].
+            exits: of the whole chain, [states].
+            states: the members, in the order in which they are swept.
+        """
+        self._chain, self._states = matrix, states
+        self._is_compiled = accelerated(matrix.nnz)
+        self._place = np.full(matrix.shape[0], -1, dtype=np.int32)
+        self._place[states] = np.arange(len(states), dtype=np.int32)
+        self._own, self._departs, self._leaving = self._gathered(exits)
+        self._direct: Solver | None = None
+        weak = proxy(self)  # in a ring of references large arrays would wait for its collection
+        self._iteration = Iteration(
+            self._own, lambda: weak.direct_work, is_compiled=self._is_compiled
+        )
+
+    @cached_property
+    def direct_work(self) -> float:
+        """About the multiplications of a direct solution: states times the square of the width."""
+        size = len(self._states)
+        if not self._is_compiled:
+            return float(size) * self._band[1] ** 2
+        from ssp_lp.compiled.equations import widest_level
+
+        own = self._own
+        return float(size) * widest_level(unsigned(own.indptr), unsigned(own.indices)) ** 2
+
+    @cached_property
+    def _band(self) -> tuple[IntArray, int]:
+        """An order in which the component is narrow, and how far moves lead in it at most."""
+        order = csgraph.reverse_cuthill_mckee(self._own, symmetric_mode=False)
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        entry = self._own.tocoo()
+        return order, int(np.abs(place[entry.row] - place[entry.col]).max(initial=0))
+
+    def solve(self, rewards: FloatArray, x: FloatArray, accuracy: float) -> int:
+        """Solve for the members in place, given the totals of all that they lead to.
+
+        Args:
+            rewards: of the whole chain, [states, rewards].
+            x: of the whole chain, [states, rewards]; members hold a guess.
+            accuracy: relative residual.
+
+        Returns:
+            Passes over the component's matrix.
+
+        Raises:
+            SolverError: no method gets anywhere.
+        """
+        right, y, before = self._right(rewards, x), x[self._states], self._iteration.products
+        if self._direct is None and not self._iteration.solve(right, y, accuracy):
+            self._direct = self._direct_solver()
+        x[self._states] = y if self._direct is None else self._direct(right)
+        return max(self._iteration.products - before, 1)
+
+    def reduce(self, rewards: FloatArray, x: FloatArray) -> None:
+        """The same as ``solve`` without any subtraction: for chains that are hardly left.
+
+        Raises:
+            SolverError: the component is not narrow enough, or numba is missing.
+        """
+        self._is_compiled, (order, width) = has_accelerator(), self._band
+        if not self._is_compiled or len(order) * width**2 > _MOST_BAND_WORK:
+            raise SolverError(
+                "a policy's totals could not be verified: its chain is left too seldom for double "
+                "precision"
+            )
+        exits, right = self._leaving / self._departs, self._right(rewards, x)
+        x[self._states] = band_solver(self._own, exits, order, width)(right)
+
+    def _gathered(self, exits: FloatArray) -> tuple[sp.csr_array, FloatArray, FloatArray]:
+        """Moves among members divided by the probability of departing, that, and what leaves."""
+        size, states = len(self._states), self._states
+        if not self._is_compiled:
+            rows = self._chain[states]
+            entry = sp.csr_array(rows[:, states]).tocoo()
+            away = (entry.row != entry.col) & (entry.data > 0.0)
+            row, column, data = entry.row[away], entry.col[away], entry.data[away]
+            leaving = exits[states] + rows @ (self._place < 0).astype(np.float64)
+            departs = leaving + np.bincount(row, weights=data, minlength=size)
+            own = sp.csr_array((data / departs[row], (row, column)), shape=(size, size))
+            return own, departs, leaving
+        from ssp_lp.compiled.equations import gather_inside
+
+        members, begin = unsigned(states), self._chain.indptr
+        indptr = offsets_of(np.diff(begin)[states]).astype(np.int32)
+        indices, data = np.empty(indptr[-1], dtype=np.int32), np.empty(indptr[-1])
+        departs, leaving = np.empty(size), np.empty(size)
+        for some in pieces(size, len(indices)):
+            gather_inside(len(indices))(
+                *self._arrays, exits, members[some], self._place,
+                unsigned(indptr)[some.start : some.stop + 1], unsigned(indices), data,
+                departs[some], leaving[some],
+            )  # fmt: skip
+        return sp.csr_array((data, indices, indptr), shape=(size, size)), departs, leaving
+
+    @property
+    def _arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """The chain's arrays, as compiled sweeps of a large component read them."""
+        return unsigned(self._chain.indptr), unsigned(self._chain.indices), self._chain.data
+
+    def _right(self, rewards: FloatArray, x: FloatArray) -> FloatArray:
+        """Rewards of the members and what lies beyond, on departing, [members, rewards]."""
+        if not self._is_compiled:
+            outside = np.where((self._place < 0)[:, None], x, 0.0)
+            beyond = rewards[self._states] + self._chain[self._states] @ outside
+            return np.asarray(beyond / self._departs[:, None])
+        from ssp_lp.compiled.equations import from_beyond
+
+        right = np.empty((len(self._states), rewards.shape[1]))
+        run, states = from_beyond(self._own.nnz), unsigned(self._states)
+        run(*self._arrays, states, self._place, self._departs, rewards, x, right)
+        return right
+
+    def _direct_solver(self) -> Solver:
+        """The component reduced as a band where it is narrow, else its sparse factors."""
+        exits = self._leaving / self._departs
+        if self.direct_work <= _BAND_WORK:
+            order, width = self._band
+            if len(order) * width**2 <= _BAND_WORK:
+                if self._is_compiled:
+                    return band_solver(self._own, exits, order, width)
+                return factor_solver(self._own, exits, order)
+        return factor_solver(self._own, exits)
+
+
+class Iteration:
+    """Equations ``y = right + own @ y`` whose iteration converges."""
+
+    def __init__(
+        self, own: sp.csr_array, direct_work: Callable[[], float], *, is_compiled: bool
+    ) -> None:
+        """Iterate the equations of a chain seen on departing only, or those of its visits.
+
+        Args:
+            own: in the order in which it is swept, without a diagonal, [members, members].
+            direct_work: about the multiplications of a direct solution.
+            is_compiled: run compiled loops.
+        """
+        self.own, self._is_compiled, self._direct_work = own, is_compiled, direct_work
+        self.products = 0  # passes over the matrix
+
+    @property
+    def _passes_left(self) -> int:
+        """How many more passes take less, with those before, than a direct solution."""
+        work = self._direct_work()
+        most = work / (_ENTRY * max(self.own.nnz, 1)) if work > _LITTLE_WORK else 0.0
+        return max(int(most) - self.products, 0)
+
+    def solve(self, right: FloatArray, y: FloatArray, accuracy: float) -> bool:
+        """Solve in place by what converges; false where a direct solution takes less.
+
+        Args:
+            right: [members, rewards].
+            y: a guess, [members, rewards].
+            accuracy: relative residual.
+
+        Raises:
+            SolverError: the totals overflow.
+        """
+        if self._swept(right, y, accuracy):
+            return True
+        missed = right + self.own @ y - y
+        poor = np.greater(*(np.abs(x.T, order="C").max(axis=1) for x in (missed, right)))
+        if poor.any():  # the guess misses by more than 0 does
+            y[:, poor] = 0.0
+            if self._swept(right, y, accuracy):
+                return True
+        return self._passes_left > 0 and self._by_krylov(right, y, accuracy)
+
+    @cached_property
+    def _own_arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
+        """The arrays of the matrix, as compiled sweeps read them."""
+        return unsigned(self.own.indptr), unsigned(self.own.indices), self.own.data
+
+    def _sweep(self, right: FloatArray, y: FloatArray) -> tuple[float, float]:
+        """One sweep in place: the greatest change and the greatest size."""
+        check_time()
+        self.products += 1
+        if self._is_compiled:
+            from ssp_lp.compiled.equations import sweep
+
+            return sweep(*self._own_arrays, right, y)
+        ahead = right + self.own @ y
+        change = float(np.abs(ahead - y).max())
+        y[:] = ahead
+        return change, float(np.abs(ahead).max())
+
+    def _swept(self, right: FloatArray, y: FloatArray, target: float) -> bool:
+        """Sweep while it contracts well; whether that reached the target."""
+        changes: list[float] = []
+        most = float(np.abs(right).max())
+        while len(changes) <= _SWEEPS:
+            change, size = self._sweep(right, y)
+            relative = change / (size + most) if size + most > 0 else 0.0
+            if relative <= target:
+                return True
+            if not np.isfinite(relative):
+                raise SolverError("a policy's totals overflow")
+            judged = len(changes) >= _TRIAL
+            if judged and relative > _CONTRACTION**_TRIAL * changes[-_TRIAL]:
+                return False
+            changes.append(relative)
+        return False
+
+    def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
+        """BiCGStab on each reward; whether all reached the target, or what must do."""
+        for j in range(right.shape[1]):
+            column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(right[:, j])
+            reached = self._krylov(wanted, column, target)
+            if not reached <= max(target, _LEAST_RESIDUAL):
+                return False
+            y[:, j] = column
+        return True
+
+    def _krylov(self, right: FloatArray, y: FloatArray, target: float) -> float:
+        """The same for one reward, in place; the relative change of one more sweep."""
+        kept, before = y.copy(), np.inf
+        for attempt in range(_RESTARTS + 1):
+            swept = y.copy()
+            self._sweep(right[:, None], swept[:, None])
+            residual = swept - y
+            change = float(np.abs(residual).max())
+            scale = float(np.abs(y).max()) + float(np.abs(right).max())
+            relative = change / scale if scale > 0.0 else 0.0
+            if not relative < before:  # it broke down: go on from before by sweeps
+                y[:] = kept
+                for _ in range(_SWEEPS_BETWEEN):
+                    self._sweep(right[:, None], y[:, None])
+                before = np.inf
+                continue
+            if relative <= target or attempt == _RESTARTS or self._passes_left == 0:
+                return relative
+            kept, before = y.copy(), relative
+            y += change * self._step(residual / change, 0.3 * target * scale / change)
+        return np.inf
+
+    def _step(self, residual: FloatArray, target: float) -> FloatArray:
+        """What BiCGStab adds until the residual is at most the target, [members]."""
+        most = min(_KRYLOV_STEPS, self._passes_left // 2 + 1)
+        if self._is_compiled:
+            from ssp_lp.compiled.equations import bicgstab, start_bicgstab
+
+            step, state = np.zeros_like(residual), start_bicgstab(residual)
+            at_once = max(_AT_ONCE // max(self.own.nnz, 1), 1)
+            for begin in range(0, most, at_once):
+                check_time()
+                steps = min(at_once, most - begin)
+                taken, ended = bicgstab(*self._own_arrays, residual, target, steps, step, *state)
+                self.products += taken
+                if ended:
+                    break
+            return step
+
+        def missed(y: FloatArray) -> FloatArray:
+            """By how much y exceeds what the component's own steps make of it."""
+            self.products += 1
+            return np.asarray(y - self.own @ y)
+
+        system = linalg.LinearOperator(self.own.shape, matvec=missed, dtype=np.float64)
+        with np.errstate(all="ignore"):  # a breakdown shows in the residual
+            return np.asarray(
+                linalg.bicgstab(system, residual, rtol=0.0, atol=target, maxiter=most)[0]
+            )
+
+
+def dense_solver(matrix: sp.csr_array, exits: FloatArray) -> Solver:
+    """Solve the equations of a few states by dense LU with one step of refinement.
+
+    Args:
+        matrix: [states, states].
+        exits: [states].
+
+    Raises:
+        SolverError: some state is never left; also when solving, where that shows only then.
+    """
+    system = -matrix.toarray()
+    np.fill_diagonal(system, 0.0)
+    departs = exits - system.sum(axis=1)
+    if (departs <= 0.0).any():
+        raise SolverError(HOLDS_MASS)
+    np.fill_diagonal(system, departs)
+
+    def solve(rewards: FloatArray) -> FloatArray:
+        """Totals of these rewards, refined once."""
+        try:
+            x = np.linalg.solve(system, rewards)
+            return np.asarray(x + np.linalg.solve(system, rewards - system @ x))
+        except np.linalg.LinAlgError as error:
+            raise SolverError(HOLDS_MASS) from error
+
+    return solve
+
+
+def factor_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None) -> Solver:
+    """Solve the equations of a chain by sparse factors with one step of refinement.
+
+    Args:
+        matrix: [states, states].
+        exits: [states].
+        order: states in the order to be kept; None: in one that fills in little.
+
+    Raises:
+        SolverError: there are too many states, or they are never left.
+    """
+    size = len(exits)
+    if size > _MOST_STATES and order is None:
+        raise SolverError(
+            f"no method solves the equations of a policy on {size:,} states that hang together; a "
+            "discount may help"
+        )
+    system = equations(matrix, exits, order)
+    factors = factorised(system, in_order=order is not None)
+
+    def solve(right: FloatArray) -> FloatArray:
+        """The totals of a right side, refined once, like ``right``."""
+        ordered = right if order is None else right[order]
+        found = factors.solve(ordered)
+        found = found + factors.solve(ordered - system @ found)
+        return _solved_in_place(found, order)
+
+    return solve
+
+
+def band_solver(matrix: sp.csr_array, exits: FloatArray, order: IntArray, width: int) -> Solver:
+    """Solve the equations of a narrow chain, reduced state by state without subtractions.
+
+    Compiled.
+
+    Args:
+        matrix: without self-loops, [states, states].
+        exits: [states].
+        order: states in the order in which the chain is narrow.
+        width: greatest distance of two states that a move joins in that order.
+
+    Raises:
+        SolverError: the chain is never left.
+    """
+    from ssp_lp.compiled.equations import eliminate_band, solve_band
+
+    entry, size = matrix.tocoo(), len(exits)
+    place = np.empty(size, dtype=np.int64)
+    place[order] = np.arange(size)
+    band, departs = np.zeros((size, 2 * width + 1)), np.empty(size)
+    row, column = place[entry.row], place[entry.col]
+    np.add.at(band, (row, width + column - row), entry.data)
+    if not eliminate_band(band, exits[order], departs):
+        raise SolverError(HOLDS_MASS)
+
+    def solve(right: FloatArray) -> FloatArray:
+        """The totals of a right side, like ``right``."""
+        ordered = right[order]
+        solve_band(band, departs, ordered)
+        return _solved_in_place(ordered, order)
+
+    return solve
+
+
+def _solved_in_place(ordered: FloatArray, order: IntArray | None) -> FloatArray:
+    """What was worked out in some order, in the order of the states."""
+    if order is None:
+        return np.asarray(ordered)
+    result = np.empty_like(ordered)
+    result[order] = ordered
+    return result
+
+
+def equations(
+    matrix: sp.csr_array, exits: FloatArray, order: IntArray | None = None
+) -> sp.csc_array:
+    """Equations of a direct solver: ``I - chain``, its diagonal a sum of where states depart to.
+
+    Args:
+        matrix: [states, states].
+        exits: [states].
+        order: states in the order of the rows and columns; None: as they are.
+
+    Raises:
+        SolverError: some state is never departed from.
+    """
+    n = len(exits)
+    entry = matrix.tocoo()
+    away = (entry.row != entry.col) & (entry.data != 0.0)
+    row, column, data = entry.row[away], entry.col[away], entry.data[away]
+    departs = exits + np.bincount(row, weights=data, minlength=n)
+    if (departs <= 0.0).any():
+        raise SolverError(HOLDS_MASS)
+    place = np.arange(n)
+    if order is not None:
+        place = np.empty(n, dtype=np.int64)
+        place[order] = np.arange(n)
+    row, column = place[row], place[column]
+    return sp.csc_array(
+        (
+            np.concatenate([departs, -data]),
+            (np.concatenate([place, row]), np.concatenate([place, column])),
+        ),
+        shape=(n, n),
+    )
+
+
+def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperLU:
+    """Sparse factors for a direct solver; in the given order where that is topological.
+
+    Raises:
+        SolverError: the matrix is singular.
+    """
+    order = "NATURAL" if in_order else "COLAMD"
+    threshold = 0.0 if in_order else 1.0  # diagonally dominant by rows: the order is kept
+    try:
+        found: linalg.SuperLU = linalg.splu(
+            system,  # type: ignore[call-overload]
+            permc_spec=order,
+            diag_pivot_thresh=threshold,
+        )
+        return found
+    except RuntimeError as error:
+        raise SolverError(HOLDS_MASS) from error
+
+
+def transposed_solve(factors: linalg.SuperLU, inflow: FloatArray) -> FloatArray:
+    """Solve with the transposed matrix: visits from what flows in, [states]."""
+    return np.asarray(factors.solve(inflow, "T"))  # type: ignore[call-overload]
+
+
+def reduce_states(inner: FloatArray, leaving: FloatArray, rewards: FloatArray) -> FloatArray:
+    """Expected total rewards of a chain, with every entry's relative accuracy where they are >= 0.
+
+    Grassmann, Taksar and Heyman (1985): a state is taken out by sending what would enter it to
+    where it goes next; the probability of departing is summed, never formed as 1 - p.
+
+    Args:
+        inner: probabilities among the states, [states, states]; overwritten.
+        leaving: probabilities of leaving for good, [states]; overwritten.
+        rewards: [states, rewards]; overwritten.
+
+    Returns:
+        Totals, [states, rewards].
+
+    Raises:
+        SolverError: some states are never left.
+    """
+    for i in range(len(leaving) - 1, -1, -1):
+        departs = leaving[i] + inner[i, :i].sum()
+        if departs <= 0.0:
+            raise SolverError(HOLDS_MASS)
+        inner[i, :i] /= departs
+        leaving[i] /= departs
+        rewards[i] /= departs
+        weight = inner[:i, i]
+        inner[:i, :i] += np.outer(weight, inner[i, :i])
+        leaving[:i] += weight * leaving[i]
+        rewards[:i] += np.outer(weight, rewards[i])
+    for i in range(1, len(leaving)):
+        rewards[i] += inner[i, :i] @ rewards[:i]
+    return rewards
