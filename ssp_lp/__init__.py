@@ -68,9 +68,9 @@ if TYPE_CHECKING:
         within_steps as within_steps,
     )
     from ssp_lp.policies.remembering import on_original as on_original
+    from ssp_lp.programs.duality import StateValues as StateValues
     from ssp_lp.programs.occupation_measure import OccupationMeasure as OccupationMeasure
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
-    from ssp_lp.programs.state_values import StateValues as StateValues
     from ssp_lp.verification.cross_check import CrossCheck as CrossCheck, cross_check as cross_check
 
 __version__ = "0.1.0"
@@ -125,7 +125,7 @@ _MODULES = {
     "policies.remembering": "on_original",
     "programs.occupation_measure": "OccupationMeasure",
     "programs.occupation_program": "OccupationProgram",
-    "programs.state_values": "StateValues",
+    "programs.duality": "StateValues",
     "verification.cross_check": "CrossCheck cross_check",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}

@@ -10,6 +10,8 @@ import numpy as np
 from cvxpy.constraints.nonpos import Inequality
 from cvxpy.constraints.zero import Equality
 
+from ssp_lp.arrays import FloatArray
+from ssp_lp.errors import ModelError
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 
 _EXCUSED = 1e-7  # what a solver's tolerance breaks of a row
@@ -21,9 +23,20 @@ class ScaledExpression:
     ``scaled`` is the expression of cvxpy's variables: the visits' value times ``scale``.
     """
 
+    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+
     def __init__(self, scaled: Any, scale: Any) -> None:
         """An expression that is already scaled, and the scale."""
         self.scaled, self._scale = scaled, scale
+
+    def __array__(self, *_: object) -> None:
+        """Refused: ``parameter * expression`` takes it for an array.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError("an expression of a cost given success stands to the left of what goes "
+                         "with it: expression * parameter, expression <= parameter")  # fmt: skip
 
     def _other(self, other: Any) -> Any:
         """What is added or compared: an expression of visits, a number or a parameter."""
@@ -79,6 +92,34 @@ def sides(row: Any, x: Any) -> tuple[Any, str, Any]:
     elif id(x) in map(id, right.variables()):
         left, right = left - right, cp.Constant(0.0)
     return left, "==" if isinstance(row, Equality) else relation, right
+
+
+def affine_parts(expression: Any, x: Any, scale: Any) -> FloatArray | None:
+    """What an affine expression takes of each entry of a variable, of the scale, and its constant.
+
+    Args:
+        expression: one number of cvxpy's.
+        x: the variable, which has a value.
+        scale: the variable by which rows may be scaled, or a number: there is none.
+
+    Returns:
+        [entries + 2]; None where it is not affine, or counts other variables.
+    """
+    known = {id(x), id(scale)}
+    if not expression.is_affine() or not known.issuperset(map(id, expression.variables())):
+        return None
+    variables = {id(variable): variable for variable in expression.variables()}
+    values = {key: variable.value for key, variable in variables.items()}
+    for variable in variables.values():
+        variable.value = np.zeros(variable.shape)
+    slopes = {id(variable): slope for variable, slope in expression.grad.items()}
+    constant = float(np.ravel(expression.value)[0])
+    for key, variable in variables.items():
+        variable.value = values[key]
+    taken: Any = slopes.get(id(x), 0.0)
+    dense = taken.toarray() if hasattr(taken, "toarray") else taken
+    beside = [float(slopes.get(id(scale), 0.0)), constant]
+    return np.append(np.zeros(x.size) + np.ravel(dense), beside)
 
 
 def bound_in_short(row: Any, x: Any) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from functools import partial
+from typing import Any, cast
 
 import numpy as np
 
@@ -26,7 +27,11 @@ from ssp_lp.programs.occupation_program import OccupationProgram
 from ssp_lp.programs.program_rows import ProgramRow
 
 
-def program_of(problem: Problem, bounds: Mapping[str, float] | None = None) -> OccupationProgram:
+def program_of(
+    problem: Problem,
+    bounds: Mapping[str, float] | None = None,
+    start: Hashable | Mapping[Hashable, float] | None = None,
+) -> OccupationProgram:
     """The linear program over expected visits whose optimum is the problem's.
 
     At least failure (``failure_budget=None``) it is the program of the second stage: over the
@@ -40,6 +45,7 @@ def program_of(problem: Problem, bounds: Mapping[str, float] | None = None) -> O
     Args:
         problem: a formulation.
         bounds: other bounds of rows than the problem's, by name.
+        start: another start than the problem's.
 
     Returns:
         The program: labelled, and open to every solver.
@@ -53,6 +59,7 @@ def program_of(problem: Problem, bounds: Mapping[str, float] | None = None) -> O
             f"{type(problem).__name__} is no linear program but a search over many: "
             "CostBoundedReach(...).program() is the one at a fixed cost"
         )
+    problem = problem if start is None else replace(cast("Any", problem), start=start)
     inner, horizon = unrolled(problem), getattr(problem, "horizon", None)
     stated = _bounded(compiled_constrained(inner), bounds or {})
     compiled = stated.settled()
@@ -88,7 +95,7 @@ def program_of(problem: Problem, bounds: Mapping[str, float] | None = None) -> O
         sense=compiled.sense,
         wants_ends=compiled.wants_ends,
         at_least=compiled.budget is None,
-        rebound=partial(program_of, problem),
+        remade=partial(program_of, problem),
     ).spread_out()
 
 

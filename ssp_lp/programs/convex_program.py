@@ -9,10 +9,17 @@ from typing import TYPE_CHECKING, Any
 
 import cvxpy as cp
 import numpy as np
+from cvxpy.constraints.nonpos import Inequality
+from cvxpy.constraints.zero import Equality
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import SolverError, is_number, wrong_argument
-from ssp_lp.linear_programming.convex_rows import ScaledExpression, broken_rows, measured_rows
+from ssp_lp.errors import ModelError, SolverError, is_number, wrong_argument
+from ssp_lp.linear_programming.convex_rows import (
+    ScaledExpression,
+    affine_parts,
+    broken_rows,
+    measured_rows,
+)
 from ssp_lp.linear_programming.convex_solving import Conflict, contradicting, solve_stated, stated
 from ssp_lp.processes.quantities.quantity import Quantity
 from ssp_lp.programs.occupation_measure import OccupationMeasure
@@ -21,6 +28,7 @@ if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
 
 _ACCEPTED = 1e-5  # of a row's bound: what an answer may break of it
+_NOISES = (0.0, 1e-9, 1e-7, 1e-5)  # of a solver's prices
 
 
 class ConvexProgram:
@@ -51,7 +59,7 @@ class ConvexProgram:
             row.name: cp.Parameter(value=row.bound, name=row.name) for row in program.rows
         }
         balance = program.linear.matrix[program.linear.rows["balance"], : process.n_pairs]
-        begun: Any = process.start * self.scale if program.ratio else self.start  # times 1 is slow
+        begun: Any = self.start * self.scale if program.ratio else self.start  # times 1 is slow
         self.constraints: dict[str, Any] = {"balance": balance @ self.x == begun}
         for row in program.rows:
             limit = self.bounds[row.name] * self.scale
@@ -98,8 +106,7 @@ class ConvexProgram:
         """
         key = (id(self.objective), *(id(c) for c in self.constraints.values()))
         if self._compiled is None or self._compiled[0] != key:
-            objective = getattr(self.objective, "scaled", self.objective)
-            self._compiled = key, stated(objective, self.constraints)
+            self._compiled = key, stated(self._minimised, self.constraints)
         return self._compiled[1]
 
     def solve(
@@ -116,13 +123,15 @@ class ConvexProgram:
 
         Args:
             solver: one of cvxpy's; None: as it chooses.
-            start: another one, as a problem has it, on states in which the problem is open.
+            start: another one, as a problem has it. Where the program is made for its start (costs
+                told apart, episodes that end where they begin) it is made anew, and ``x`` with it.
             objective: a quantity in place of the costs; what else the objective has is kept.
             options: bounds of rows by name, ``failure=0.2``; others are passed on to the solver.
 
         Raises:
-            ModelError: no such row or start, a parameter without a value, an option that is none of
-                the solver's, or something that is not convex.
+            ModelError: no such row or start, a start that needs another program though constraints
+                were changed, a parameter without a value, an option that is none of the solver's,
+                or something that is not convex.
             InfeasibleError: no visits satisfy the constraints; :meth:`conflict` says which.
             SolverError: the solver failed, stopped without an answer, or breaks a row.
         """
@@ -132,13 +141,16 @@ class ConvexProgram:
         for name, bound in asked.items():
             if not is_number(bound):
                 raise wrong_argument(name, "be a number, the bound of its row", bound)
-        if as_stated:
-            program = self.program.bounded_by(self._now | asked)
-            if program.augmented is not self.program.augmented:  # what was cut off is made anew
-                start = self._begun if start is None else start
-                vars(self).update(vars(ConvexProgram(program)))
-        if start is not None:
-            self.start.value = self.program.started(start).process.start
+        start = self._begun if start is None else start
+        program = self.program.bounded_by(self._now | asked) if as_stated else self.program
+        program = program if start is None else program.started(start)
+        if program.process.transitions is not self.program.process.transitions:  # made anew
+            if not as_stated:
+                raise ModelError("the program is made for its start, and the constraints that were "
+                                 "changed for its columns: make another from there, "
+                                 "replace(problem, start=...).program()")  # fmt: skip
+            vars(self).update(vars(ConvexProgram(program)))
+        self.start.value = program.process.start
         if objective is not None:
             self.cost.value, self._constant.value = self.program.expression(objective)
         for name, bound in asked.items():
@@ -172,10 +184,10 @@ class ConvexProgram:
             measure = program.optimal(measure, ratio)
         else:
             self.x.value = measure.balanced * scale
-            objective = getattr(self.objective, "scaled", self.objective)
             added = tuple(measured_rows(self._added, self.x, self.scale, scale))
-            minimised = float(np.asarray(objective.value).item())
-            measure = replace(measure, visits=measure.balanced, own=added, minimised=minimised)
+            value = None if self._minimises_cost else float(np.ravel(self._minimised.value)[0])
+            measure = replace(measure, visits=measure.balanced, own=added, minimised=value,
+                              optimal_value_from_dual=self._least_proved())  # fmt: skip
         stated = {row.name: row.violation(measure.activity[row.name]) for row in program.rows}
         broken = {"balance": measure.imbalance, **stated, **broken_rows(self._added)}
         return (
@@ -183,6 +195,59 @@ class ConvexProgram:
             broken,
             {"balance", *stated, *(n for n, off in solvers.items() if off > 0.0)},
         )
+
+    def _least_proved(self) -> float | None:
+        """The least objective that the duals of all rows prove, recomputed from the model.
+
+        Objective and rows at their prices make one linear function of the visits, to be minimised
+        over all that balance. Prices of what is to be enough, too high by a solver's tolerance, may
+        make going round gainful and prove nothing: then they are lowered by as much.
+
+        Returns:
+            None where a row or the objective is not linear, or counts other variables than the
+            program's; where a row has no dual, as in integer programs; or nothing is proved.
+        """
+        program, rows = self._bounded, dict(self.constraints)
+        kept = ("balance", "normaliser")[: 1 + program.ratio]
+        if not all(self._is_stated(name) and rows.pop(name) is not None for name in kept):
+            return None
+        lagrange: Any = cp  # which mypy knows in part
+        own, prices = affine_parts(self._minimised, self.x, self.scale), list[float]()
+        priced = list[FloatArray]()
+        for row in rows.values():
+            if not isinstance(row, Equality | Inequality) or row.dual_value is None:
+                return None
+            charge = lagrange.sum(lagrange.multiply(row.dual_value, row.expr))
+            if (part := affine_parts(charge, self.x, self.scale)) is None:
+                return None
+            priced.append(part)
+            prices.append(float(np.abs(row.dual_value).max(initial=0.0)))
+        if own is None:
+            return None
+        for noise in _NOISES:
+            lagrangian = own
+            for part, price in zip(priced, prices, strict=True):
+                gainful = part[:-2].min(initial=0.0) < 0.0
+                less = noise * (1.0 + max(prices) / price) if gainful else 0.0
+                lagrangian = lagrangian + max(1.0 - less, 0.0) * part
+            cost, (by_scale, constant) = lagrangian[:-2], lagrangian[-2:].tolist()
+            ratio = float(cost @ np.asarray(self.x.value)) + by_scale * self._scale
+            _, value = program.least_of_visits(cost, by_scale, ratio if program.ratio else 0.0)
+            if np.isfinite(value):
+                value += constant
+                return program.sense.worth(value) if self._minimises_cost else value
+        return None
+
+    @property
+    def _minimised(self) -> Any:
+        """The objective as an expression of the variables."""
+        return getattr(self.objective, "scaled", self.objective)
+
+    @property
+    def _minimises_cost(self) -> bool:
+        """Whether the objective is the program's, with its costs."""
+        unchanged = np.array_equal(np.asarray(self.cost.value), self.program.process.cost)
+        return self.objective is self._stated[1] and unchanged and self._constant.value == 0.0
 
     def conflict(self, solver: str | None = None, **options: Any) -> Conflict:
         """Rows that contradict each other, those that were added included; empty: none do.
@@ -218,14 +283,8 @@ class ConvexProgram:
     @property
     def _is_as_stated(self) -> bool:
         """Whether objective and costs are the program's, and no constraint was changed."""
-        process, (constraints, objective) = self.program.process, self._stated
-        return (
-            list(map(id, self.constraints.values())) == list(map(id, constraints.values()))
-            and list(self.constraints) == list(constraints)
-            and objective is self.objective
-            and np.array_equal(np.asarray(self.cost.value), process.cost)
-            and self._constant.value == 0.0
-        )
+        left = [(name, id(row)) for name, row in self.constraints.items()]
+        return self._minimises_cost and left == [(n, id(row)) for n, row in self._stated[0].items()]
 
     @property
     def _added(self) -> dict[str, Any]:
@@ -244,7 +303,10 @@ class ConvexProgram:
         if np.array_equal(start, self.program.process.start):
             return None
         states = augmented.quotient.first_states.tolist()
-        return {augmented.model.states[k]: p for k, p in zip(states, start.tolist(), strict=False)}
+        if len(states) != len(start):
+            raise ModelError("start.value of a program that is made for its start is its own: "
+                             "solve(start=...) makes the program anew")  # fmt: skip
+        return {augmented.model.states[k]: p for k, p in zip(states, start.tolist(), strict=True)}
 
     @property
     def _bounded(self) -> OccupationProgram:
@@ -254,7 +316,7 @@ class ConvexProgram:
         if all(map(self._is_stated, self.bounds)):
             return program
         left = program.with_rows(lambda row: row if self._is_stated(row.name) else None)
-        return replace(left, rebound=None)
+        return replace(left, remade=None)
 
     def _is_stated(self, name: str) -> bool:
         """Whether a row of the convex program is still as it was stated."""

@@ -10,8 +10,6 @@ that go round for ever; they cost nothing where the measure is optimal, and no p
 
 from __future__ import annotations
 
-from contextlib import suppress
-
 import numpy as np
 import scipy.sparse as sp
 
@@ -30,12 +28,10 @@ from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
 _SEEN = 1e-9  # outflow that a solver's tolerance leaves meaningful
-_NOISES = (
-    _SEEN,
-    1e-8,
-    1e-7,
-    1e-6,
-)  # shares of visits that interior points leave where there are none
+_LEVELS = (1e-8, 1e-7, 1e-6)
+NOISES = ((_SEEN, 0.0), *((level, 0.0) for level in _LEVELS), *zip(_LEVELS, _LEVELS, strict=True))
+"""Visits of states, and shares of them, that interior points leave where there are none."""
+
 _DUST = 1e-12  # of a state's visits: less is rounding
 _ROUNDED = 1e-15  # of them: what subtracting leaves
 _REST = 1e-12  # weight that is not worth a member of its own
@@ -49,12 +45,13 @@ def balanced_visits(
     visits: FloatArray,
     otherwise: IntArray,
     gives_up: BoolArray | None = None,
-    noise: float = _SEEN,
+    noise: tuple[float, float] = NOISES[0],
 ) -> FloatArray:
     """The visits of the policy that draws each pair with its share of a solver's visits, [pairs].
 
     A solver's answer balances within its tolerance only; these are a policy's own, to rounding.
     Where nothing can come of going on, the policy gives up, if it may and ``gives_up`` is given.
+    Visits that go round for ever are left out: no policy comes to them.
 
     Args:
         process: the process.
@@ -62,16 +59,12 @@ def balanced_visits(
         otherwise: a policy that leaves, for states that the solver's tolerance does not tell from
             unvisited ones, [states].
         gives_up: pairs by which a policy gives up, [pairs].
-        noise: outflow, and share of a state's, up to which an interior point's visits are none.
-
-    Raises:
-        SolverError: the policy never leaves.
+        noise: outflow of a state, and share of it, up to which a solver's visits are none.
     """
     kept = np.maximum(visits, 0.0)
     outflow = segment_sums(kept, process.pair_offsets)
-    unseen = outflow <= noise * min(float(outflow.max(initial=0.0)), 1.0)
-    if noise > _SEEN:
-        kept[kept <= noise * outflow[process.pair_state]] = 0.0
+    unseen = outflow <= noise[0] * min(float(outflow.max(initial=0.0)), 1.0)
+    kept[kept <= noise[1] * outflow[process.pair_state]] = 0.0
     share = _decomposed_shares(process, kept, unseen, otherwise)
     if gives_up is not None:
         reaching = (share > 0.0) & (process.goal > 0.0)
@@ -80,13 +73,18 @@ def balanced_visits(
         if lost.any():
             price = np.where(gives_up, process.cost, np.inf)
             share = _decomposed_shares(process, share, lost, _least_pairs(process, price))
-    drawn = np.flatnonzero(share)
-    draws = sp.csr_array(
-        (share[drawn], (process.pair_state[drawn], drawn)),
-        shape=(process.n_states, process.n_pairs),
-    )
-    exits = np.asarray(draws @ process.dynamics.exits)
-    chain = System(sp.csr_array(draws @ process.transitions), exits)
+    while True:
+        drawn = np.flatnonzero(share)
+        draws = sp.csr_array(
+            (share[drawn], (process.pair_state[drawn], drawn)),
+            shape=(process.n_states, process.n_pairs),
+        )
+        exits = np.asarray(draws @ process.dynamics.exits)
+        chain = System(sp.csr_array(draws @ process.transitions), exits)
+        if not chain.closed.size:
+            break
+        rounds = np.bincount(chain.closed, minlength=process.n_states) > 0
+        share = _decomposed_shares(process, share, rounds, otherwise)
     return np.asarray(chain.solve_transposed(process.start)[process.pair_state] * share)
 
 
@@ -99,26 +97,9 @@ def _decomposed_shares(
     return np.asarray(share / segment_sums(share, process.pair_offsets)[process.pair_state])
 
 
-def decomposed_of_solver(
-    process: ExplicitProcess, visits: FloatArray
-) -> tuple[tuple[IntArray, ...], FloatArray]:
-    """The same as :func:`decomposed` for visits that balance within a solver's tolerance only.
-
-    As little is taken for noise as makes them a policy's own.
-
-    Raises:
-        SolverError: the visits are not those of any policy, whatever is.
-    """
-    otherwise = leaving_choice(process.dynamics, process.goal)
-    for noise in _NOISES:
-        with suppress(SolverError):
-            return decomposed(process, balanced_visits(process, visits, otherwise, noise=noise))
-    return decomposed(process, visits)
-
-
 def decomposed(
     process: ExplicitProcess, visits: FloatArray
-) -> tuple[tuple[IntArray, ...], FloatArray]:
+) -> tuple[tuple[IntArray, ...], FloatArray, FloatArray]:
     """Deterministic policies and weights whose expected visits are the given ones.
 
     Args:
@@ -126,7 +107,8 @@ def decomposed(
         visits: of a measure that balances, [pairs].
 
     Returns:
-        A pair of each state for each policy, and the policies' weights, which sum to one.
+        A pair of each state for each policy, the policies' weights, which sum to one, and the
+        visits of this lottery, [pairs].
 
     Raises:
         SolverError: the visits are not those of any policy.
@@ -160,7 +142,8 @@ def decomposed(
     wrong = max(float(excess.max(initial=0.0)), remaining)
     if wrong > _WRONG:
         raise SolverError(f"the visits are no policy's: those of the lottery differ by {wrong:.1e}")
-    return tuple(members), np.array(weights) / np.sum(weights)
+    total = np.sum(weights)
+    return tuple(members), np.array(weights) / total, followed / total
 
 
 def _least_pairs(process: ExplicitProcess, values: FloatArray) -> IntArray:

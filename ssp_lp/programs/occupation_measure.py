@@ -11,20 +11,21 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, segment_sums
 from ssp_lp.dynamic_programming.dynamics import leaving_choice
-from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.errors import ModelError, SolverError, optional_module
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.model.naming import ByName
 from ssp_lp.policies.mixed import MixedPolicy
 from ssp_lp.policies.stationary import StochasticPolicy
 from ssp_lp.programs.augmented import ColumnLabel
-from ssp_lp.programs.decomposition import balanced_visits, decomposed, decomposed_of_solver
+from ssp_lp.programs.decomposition import NOISES, balanced_visits, decomposed
 
 if TYPE_CHECKING:
+    from ssp_lp.programs.duality import StateValues
     from ssp_lp.programs.occupation_program import OccupationProgram
-    from ssp_lp.programs.state_values import StateValues
 
 
 _BALANCED = 1e-13  # imbalance of visits that are taken as a policy's own
+_KEPT = 1e-6  # of a row's bound: what a lottery may break of it, as a solver's answer may
 _LISTED = 20  # rows that are printed
 _BEYOND = 1e-9  # probability of passing the last total from which it is told
 
@@ -41,14 +42,14 @@ class OccupationMeasure:
     program: OccupationProgram
     visits: FloatArray  # [pairs] expected number of times that each is taken
     prices: Mapping[str, float]  # multiplier of each row, as ``Solution.prices``
-    optimal_value_from_dual: float | None  # c*; None where rows or objectives were added
+    optimal_value_from_dual: float | None  # c*, as the duals of all rows prove it
     solver: str
     status: str
     seconds: float
     values: StateValues | None = None  # duals of balance; None where c* is
     reduced: OccupationMeasure | None = None  # where it was found on the reduced program
     own: tuple[MeasuredRow, ...] = ()  # rows that were added
-    minimised: float | None = None  # the objective, where rows or objectives were changed
+    minimised: float | None = None  # the objective, where that was changed
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))
@@ -141,7 +142,8 @@ class OccupationMeasure:
         """Distance of the objective from what the duals prove, relative; nan without a proof."""
         if self.optimal_value_from_dual is None:
             return float("nan")
-        return abs(self.objective - self.optimal_value_from_dual) / max(abs(self.objective), 1.0)
+        value = self.objective if self.minimised is None else self.minimised
+        return abs(value - self.optimal_value_from_dual) / max(abs(value), 1.0)
 
     @cached_property
     def balanced(self) -> FloatArray:
@@ -179,14 +181,35 @@ class OccupationMeasure:
         come out lower: visits that go round for ever belong to no deterministic policy that
         leaves, and a member that cannot reach the goal any more has failed and pays no more.
 
+        Of visits that balance within a solver's tolerance only, as little is taken for its noise
+        as makes them a policy's own.
+
         Raises:
-            SolverError: no policy that leaves has such visits.
+            SolverError: no policy that leaves has such visits; or the lottery breaks a row by more
+                than the measure does.
         """
         if self.reduced is not None:
             return self.reduced.mixed_policy()
-        split = decomposed if self.imbalance <= _BALANCED else decomposed_of_solver
-        choices, weights = split(self.program.process, self.visits)
-        return MixedPolicy(tuple(self.program.augmented.policy(c) for c in choices), weights)
+        process, refusal = self.program.process, ""
+        otherwise = leaving_choice(process.dynamics, process.goal)
+        for noise in (None,) if self.imbalance <= _BALANCED else NOISES:
+            try:
+                visits = self.visits
+                if noise is not None:
+                    visits = balanced_visits(process, visits, otherwise, noise=noise)
+                choices, weights, followed = decomposed(process, visits)
+            except SolverError as error:
+                refusal = refusal or str(error)
+                continue
+            over = {r.violation(float(r.coefficients @ followed)): r for r in self.program.rows}
+            if (worst := max(over, default=0.0)) <= max(self.residual, _KEPT):
+                return MixedPolicy(tuple(map(self.program.augmented.policy, choices)), weights)
+            refusal = (
+                f"without what may be noise, the lottery of these visits breaks "
+                f"{over[worst].name!r} by {worst:.1e}, relative to its bound: visits that balance "
+                "better, of a simplex method or at tighter tolerances, make one that does not"
+            )
+        raise SolverError(refusal)
 
     def to_frame(self) -> Any:
         """The columns as a pandas ``DataFrame``, a row for each.
@@ -213,6 +236,8 @@ class OccupationMeasure:
         lines = [f"objective {self.objective:.9g}   ({self.solver}: {self.status})"]
         if self.minimised is not None:
             lines.append(f"  minimised {self.minimised:.9g}")
+        if self.values is None and self.optimal_value_from_dual is not None:
+            lines.append(f"  c* {self.optimal_value_from_dual:.9g} by the prices of all rows")
         if self.values is not None and self.optimal_value_from_dual is not None:
             begun = float(self.program.process.start @ self.values.states)
             paid = sum(row.price * row.bound for row in self.rows if row.price is not None)

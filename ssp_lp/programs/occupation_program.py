@@ -12,7 +12,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,6 +27,7 @@ from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, word
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.naming import ByName, html_text
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
@@ -36,10 +37,9 @@ from ssp_lp.processes.quantities.lookup import objective_of
 from ssp_lp.processes.quantities.quantity import Quantity
 from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel, LabelledModel
 from ssp_lp.programs.decomposition import balanced_visits
-from ssp_lp.programs.duality import PricedMinimum, priced_minimum
+from ssp_lp.programs.duality import PricedMinimum, StateValues, priced_minimum
 from ssp_lp.programs.occupation_measure import OccupationMeasure
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
-from ssp_lp.programs.state_values import StateValues
 
 if TYPE_CHECKING:
     from ssp_lp.linear_programming.convex_solving import Conflict
@@ -114,7 +114,7 @@ class OccupationProgram:
     wants_ends: bool = False  # a row asks for an end that is not the goal
     at_least: bool = False  # over the actions that attain the greatest goal probability
     reduced: Reduction | None = None  # what is solved; None: itself
-    rebound: Callable[[Mapping[str, float]], OccupationProgram] | None = None  # by the problem
+    remade: Callable[..., OccupationProgram] | None = None  # by the problem: bounds, start
 
     @property
     def process(self) -> ExplicitProcess:
@@ -136,7 +136,7 @@ class OccupationProgram:
             InfeasibleError: the budget is below the least failure.
         """
         now = {row.name: row.bound for row in self.rows}
-        make = self.rebound if anew and (self.at_least or self.augmented.copies > 1) else None
+        make = self.remade if anew and (self.at_least or self.augmented.copies > 1) else None
         opened = {"failure"} if self.at_least and make is not None else set[str]()
         known = now | {n if n in opened else self.row(n).name: b for n, b in bounds.items()}
         if known == now:
@@ -153,21 +153,33 @@ class OccupationProgram:
         return replace(self, rows=rows, reduced=reduced)
 
     def started(self, start: Hashable | Mapping[Hashable, float]) -> OccupationProgram:
-        """The same program from another start: a state, or a distribution.
+        """The problem's program from another start: a state, or a distribution.
+
+        What was made for the old one is made anew: accumulated costs that are told apart, steps
+        under a horizon, and the source of episodes that end where they begin.
 
         Raises:
-            ModelError: unknown states, or no distribution; or the program is made for its start:
-                costs are told apart, or an episode may end where it begins.
+            ModelError: unknown states, or no distribution.
+            InfeasibleError: the budget is below the least failure.
         """
-        augmented, reduced = self.augmented, self.reduced
-        begun = start_distribution(augmented.model, start)
-        if not isinstance(augmented, LabelledModel) or not augmented.may_start(begun):
-            raise ModelError("the program is made for its start, as costs are told apart or an "
-                             "episode ends where it begins: make another from there, "
-                             "replace(problem, start=...).program()")  # fmt: skip
-        if reduced is not None:
-            reduced = replace(reduced, program=reduced.program.started(start))
-        return replace(self, augmented=augmented.started(begun), reduced=reduced, rebound=None)
+        augmented, reduced, make = self.augmented, self.reduced, self.remade
+        model = augmented.model
+        unrolled = isinstance(model, ProductSSP) and model.is_hidden
+        if isinstance(augmented, LabelledModel) and not unrolled:
+            begun = start_distribution(model, start)
+            if augmented.may_start(begun):
+                if reduced is not None:
+                    reduced = replace(reduced, program=reduced.program.started(start))
+                make = None if make is None else partial(make, start=start)
+                return replace(
+                    self, augmented=augmented.started(begun), reduced=reduced, remade=make
+                )
+        if make is None:
+            raise ModelError(
+                "the program is made for its start, and its rows were changed: make another from "
+                "there, replace(problem, start=...).program()"
+            )
+        return make({row.name: row.bound for row in self.rows}, start=start)
 
     def spread_out(self) -> OccupationProgram:
         """The program with a column for each pair of the model, of one that methods can solve.
@@ -325,9 +337,9 @@ class OccupationProgram:
     def infeasible(self) -> InfeasibleError:
         """The error that says that no visits satisfy all rows."""
         budgets = [row.bound for row in self.rows if row.name == "failure"]
-        if self.rebound is not None:
+        if self.remade is not None:
             try:  # names the least failure, or what contradicts what
-                self.rebound({row.name: row.bound for row in self.rows})
+                self.remade({row.name: row.bound for row in self.rows})
             except InfeasibleError as error:
                 return error
         return InfeasibleError(
@@ -410,7 +422,8 @@ class OccupationProgram:
         if self.reduced is not None:
             found = self.reduced.program.values_at(prices, ratio)
             return self.reduced.values(self, found)
-        priced = self._priced(prices, ratio if self.ratio else 0.0)
+        cost, _ = self._lagrangian(prices)
+        priced = priced_minimum(self.process, cost - self.ratio * ratio * self.process.goal)
         return StateValues(self, priced.values, priced.excess)
 
     def proved(
@@ -422,20 +435,32 @@ class OccupationProgram:
 
         Args:
             prices: of the rows, by name, >= 0.
-            ratio: of case S, near the optimum: Dinkelbach's iteration goes on from it.
+            ratio: of case S, near the optimum.
         """
         least_worth = _TRIFLE * float(np.abs(self.process.cost).max(initial=0.0))
-        prices = {
-            row.name: price
-            for row in self.rows
-            if (price := prices.get(row.name, 0.0)) * row.scale > least_worth
-        }
-        paid = sum(prices.get(row.name, 0.0) * row.bound for row in self.rows)
-        found, value = self._priced(prices, ratio), -np.inf
+        worth = {row.name: prices.get(row.name, 0.0) * row.scale for row in self.rows}
+        counting = {name: prices[name] for name, each in worth.items() if each > least_worth}
+        found, value = self.least_of_visits(*self._lagrangian(counting), ratio)
+        return found, self.sense.worth(value)
+
+    def least_of_visits(
+        self, cost: FloatArray, constant: float, ratio: float = 0.0
+    ) -> tuple[PricedMinimum, float]:
+        """The least of ``<cost, x> + constant`` over all visits, in case S over ``<goal, x>``.
+
+        Args:
+            cost: [pairs].
+            constant: beside it.
+            ratio: of case S, near the optimum: Dinkelbach's iteration goes on from it.
+
+        Returns:
+            A policy that is best, and a proved bound of the least.
+        """
+        found, value = priced_minimum(self.process, cost - ratio * self.process.goal), -np.inf
         if not self.ratio:
-            return found, self.sense.worth(found.bound - paid)
+            return found, found.bound + constant
         for _ in range(_RATIOS):
-            left = found.bound - paid
+            left = found.bound + constant
             least = 1.0 if left >= 0.0 else self._least_goal
             if least <= 0.0:  # then failing is free: strictly best where success earns less
                 ratio *= BELOW_RATIO
@@ -446,15 +471,16 @@ class OccupationProgram:
                 if found.goal <= 0.0 or left == 0.0:
                     break
                 ratio += left / found.goal
-            found = self._priced(prices, ratio)
-        return found, self.sense.worth(value)
+            found = priced_minimum(self.process, cost - ratio * self.process.goal)
+        return found, value
 
-    def _priced(self, prices: Mapping[str, float], ratio: float) -> PricedMinimum:
-        """The least of the objective with what each row's quantity costs, and its policy."""
-        priced = self.process.cost - ratio * self.process.goal
+    def _lagrangian(self, prices: Mapping[str, float]) -> tuple[FloatArray, float]:
+        """The costs with what each row takes at its price, [pairs]; less price times bound."""
+        cost, constant = self.process.cost, 0.0
         for row in self.rows:
-            priced = priced + prices.get(row.name, 0.0) * row.coefficients
-        return priced_minimum(self.process, priced)
+            price = prices.get(row.name, 0.0)
+            cost, constant = cost + price * row.coefficients, constant - price * row.bound
+        return cost, constant
 
     @cached_property
     def _least_goal(self) -> float:

@@ -65,6 +65,15 @@ class Quantity:
 
     terms: tuple[tuple[float, Counted], ...]
     constant: float = 0.0
+    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+
+    def __array__(self, *_: object) -> None:
+        """Refused: ``parameter * quantity``, of cvxpy, takes it for an array.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(f"{self!r} is no array{_WITH_CVXPY}")
 
     def __add__(self, other: Quantity | float) -> Quantity:
         """The sum."""
@@ -205,4 +214,17 @@ def _quantity_number(value: object) -> float:
     """A finite number that a quantity goes with."""
     if is_number(value) and isfinite(number := float(value)):
         return number
-    raise ModelError(f"a quantity goes with finite numbers, not with {in_short(value)}")
+    told = f"a quantity goes with finite numbers, not with {in_short(value)}"
+    raise ModelError(told + beside_cvxpy(value))
+
+
+_WITH_CVXPY = (
+    ": with cvxpy's parameters and variables goes what it is in a program, "
+    "convex.expression(quantity) * parameter; costs of actions that are such are "
+    "convex.visits(state, action) * parameter, summed"
+)
+
+
+def beside_cvxpy(value: object) -> str:
+    """What to write, in an error, where a number is to be an expression of cvxpy."""
+    return _WITH_CVXPY if hasattr(value, "is_dcp") else ""

@@ -12,7 +12,12 @@ from ssp_lp.arrays import FloatArray, read_only
 from ssp_lp.errors import ModelError, in_short, is_number
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP
-from ssp_lp.processes.quantities.quantity import Constraint, NestedCosts, secondary_cost
+from ssp_lp.processes.quantities.quantity import (
+    Constraint,
+    NestedCosts,
+    beside_cvxpy,
+    secondary_cost,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +116,7 @@ def _list_pair_costs(
         if not is_amount(value):
             raise ModelError(
                 f"limit {name!r}, action {action!r} of state {model.states[state]!r}: the cost "
-                f"must be finite and >= 0, not {in_short(value)}"
+                f"must be finite and >= 0, not {in_short(value)}" + beside_cvxpy(value)
             )
         result[pair_of[action]] = float(value)
 
