@@ -3,8 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from ssp_lp.analysis.cost_law import CostLaw, success_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
-from ssp_lp.analysis.total_cost.cost_law import CostLaw, success_costs
 from ssp_lp.errors import (
     InfeasibleError,
     MissingDependencyError,

@@ -16,6 +16,15 @@ from typing import TYPE_CHECKING, Any, Self, cast
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import (
+    TOTAL_COST,
+    CostQuantileOf,
+    ExpectedUtility,
+    ExponentialUtility,
+    TailMeanOf,
+    Utility,
+    WithinBound,
+)
 from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
@@ -53,14 +62,6 @@ from ssp_lp.processes.failure_semantics import (
     check_penalty,
     parse_give_up,
     start_distribution,
-)
-from ssp_lp.processes.layered.charges import TOTAL_COST, Utility
-from ssp_lp.processes.layered.measures_of_law import (
-    CostQuantileOf,
-    ExpectedUtility,
-    ExponentialUtility,
-    TailMeanOf,
-    WithinBound,
 )
 from ssp_lp.processes.quantities.conditions import Condition
 from ssp_lp.processes.quantities.lookup import conditions, objective_of

@@ -7,6 +7,8 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol, cast, overload
 
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
+from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledConstrained,
@@ -22,10 +24,7 @@ from ssp_lp.policies.remembering import on_original
 from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_from
 from ssp_lp.processes.in_product import on_product
-from ssp_lp.processes.layered.charges import TOTAL_COST, ExponentialCharge
 from ssp_lp.processes.quantities.conditions import Condition
-from ssp_lp.processes.totals.ladder import Rungs, rungs_for
-from ssp_lp.processes.totals.step_sums import MOST_SUMS, sums_in
 
 
 class Problem(Protocol):
@@ -98,7 +97,7 @@ def has_rows(problem: Problem) -> bool:
     return bool(conditions_of(problem)) or objective_of(problem) is not None
 
 
-def rungs_of(problem: Problem) -> Rungs | None:
+def resolution_of(problem: Problem) -> Resolution | None:
     """What is asked of the totals that are told apart; None where multiples of a unit serve."""
     asked: int | None = getattr(problem, "cost_levels", None)
     cap: float | None = getattr(problem, "cost_cap", None)
@@ -107,15 +106,15 @@ def rungs_of(problem: Problem) -> Rungs | None:
         return None
     if not of_law and asked is None and problem.failure_budget is None and not has_rows(problem):
         return None  # at least failure no cost has to be remembered
-    rungs = rungs_for(problem.model, asked, cap, of_law=of_law)
-    few = rungs is not None and _has_few_sums(problem, min(asked or MOST_SUMS, MOST_SUMS))
-    return Rungs(most=MOST_SUMS) if few else rungs
+    resolution = resolution_for(problem.model, asked, cap, of_law=of_law)
+    few = resolution is not None and _has_few_sums(problem, min(asked or MOST_SUMS, MOST_SUMS))
+    return Resolution(most=MOST_SUMS) if few else resolution
 
 
 def _has_few_sums(problem: Problem, most: int) -> bool:
     """Whether few totals lie below the cost from which a stationary policy is optimal."""
     measure, known = problem.semantics.measure, problem.model.kept_facts
-    if measure is None or not isinstance(measure.charge, ExponentialCharge) or has_rows(problem):
+    if measure is None or not isinstance(measure.charge, ExponentialUtility) or has_rows(problem):
         return False
     if (key := f"{most} sums: {measure.charge}") not in known:
         start = start_distribution(problem.model, problem.start)
@@ -129,12 +128,12 @@ def by_sums(problem: Problem) -> bool:
     is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
     if has_rows(problem) or (is_cut and problem.semantics.measure is None):
         return False
-    return (rungs := rungs_of(problem)) is not None and rungs.most == MOST_SUMS
+    return (resolution := resolution_of(problem)) is not None and resolution.most == MOST_SUMS
 
 
 def by_rows(problem: Problem) -> bool:
     """Whether the methods for several rows solve a problem."""
-    return has_rows(problem) or (rungs_of(problem) is not None and not by_sums(problem))
+    return has_rows(problem) or (resolution_of(problem) is not None and not by_sums(problem))
 
 
 def compiled_constrained(problem: Problem) -> CompiledConstrained:
@@ -153,7 +152,7 @@ def compiled_constrained(problem: Problem) -> CompiledConstrained:
         ratio=problem.ratio,
         fixed_cap=getattr(problem, "cost_cap", None),
         objective=None if objective is None else objective.minimised(),
-        rungs=rungs_of(problem),
+        resolution=resolution_of(problem),
     )
 
 

@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 from math import isfinite
 
-from ssp_lp.analysis.layers.lost_goals import stopping_where_lost
+from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.compiled.deadline import STOPS, Deadline, Stop, closing, heed, until
 from ssp_lp.errors import Argument, ModelError, OutOfTimeError, SolverError

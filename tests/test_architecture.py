@@ -15,7 +15,7 @@ ORDER = [
     ("compiled",),
     ("model", "linear_programming"),
     ("policies", "dynamic_programming"),
-    ("processes",),
+    ("processes", "accumulated_cost"),
     ("programs",),
     ("column_generation",),
     ("problem",),
@@ -91,9 +91,10 @@ def test_nothing_that_the_game_imports_sees_the_lp_path() -> None:
 
 
 def test_pricing_and_evaluation_never_see_the_lp_path() -> None:
-    analysis = ROOT / "ssp_lp/analysis"
-    rooms = [*files_of("ssp_lp/column_generation/pricing"), analysis / "chain.py"]
-    for path in [*rooms, analysis / "evaluation.py"]:
+    pricing = [*(ROOT / "ssp_lp/column_generation").glob("*_pricing.py")]
+    chain, evaluation = ROOT / "ssp_lp/policies/chain.py", ROOT / "ssp_lp/analysis/evaluation.py"
+    assert len(pricing) == 2
+    for path in [*pricing, *files_of("ssp_lp/accumulated_cost"), chain, evaluation]:
         for name in imports_of(path):
             assert not name.startswith(LP_PATH), f"{path.name} imports {name}"
 

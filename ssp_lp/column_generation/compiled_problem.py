@@ -16,11 +16,35 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import Charge, ExponentialUtility, TailValues
+from ssp_lp.accumulated_cost.exponential_utility import MomentReach, cost_horizon, greatest_moment
+from ssp_lp.accumulated_cost.process import (
+    AccumulatedCost,
+    LayeredProcess,
+    LayeredTails,
+    accumulate_cost,
+)
+from ssp_lp.accumulated_cost.sweep import follow_rule
+from ssp_lp.accumulated_cost.totals import (
+    MOST_SUMS,
+    Resolution,
+    Totals,
+    layers_within,
+    step_costs,
+    sums_in,
+)
+from ssp_lp.accumulated_cost.written_out import (
+    OpenEnded,
+    chosen_pairs,
+    first_cap,
+    first_total,
+    materialise,
+    truncates,
+)
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, relative_gap, required
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
-from ssp_lp.column_generation.pricing.followed_choice import follow_rule
-from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import READING, check_time, limited
 from ssp_lp.errors import Argument, InfeasibleError, ModelError
@@ -46,20 +70,7 @@ from ssp_lp.processes.goal_reach import (
     greatest_goal_reach,
     least_goal_reach,
 )
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
-from ssp_lp.processes.layered.charges import Charge, ExponentialCharge, TailValues
-from ssp_lp.processes.layered.exponential_utility import MomentReach, cost_horizon, greatest_moment
-from ssp_lp.processes.layered.layered_process import (
-    LayeredProcess,
-    LayeredTails,
-    chosen_pairs,
-    materialise,
-)
-from ssp_lp.processes.layered.open_ended import OpenEnded, first_cap, first_total, truncates
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
-from ssp_lp.processes.totals.ladder import Ladder, Rungs
-from ssp_lp.processes.totals.lattice import layers_within
-from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 
 
 @dataclass(frozen=True, eq=False)
@@ -441,7 +452,7 @@ class CompiledAccumulatedCost(CompiledLayered):
         if steps == 0:
             return 0.0
         last = float(self.model.costs.min()) if same is None else same
-        going_on = self.base.lattice.least * self.base.unit if same is None else same
+        going_on = self.base.step_classes.least * self.base.unit if same is None else same
         return ((steps - 1) * going_on + last) * (1.0 - 2.0 * MACHINE_EPSILON)
 
     @cached_property
@@ -520,7 +531,7 @@ class CompiledAccumulatedCost(CompiledLayered):
     @cached_property
     def process(self) -> LayeredProcess:
         """The process cut at the cap."""
-        return LayeredProcess(self.base, self._cap_layers(), self._tails)
+        return LayeredProcess(self.base, self.base.totals(self._cap_layers()), self._tails)
 
     def refined(self, price: float) -> CompiledAccumulatedCost | None:
         """The same problem with more layers or better tails, unless nothing is left to improve."""
@@ -655,7 +666,7 @@ class CompiledArrivalCost(CompiledLayered):
     @cached_property
     def _moments(self) -> MomentReach | None:
         """The tail of an exponential utility."""
-        if not isinstance(self.charge, ExponentialCharge):
+        if not isinstance(self.charge, ExponentialUtility):
             return None
         usable = self.greatest.usable if self.charge.bonus > 0.0 else None
         return greatest_moment(self.model, self.charge.rate, usable)
@@ -664,7 +675,7 @@ class CompiledArrivalCost(CompiledLayered):
     def cost_horizon(self) -> float:
         """Accumulated cost from which a stationary policy is optimal; 0 for other charges."""
         charge, moments = self.charge, self._moments
-        if moments is None or not isinstance(charge, ExponentialCharge) or charge.bonus == 0.0:
+        if moments is None or not isinstance(charge, ExponentialUtility) or charge.bonus == 0.0:
             return 0.0
         return cost_horizon(self.model, self.greatest, moments, charge.rate, charge.bonus)
 
@@ -673,22 +684,22 @@ class CompiledArrivalCost(CompiledLayered):
         """The process cut at the cap."""
         cap = self._first_guess() if self.cap is None else self.cap
         if self.by_sums:
-            ladder = self._ladder(cap)
-            while ladder is None:  # as far as there is room: the gap will tell
+            totals = self._totals(cap)
+            while totals is None:  # as far as there is room: the gap will tell
                 check_time()
                 cap *= _LOWER
-                ladder = self._ladder(cap)
-            return LayeredProcess(self.base, ladder.size, self._tails, self.charge, ladder)
+                totals = self._totals(cap)
+            return LayeredProcess(self.base, totals, self._tails, self.charge)
         check_compiled_table(int(cap), self.base, "bound on them")
-        return LayeredProcess(self.base, int(cap), self._tails, self.charge)
+        return LayeredProcess(self.base, self.base.totals(int(cap)), self._tails, self.charge)
 
-    def _ladder(self, cap: float) -> Ladder | None:
+    def _totals(self, cap: float) -> Totals | None:
         """The sums of steps below a cap; None: there are too many."""
         room = min(MOST_SUMS, MOST_ENTRIES // max(self.base.n_nodes, 1))
-        sums, steps = sums_in(self.model, cap, room), step_lattice(self.model)[1]
+        sums, steps = sums_in(self.model, cap, room), step_costs(self.model)[1]
         if sums is None:
             return None
-        return Ladder(read_only(np.append(sums, cap)), steps, complete=True)
+        return Totals(read_only(np.append(sums, cap)), steps, complete=True)
 
     def _units(self, total: float) -> float:
         """A total in units, whole ones where layers are their multiples."""
@@ -697,7 +708,7 @@ class CompiledArrivalCost(CompiledLayered):
     def _settled_units(self) -> float:
         """Where the charge has become affine, or the tail optimal; small where it never does."""
         settled = self.charge.settled or 0.0
-        if isinstance(self.charge, ExponentialCharge):
+        if isinstance(self.charge, ExponentialUtility):
             return max(self._units(self.cost_horizon), self._least_units)
         if self.base.width == 1 and not self.by_sums:
             return 1  # no step costs anything: nothing is ever paid
@@ -708,7 +719,7 @@ class CompiledArrivalCost(CompiledLayered):
     @property
     def _least_units(self) -> float:
         """One layer; of sums, a table without any but that of nothing."""
-        return _BEYOND * float(step_lattice(self.model)[1].max()) or 1.0 if self.by_sums else 1
+        return _BEYOND * float(step_costs(self.model)[1].max()) or 1.0 if self.by_sums else 1
 
     def _first_guess(self) -> float:
         """As many layers as are surely needed, and some more where that is not enough."""
@@ -719,7 +730,7 @@ class CompiledArrivalCost(CompiledLayered):
         goal = float(self.base.start @ self._tails.goal[0])
         cost = float(self.base.start @ self._tails.first.cost)
         typical = self._units(_TYPICAL * cost / max(goal, 1e-300))
-        width = float(step_lattice(self.model)[1][-1]) if self.by_sums else self.base.width
+        width = float(step_costs(self.model)[1][-1]) if self.by_sums else self.base.width
         if self.charge.settled is None:
             first = typical if self.by_sums else _FIRST_TOTALS
             return max(first + width, self._least_units)
@@ -789,7 +800,7 @@ class CompiledArrivalCost(CompiledLayered):
             near = self.is_trial or here < lossless
             wanted = lossless if near and lossless <= 4 * here else wanted
         if self.by_sums:
-            fits = self._ladder(wanted) is not None
+            fits = self._totals(wanted) is not None
             if not fits and not self.is_trial:
                 return None
             return self.charging(charge, wanted if fits else here)  # a trial's table, for good
@@ -804,7 +815,7 @@ class CompiledArrivalCost(CompiledLayered):
         An exponential reward has tails of its own.
         """
         kept: tuple[str, ...] = ("base",)
-        exponential = (isinstance(c, ExponentialCharge) for c in (charge, self.charge))
+        exponential = (isinstance(c, ExponentialUtility) for c in (charge, self.charge))
         if charge == self.charge or not any(exponential):
             vars(self)["_tails"] = self._tails
             kept = ("base", "_tails", "_moments", "cost_horizon")
@@ -839,11 +850,11 @@ class CompiledArrivalCost(CompiledLayered):
             if known.process.cap == n_layers:
                 return known
         for _ in range(_DOUBLINGS):
-            if (ladder := self._ladder(cap)) is None:
+            if (totals := self._totals(cap)) is None:
                 break
-            if ladder.size >= n_layers:  # the greatest cap below which there are so many sums
-                found = float(ladder.rungs[n_layers])
-            if ladder.size > n_layers:
+            if totals.size >= n_layers:  # the greatest cap below which there are so many sums
+                found = float(totals.values[n_layers])
+            if totals.size > n_layers:
                 break
             cap *= 2.0
         if found is None:
@@ -858,7 +869,7 @@ _MOST_PAIRS = 20_000_000
 """Pairs of a process that is written out."""
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
-_OWN = {"augmented", "pricing", "ladder", "layers"}  # what depends on charge, cap or rungs
+_OWN = {"augmented", "pricing", "totals", "layers"}  # what depends on charge, cap or resolution
 
 
 @dataclass(frozen=True, eq=False)
@@ -881,7 +892,7 @@ class CompiledConstrained:
     cap: int | None = None  # layers; None: a first guess
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
-    rungs: Rungs | None = None  # totals that are no multiples of a unit
+    resolution: Resolution | None = None  # totals that are no multiples of a unit
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -983,21 +994,22 @@ class CompiledConstrained:
         if self.charge is None:
             setting = self.start, self.semantics, self.discount, self._usable
             return label_failure(self.model, *setting, self.side, self.objective)
-        how = self.base, self.charge, self.sense.shift, self.layers, self.start
-        return OpenEnded(*how, self.ladder, self._least_goals)
+        layers = self.layers  # checks that there is room
+        how = self.base, self.charge, self.sense.shift, self.totals or self.base.totals(layers)
+        return OpenEnded(*how, self.start, self._least_goals)
 
     @property
     def is_rounded(self) -> bool:
         """Whether totals are rounded, so that policies are other than the process has them."""
-        return self.ladder is not None and not self.ladder.exact
+        return self.totals is not None and not self.totals.exact
 
     @cached_property
-    def ladder(self) -> Ladder | None:
+    def totals(self) -> Totals | None:
         """The totals that are told apart, where they are no multiples of a unit."""
-        if self.rungs is None or self.charge is None:
+        if self.resolution is None or self.charge is None:
             return None
         first = first_total(self.charge, self.typical_cost)
-        return self.rungs.ladder(self.model, first, self._room, grows=self.charge.slope > 0.0)
+        return self.resolution.totals(self.model, first, self._room, grows=self.charge.slope > 0.0)
 
     @property
     def _room(self) -> int:
@@ -1040,7 +1052,7 @@ class CompiledConstrained:
             arrivals=self.semantics.measure is not None,
             usable=self._usable,
             side=self.side,
-            by_steps=self.rungs is not None,
+            by_steps=self.resolution is not None,
         )
 
     @cached_property
@@ -1053,7 +1065,7 @@ class CompiledConstrained:
     @cached_property
     def layers(self) -> int:
         """Layers of accumulated cost that are told apart; ModelError: too many to write out."""
-        layers = self.cap if self.ladder is None else self.ladder.size
+        layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
             layers = first_cap(self.base, self.charge, self.typical_cost, self.fixed_cap)
         n_pairs = (layers + 1) * len(self.base.gain)
@@ -1072,12 +1084,12 @@ class CompiledConstrained:
         """
         if self.charge is None or self.fixed_cap is not None:
             return None
-        end = self.layers * self.base.unit if self.ladder is None else float(self.ladder.rungs[-1])
+        end = self.layers * self.base.unit if self.totals is None else float(self.totals.values[-1])
         cut = truncates(self.charge, end)
-        if self.rungs is not None and self.ladder is not None:
+        if self.resolution is not None and self.totals is not None:
             enough = self.charge.lossless(price) if cut else None
-            finer = self.rungs.finer(self.ladder, enough, self._room)
-            return None if finer is None else self._handing_on(replace(self, rungs=finer))
+            finer = self.resolution.finer(self.totals, enough, self._room)
+            return None if finer is None else self._handing_on(replace(self, resolution=finer))
         wanted = 2 * self.layers
         if not cut or (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
             return None
@@ -1085,9 +1097,9 @@ class CompiledConstrained:
 
     def up_to(self, price: float) -> CompiledConstrained:
         """The same with totals up to where failing is best, at a price that is about right."""
-        if self.rungs is None or self.charge is None:
+        if self.resolution is None or self.charge is None:
             return self
-        return replace(self, rungs=self.rungs.up_to(self.charge.lossless(price)))
+        return replace(self, resolution=self.resolution.up_to(self.charge.lossless(price)))
 
     def with_layers(self, cap: int) -> CompiledConstrained:
         """The same with another cap."""
@@ -1095,7 +1107,7 @@ class CompiledConstrained:
 
     def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledConstrained:
         """The same with as many layers as a value function has, [process states]; or ModelError."""
-        if self.charge is None or self.rungs is not None:
+        if self.charge is None or self.resolution is not None:
             return self
         nodes = self.base.n_nodes
         layers, odd = divmod(values.size - 1, nodes) if nodes else (2, values.size - 1)

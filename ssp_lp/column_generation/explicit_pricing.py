@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.compiled.deadline import Stop, is_limited
@@ -36,7 +37,6 @@ from ssp_lp.policies.policy import Policy
 from ssp_lp.processes.contraction import Contraction, bound_of, contract
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
-from ssp_lp.processes.layered.open_ended import OpenEnded
 
 LARGEST = 1e150
 """Prices and values beyond this are no numbers: products of two such overflow."""

@@ -12,15 +12,14 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
+from ssp_lp.accumulated_cost.process import AccumulatedCost
+from ssp_lp.accumulated_cost.totals import Totals
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.cost_player import CostPlayer, LayeredStrategy, cost_aware
-from ssp_lp.game.tail import Tail, undiscounted_tail
+from ssp_lp.game.cost_player import CostPlayer, LayeredStrategy, Tail, cost_aware, undiscounted_tail
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.remembering import TimedPolicy
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.totals.levels import Levels
 
 _FIRST_HORIZON = 32
 _SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
@@ -35,7 +34,7 @@ class _TimedLayers:
     """A decision for each (time, layer, node), followed by pi'_or beyond cap and horizon."""
 
     choice: IntArray  # [horizon, layers, nodes] position among the pairs of the node
-    levels: Levels  # the totals of the layers
+    totals: Totals  # of the layers
     cap: float  # in units
 
 
@@ -86,14 +85,14 @@ class BayesCostPlayer:
         """
         base, gamma = self.base, self.base.survival
         strategy: _TimedLayers = self.response(1.0, price, accuracy).strategy
-        horizon, levels = len(strategy.choice), strategy.levels
-        stage, worth = self._stage(levels), price * gamma * base.gain[:, None]
-        weights, beyond_cap = np.array([1.0, price]), levels.totals[levels.cap :]
-        lowest = self.tail.surplus(levels.totals, weights * [1.0, gamma**horizon]).T
+        horizon, totals = len(strategy.choice), strategy.totals
+        stage, worth = self._stage(totals), price * gamma * base.gain[:, None]
+        weights, beyond_cap = np.array([1.0, price]), totals.beyond
+        lowest = self.tail.surplus(totals.with_beyond, weights * [1.0, gamma**horizon]).T
         for time in reversed(range(horizon)):
             saved = gamma**time * worth
-            size = stage + saved + self._ahead(np.abs(lowest), levels)
-            below = self._least(stage - saved + self._ahead(lowest, levels) - self._lost * size)[1]
+            size = stage + saved + self._ahead(np.abs(lowest), totals)
+            below = self._least(stage - saved + self._ahead(lowest, totals) - self._lost * size)[1]
             beyond = self.tail.surplus(beyond_cap, weights * [1.0, gamma**time])
             lowest = np.hstack([below, beyond.T])
         terms = np.append(base.start * lowest[:, 0], -price * base.start_goal)
@@ -112,7 +111,7 @@ class BayesCostPlayer:
         stages: list[CostAwarePolicy] = []
         for time, choice in enumerate(rows):
             if time == 0 or not np.array_equal(choice, rows[time - 1]):
-                layers = LayeredStrategy(choice, never, strategy.levels, strategy.cap)
+                layers = LayeredStrategy(choice, never, strategy.totals, strategy.cap)
                 stage = cost_aware(self.base, self.tail, layers)
             stages.append(stage)
         return TimedPolicy(tuple(stages))
@@ -123,9 +122,9 @@ class BayesCostPlayer:
         longest = int(np.diff(self.base.steps.indptr).max(initial=0)) + self.base.width
         return (longest + 4) * MACHINE_EPSILON
 
-    def _stage(self, levels: Levels) -> FloatArray:
+    def _stage(self, totals: Totals) -> FloatArray:
         """E[G_o] of each pair in each layer, [pairs, layers]."""
-        paid = levels.totals[: levels.cap]
+        paid = totals.values[:-1]
         return np.asarray(self.base.gain[:, None] * paid + self.base.gain_cost[:, None])
 
     @cached_property
@@ -135,16 +134,16 @@ class BayesCostPlayer:
         steps = sp.csc_array(base.steps / base.survival)
         return [sp.csr_array(steps[:, k * n : (k + 1) * n]) for k in range(base.width)]
 
-    def _ahead(self, values: FloatArray, levels: Levels) -> FloatArray:
+    def _ahead(self, values: FloatArray, totals: Totals) -> FloatArray:
         """E[value after the step] of each pair in each layer below the cap, [pairs, layers].
 
         Args:
             values: [nodes, totals].
-            levels: the totals, and which step leads where.
+            totals: the totals, and which step leads where.
         """
-        leads = levels.leads(self.base.width)
+        leads = totals.reached
         parts = (b @ values[:, leads[:, k]] for k, b in enumerate(self._blocks) if b.nnz)
-        return np.asarray(sum(parts, np.zeros((len(self.base.gain), levels.cap))))
+        return np.asarray(sum(parts, np.zeros((len(self.base.gain), totals.size))))
 
     def _response(self, weights: FloatArray, m: float, horizon: int) -> BestResponse:
         """Backward induction from the horizon, where pi'_or takes over for good.
@@ -154,53 +153,53 @@ class BayesCostPlayer:
             m: the cap M, in units.
             horizon: steps.
         """
-        base, gamma, levels = self.base, self.base.survival, self.stationary.levels(m)
-        cap, totals = levels.cap, levels.totals
+        base, gamma, totals = self.base, self.base.survival, self.stationary.totals(m)
+        cap, every = totals.size, totals.with_beyond
         if cap * horizon * base.n_nodes > _MOST_ENTRIES:
             raise ModelError(
                 f"{horizon:,} steps x {cap:,} layers of accumulated cost on {base.n_nodes:,} "
                 "states are too many for the Bayes-adaptive iteration"
             )
-        attained = self.tail.attained(totals, np.full(base.n_nodes, -np.inf))
+        attained = self.tail.attained(every, np.full(base.n_nodes, -np.inf))
         objective, condition = attained[..., 0].T, attained[..., 1].T
         beyond = objective[:, cap:], condition[:, cap:]
-        lowest = self._beyond(levels, weights * [1.0, gamma**horizon])
-        stage = self._stage(levels)
+        lowest = self._beyond(totals, weights * [1.0, gamma**horizon])
+        stage = self._stage(totals)
         most = int(np.diff(base.pair_offsets).max(initial=1))
         choice = np.empty((horizon, cap, base.n_nodes), dtype=least_integer_type(most))
         for time in reversed(range(horizon)):
             now = weights * [1.0, gamma**time]
             priced = now[0] * stage + now[1] * base.failure[:, None]
-            best, below = self._least(priced + self._ahead(lowest, levels))
+            best, below = self._least(priced + self._ahead(lowest, totals))
             choice[time] = (best - base.pair_offsets[:-1, None]).T
-            on_objective = np.take_along_axis(stage + self._ahead(objective, levels), best, 0)
+            on_objective = np.take_along_axis(stage + self._ahead(objective, totals), best, 0)
             on_condition = np.take_along_axis(
-                base.failure[:, None] + gamma * self._ahead(condition, levels), best, 0
+                base.failure[:, None] + gamma * self._ahead(condition, totals), best, 0
             )
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
-            lowest = np.hstack([below, self.tail.bound(totals[cap:], now).T])
+            lowest = np.hstack([below, self.tail.bound(every[cap:], now).T])
         start, failed = base.start, base.start_failure  # rounding of sums counts against the bound
         bound = float(start @ lowest[:, 0] + weights[1] * failed)
         return BestResponse(
             objective=float(start @ objective[:, 0]),
             failing=float(start @ condition[:, 0] + failed),
             bound=bound * (1.0 - (horizon + 1) * self._lost),
-            strategy=_TimedLayers(choice, levels, m),
+            strategy=_TimedLayers(choice, totals, m),
             sweeps=horizon * cap,
         )
 
-    def _beyond(self, levels: Levels, weights: FloatArray) -> FloatArray:
+    def _beyond(self, totals: Totals, weights: FloatArray) -> FloatArray:
         """Lower bound of every policy's weighted cost from the horizon on, [nodes, totals].
 
         Discounting the objective too can only lower it, so the stationary game bounds this one.
 
         Args:
-            levels: the totals.
+            totals: the totals.
             weights: with that of J_cond as it has faded by then.
         """
-        bound, cap = self.tail.bound(levels.totals, weights), levels.cap
-        below = np.stack(list(self.stationary.lowest(weights, levels)))[::-1]
+        bound, cap = self.tail.bound(totals.with_beyond, weights), totals.size
+        below = np.stack(list(self.stationary.lowest(weights, totals)))[::-1]
         bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 

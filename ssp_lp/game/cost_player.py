@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.process import AccumulatedCost
+from ssp_lp.accumulated_cost.totals import MOST_SUMS, Totals, Window, step_costs, sums_in
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
@@ -18,27 +20,37 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.errors import ModelError
-from ssp_lp.game.best_response import BestResponse, Discounted, improved_response
-from ssp_lp.game.tail import Tail, outer_tail
+from ssp_lp.game.best_response import (
+    BestResponse,
+    Discounted,
+    Iterated,
+    improved_response,
+    iterate_values,
+)
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import UNDECIDED
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost
-from ssp_lp.processes.totals.ladder import Ladder
-from ssp_lp.processes.totals.levels import Levels, Window
-from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
+from ssp_lp.processes.expectations import cost_means
 
 _MOST_ENTRIES = 200_000_000
 """Largest table of decisions, nodes x layers."""
 
+
 _MOST_LAYERS = 500_000
+
+
 _FIRST_LAYERS = 16
+
+
 _LAYER_ROUNDING = 16.0 * MACHINE_EPSILON
 """Relative rounding of a bound, per layer of the sweep: more layers cannot undo it."""
 
+
 _SAME_LAYER = 1e-9  # of a unit: the rounding of a total, far below a step
+
 
 _RARE = 1e-3
 """Greatest success up to which J_cond is counted from 1; above it few digits are lost without."""
+
 
 _STALLED = 1e-8
 """Relative distance below which one that more layers leave as it was is rounding."""
@@ -50,7 +62,7 @@ class LayeredStrategy:
 
     choice: IntArray  # [layers, nodes] position among the pairs of the node
     threshold: FloatArray  # [nodes] total from which the tail is pi'_or
-    levels: Levels  # the totals of the layers, and those beyond the cap
+    totals: Totals  # of the layers, and those beyond the cap
     cap: float  # M, in units
 
 
@@ -76,10 +88,10 @@ class CostPlayer:
     @property
     def dearest(self) -> float:
         """Units that M is moved by at least: what the dearest step costs, and a little more."""
-        steps = step_lattice(self.base.quotient.model)[1]
+        steps = step_costs(self.base.quotient.model)[1]
         return float(steps[-1]) if self.base.by_steps else float(self.base.width)
 
-    def levels(self, cap: float) -> Levels:
+    def totals(self, cap: float) -> Totals:
         """The totals below M, all that can occur, and those at which tails take over.
 
         Raises:
@@ -88,7 +100,7 @@ class CostPlayer:
         base, most = self.base, _MOST_ENTRIES // max(self.base.n_nodes, 1)
         most = min(most, _MOST_LAYERS)
         if not base.by_steps and cap <= most:
-            return Levels.of_lattice(base.exact_unit, int(cap), base.width)
+            return base.totals(int(cap))
         model = base.quotient.model
         sums = sums_in(model, cap, min(most, MOST_SUMS)) if base.by_steps else None
         if sums is None:
@@ -96,7 +108,7 @@ class CostPlayer:
                 f"the totals below {cap * base.unit:g} are too many for the game on "
                 f"{base.n_nodes:,} states (unit {base.unit:g}): round the costs to a coarser grid"
             )
-        return Levels.of_sums(Ladder(np.append(sums, cap), step_lattice(model)[1], complete=True))
+        return Totals(np.append(sums, cap), step_costs(model)[1], complete=True)
 
     def response(
         self, objective_weight: float, condition_weight: float, accuracy: float
@@ -137,12 +149,12 @@ class CostPlayer:
         the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
         """
         base, weights = self.base, np.array([1.0, price])
-        levels: Levels = self.response(1.0, price, accuracy).strategy.levels
-        bounds = Window(self.tail.surplus(levels.totals[levels.cap :], weights), levels)
+        totals: Totals = self.response(1.0, price, accuracy).strategy.totals
+        bounds = Window(self.tail.surplus(totals.beyond, weights), totals)
         lowest = np.zeros(base.n_nodes)
         chosen: IntArray = base.pair_offsets[:-1]
         worth = price * base.survival * base.gain
-        for paid in levels.totals[levels.cap - 1 :: -1].tolist():
+        for paid in totals.values[-2::-1].tolist():
             spent = self._costs(paid)[:, 0]
             lowest, chosen = self._lowest(spent - worth, spent + worth, bounds.flat, chosen)
             bounds.push(lowest)
@@ -167,35 +179,35 @@ class CostPlayer:
 
     def _response(self, weights: FloatArray, cap: float) -> BestResponse:
         """The best response that follows the tail from M = cap units on, and a bound for all."""
-        base, levels = self.base, self.levels(cap)
+        base, totals = self.base, self.totals(cap)
         threshold = self.tail.threshold(weights) - _SAME_LAYER * base.unit
-        measured = Window(self.tail.attained(levels.totals[levels.cap :], threshold), levels)
-        totals = np.zeros((base.n_nodes, 2))
+        measured = Window(self.tail.attained(totals.beyond, threshold), totals)
+        attained = np.zeros((base.n_nodes, 2))
         most = int(np.diff(base.pair_offsets).max(initial=1))
-        choice = np.empty((levels.cap, base.n_nodes), dtype=least_integer_type(most))
+        choice = np.empty((totals.size, base.n_nodes), dtype=least_integer_type(most))
         chosen: IntArray = base.pair_offsets[:-1]
-        for layer in reversed(range(levels.cap)):
-            costs = self._costs(float(levels.totals[layer]))
-            chosen, totals = self._best(costs, weights, measured.flat, chosen)
+        for layer in reversed(range(totals.size)):
+            costs = self._costs(float(totals.values[layer]))
+            chosen, attained = self._best(costs, weights, measured.flat, chosen)
             choice[layer] = chosen - base.pair_offsets[:-1]
-            measured.push(totals)
+            measured.push(attained)
         settled = np.array([0.0, -base.start_goal if self.origin else base.start_failure])
-        objective, failing = (base.start @ totals + settled).tolist()
-        *_, lowest = self.lowest(weights, levels)
+        objective, failing = (base.start @ attained + settled).tolist()
+        *_, lowest = self.lowest(weights, totals)
         bound = float(base.start @ lowest + settled @ weights)
-        strategy = LayeredStrategy(choice, threshold, levels, cap)
-        return BestResponse(objective, failing, bound, strategy, 2 * levels.cap, self.origin)
+        strategy = LayeredStrategy(choice, threshold, totals, cap)
+        return BestResponse(objective, failing, bound, strategy, 2 * totals.size, self.origin)
 
-    def lowest(self, weights: FloatArray, levels: Levels) -> Iterator[FloatArray]:
+    def lowest(self, weights: FloatArray, totals: Totals) -> Iterator[FloatArray]:
         """Lower bounds of every policy's weighted cost, [nodes], from the last layer to the first.
 
         Args:
             weights: of J_obj and J_cond, [2].
-            levels: the totals.
+            totals: the totals.
         """
         chosen = self.base.pair_offsets[:-1]
-        ahead = Window(self.tail.bound(levels.totals[levels.cap :], weights), levels)
-        for paid in levels.totals[levels.cap - 1 :: -1].tolist():
+        ahead = Window(self.tail.bound(totals.beyond, weights), totals)
+        for paid in totals.values[-2::-1].tolist():
             costs = self._costs(paid)
             size = np.abs(costs) @ weights
             values, chosen = self._lowest(costs @ weights, size, ahead.flat, chosen)
@@ -280,7 +292,7 @@ def cost_aware(base: AccumulatedCost, tail: Tail, strategy: LayeredStrategy) -> 
     quotient, model, choice = base.quotient, base.quotient.model, strategy.choice
     threshold = strategy.threshold / base.unit
     threshold = threshold if base.by_steps else np.ceil(threshold)
-    known = np.append(strategy.levels.totals[: len(choice)], strategy.cap)
+    known = np.append(strategy.totals.values[: len(choice)], strategy.cap)
     live = np.flatnonzero(quotient.node_of >= 0)  # in the order of the nodes: none are merged
     pair = quotient.pair_at[base.pair_offsets[:-1] + choice]
     decision = np.full((len(choice), model.n_states), UNDECIDED, dtype=choice.dtype)
@@ -293,3 +305,119 @@ def cost_aware(base: AccumulatedCost, tail: Tail, strategy: LayeredStrategy) -> 
         tail_threshold=quotient.lift(np.where(threshold <= strategy.cap, -np.inf, threshold)),
         levels=known if base.by_steps else None,
     )
+
+
+_ACCURACY = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class Tail:
+    """Two stationary policies for what lies beyond M, and how much any policy may succeed.
+
+    The paper follows pi'_or there, which fails most. Where failing is dear, M would have to be very
+    large for that: there the policy that fails least is followed until as much has been paid that
+    pi'_or is no worse.
+    """
+
+    choice: IntArray  # [2, nodes] pairs of the policy that fails least, and of pi'_or
+    early: FloatArray  # [2, nodes] E[gamma^(T-1); goal]
+    cost: FloatArray  # [2, nodes] E[gamma^(T-1) * cost; goal]
+    failing: FloatArray  # [2, nodes] J_cond - origin, with J_cond = 1 - E[gamma^T; goal]
+    least_goal: FloatArray  # [nodes] checked lower bound of E[gamma^T; goal]
+    greatest_goal: FloatArray  # [nodes] checked upper bound of it
+    survival: float  # gamma; 1 where J_obj is not discounted
+    origin: float = 0.0  # 0 or 1, see ``BestResponse``
+
+    def threshold(self, weights: FloatArray) -> FloatArray:
+        """Accumulated cost from which pi'_or is no worse than the other, [nodes]."""
+        saved = weights[0] * (self.early[0] - self.early[1])
+        owed = weights[1] * (self.failing[1] - self.failing[0])
+        owed += weights[0] * (self.cost[1] - self.cost[0])
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            total = owed / saved
+        return np.where(saved > 0.0, total, np.where(owed <= 0.0, -np.inf, np.inf))
+
+    def attained(self, paid: FloatArray, threshold: FloatArray) -> FloatArray:
+        """(J_obj, J_cond - origin) of going on where so much was paid, [totals, nodes, 2].
+
+        Section 3.5.1 leaves the tail's J_obj undiscounted; under discounting it is discounted here
+        like what comes before M, so that c-hat does not depend on M once M is large.
+        """
+        last = paid[:, None] >= threshold
+        early, cost, failing = (
+            np.where(last, v[1], v[0]) for v in (self.early, self.cost, self.failing)
+        )
+        return np.stack([paid[:, None] * early + cost, failing], axis=-1)
+
+    def bound(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
+        """Lower bound of every policy's weighted cost at these totals, [totals, nodes]."""
+        return np.asarray(weights[1] * (1.0 - self.origin) + self.surplus(paid, weights))
+
+    def surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
+        """The same, less the weighted cost of sure failure, [totals, nodes].
+
+        Whoever succeeds pays at least what has been paid: ``w_o r E[gamma^(T-1); goal] - w_d
+        E[gamma^T; goal]`` is linear in the success, which lies between two bounds.
+        """
+        per_success = weights[0] * paid[:, None] / self.survival - weights[1]
+        goal = np.where(per_success < 0.0, self.greatest_goal, self.least_goal)
+        return np.asarray(per_success * goal)
+
+
+def outer_tail(base: AccumulatedCost, origin: float = 0.0) -> Tail:
+    """Find the policies that fail least and most, by MAXPROB and MINPROB (paper, section 2.3).
+
+    Both are value iterations on the discounted process without accumulated cost.
+
+    Args:
+        base: the process.
+        origin: from which J_cond is counted, 0 or 1.
+    """
+    quotient, gamma = base.quotient, base.survival
+    dynamics, _ = quotient.dynamics(gamma, departing=False)
+    watched = np.full(base.n_nodes, 1.0 / max(base.n_nodes, 1))
+    success = np.where(quotient.pair_at >= 0, gamma * base.gain, 0.0)
+
+    def least(costs: FloatArray) -> Iterated:
+        """The policy of least expected total of some costs, [pairs]."""
+        process = Discounted(dynamics, costs[:, None], gamma)
+        return iterate_values(process, np.ones(1), watched, accuracy=_ACCURACY)
+
+    safest, riskiest = least(base.failure), least(success)
+    both = np.stack([safest.choice, riskiest.choice])
+    early, cost = _followed_tails(base, both, gamma)
+    return Tail(
+        choice=both,
+        early=early,
+        cost=cost,
+        failing=(1.0 - origin) - gamma * early,
+        least_goal=riskiest.values,
+        greatest_goal=1.0 - safest.values,
+        survival=gamma,
+        origin=origin,
+    )
+
+
+def undiscounted_tail(base: AccumulatedCost, tail: Tail) -> Tail:
+    """The same policies with their undiscounted J_obj; J_cond stays discounted (section 3.3).
+
+    Whoever succeeds with weight E[gamma^T; goal] succeeds with at least that probability and pays
+    for it undiscounted, so that the bounds of the weight serve here too.
+    """
+    goal, cost = _followed_tails(base, tail.choice, 1.0)
+    return replace(tail, early=goal, cost=cost, survival=1.0)
+
+
+def _followed_tails(
+    base: AccumulatedCost, choices: IntArray, survival: float
+) -> tuple[FloatArray, FloatArray]:
+    """E[survival^(T-1); goal] and E[survival^(T-1) * cost; goal] of policies, [policies, nodes]."""
+    quotient, (early, cost) = base.quotient, np.zeros((2, *choices.shape))
+    dynamics, _ = quotient.dynamics(survival, departing=False)
+    for k, choice in enumerate(choices):
+        chain = dynamics.chain(choice)
+        early[k] = chain.solve(base.gain[choice])
+        weight = np.where(quotient.model.goal_mask, 1.0, survival * quotient.lift(early[k]))
+        priced = quotient.at_pairs(cost_means(quotient.model, weight))
+        cost[k] = chain.solve(priced[choice])
+    return early, cost

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
+from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
+from ssp_lp.accumulated_cost.totals import resolution_of_costs
 from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.game.label_player import LabelModels, label_models
 from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.goal_reach import max_goal_probability
-from ssp_lp.processes.layered.accumulated_cost import AccumulatedCost, accumulate_cost
-from ssp_lp.processes.totals.ladder import wanted_rungs
 
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
@@ -84,5 +84,5 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     if not problem.ratio:
         return label_models(problem.model, start, problem.semantics, discount)
     check_reachable(problem)
-    by_steps = wanted_rungs(problem.model) is not None
+    by_steps = resolution_of_costs(problem.model) is not None
     return accumulate_cost(problem.model, start, discount, by_steps=by_steps)

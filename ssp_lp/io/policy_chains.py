@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.analysis.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.raw_model import GOAL, Exported, ModelFile, exported
@@ -21,6 +20,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import attention_pairs, attention_states
 from ssp_lp.policies import MixedPolicy, Policy
+from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.policies.policy import GIVE_UP_CODE
 from ssp_lp.processes.failure_semantics import start_distribution

@@ -39,6 +39,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph, linalg
 
+from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.column import Column, FailureRow, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
@@ -54,7 +55,6 @@ from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.methods.columns import RefinedOutcome
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.layered.layered_process import LayeredProcess
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.program_rows import rows_program

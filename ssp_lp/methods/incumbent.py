@@ -14,9 +14,9 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.analysis.chain import policy_chain
+from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf
+from ssp_lp.accumulated_cost.law import ChainProspect
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
-from ssp_lp.analysis.total_cost.live_chain import ChainProspect
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problem import (
     ATTAINABLE,
@@ -30,11 +30,11 @@ from ssp_lp.methods.columns import RefinedOutcome, refined_optimum
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.problem import Problem, Restated, conditions_of, unrolled
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
-from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
 _ROUGH = SolveOptions(1e-3)  # how exactly case M is solved: its policy is not the best one anyway

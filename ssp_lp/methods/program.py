@@ -9,6 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf, TotalCostCharge
+from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.column_generation.compiled_problem import CompiledConstrained
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.rows import rows_optimum, truth_of
@@ -17,9 +19,6 @@ from ssp_lp.problem import Problem, compiled_constrained, has_rows, unrolled
 from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.layered.charges import TotalCostCharge
-from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
-from ssp_lp.processes.layered.open_ended import OpenEnded
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.programs.augmented import Augmented, LabelledModel
 from ssp_lp.programs.layered_model import LayeredModel
@@ -69,7 +68,7 @@ def program_of(
         augmented = _cost_given_success(compiled)  # where no total has to be remembered
     elif compiled.charge is not None:
         compiled = rows_optimum(compiled, CERTIFYING, truth_of(inner, compiled)).compiled
-        if compiled.ladder is not None and not compiled.ladder.exact:
+        if compiled.totals is not None and not compiled.totals.exact:
             raise ModelError(
                 f"the costs have more than {compiled.layers:,} sums: on a grid of totals the "
                 "program is a bound, no problem; fewer distinct costs make it one"

@@ -42,8 +42,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import (
+    Charge,
+    CostQuantileOf,
+    ExcessCharge,
+    LateCharge,
+    TailMeanOf,
+    TotalCostCharge,
+)
+from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
+from ssp_lp.analysis.cost_law import CostLaw, success_costs
 from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.analysis.total_cost.cost_law import CostLaw, success_costs
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.column_generation.column import FailureRow, Proof, required
 from ssp_lp.column_generation.compiled_problem import (
@@ -61,10 +70,7 @@ from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, by_rows, compiled_constrained
-from ssp_lp.processes.layered.charges import Charge, ExcessCharge, LateCharge, TotalCostCharge
-from ssp_lp.processes.layered.measures_of_law import CostQuantileOf, TailMeanOf
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
-from ssp_lp.processes.totals.step_sums import MOST_SUMS, last_steps, room_of, step_lattice, sums_in
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
 
@@ -143,7 +149,7 @@ class ThresholdSums:
 
     def __init__(self, model: SSP) -> None:
         self._model = model
-        self._steps, self._last = step_lattice(model)[1], last_steps(model)[1]
+        self._steps, self._last = step_costs(model)[1], last_steps(model)[1]
         self._cap = 4.0 * float(max(self._steps[-1], self._last[-1])) or 1.0
         self._totals = self._found()
 
@@ -327,7 +333,7 @@ class _QuestionWithinRows:
     @cached_property
     def thresholds(self) -> Thresholds:
         """The totals that can occur, or those of a grid."""
-        if self.compiled.rungs is None:
+        if self.compiled.resolution is None:
             return ThresholdMultiples(self.compiled.base.exact_unit)
         try:
             found = ThresholdSums(self.compiled.model)

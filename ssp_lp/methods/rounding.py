@@ -29,8 +29,10 @@ from fractions import Fraction
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf, WithinBound
+from ssp_lp.accumulated_cost.totals import MOST_SUMS, step_costs, sums_in, totals_of
+from ssp_lp.analysis.cost_law import costs_as_counted
 from ssp_lp.analysis.evaluation import evaluate
-from ssp_lp.analysis.total_cost.cost_law import costs_as_counted
 from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.column import Column, FailureRow, excess_failure, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
@@ -51,13 +53,6 @@ from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, Restated, by_rows, by_sums, compiled_constrained, has_rows
 from ssp_lp.processes.failure_semantics import start_distribution
-from ssp_lp.processes.layered.measures_of_law import (
-    CostQuantileOf,
-    TailMeanOf,
-    WithinBound,
-)
-from ssp_lp.processes.totals.lattice import totals_of
-from ssp_lp.processes.totals.step_sums import MOST_SUMS, step_lattice, sums_in
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
 _ROUGH = 1e-4  # how exactly the first model of split costs is solved
@@ -209,7 +204,7 @@ def _improved_split(problem: Problem, best: _Split, outcome: RefinedOutcome) -> 
 
 def parts_of(problem: Problem, unit: Fraction) -> int:
     """Parts of a unit of which the cheapest step takes one at least."""
-    return max(int(np.ceil(float(unit) / float(step_lattice(problem.model)[1][1]))), 1)
+    return max(int(np.ceil(float(unit) / float(step_costs(problem.model)[1][1]))), 1)
 
 
 def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
@@ -356,7 +351,7 @@ def _may_be_split(problem: Problem) -> bool:
         return False
     if problem.semantics.measure is not None or getattr(problem, "cost_cap", None) is not None:
         return False
-    steps = step_lattice(problem.model)[1]
+    steps = step_costs(problem.model)[1]
     return len(steps) > 1 and bool(steps[-1] <= _WIDEST * steps[1])
 
 
@@ -397,13 +392,13 @@ def split_units(problem: Problem, span: float, *, finest: bool = False) -> Itera
         span: the totals that matter.
         finest: as far as there is room, whatever is asked for.
     """
-    cheapest = float(step_lattice(problem.model)[1][1])
+    cheapest = float(step_costs(problem.model)[1][1])
     return rounding_units(problem, span, cheapest=cheapest, finest=finest)
 
 
 def span_of_steps(problem: Problem) -> float:
     """The totals that matter; what a step costs that only ends an episode is not remembered."""
-    return span_of_totals(problem, float(step_lattice(problem.model)[1][-1]))
+    return span_of_totals(problem, float(step_costs(problem.model)[1][-1]))
 
 
 def split_optimum(

@@ -24,6 +24,7 @@ from itertools import combinations
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
 from ssp_lp.column_generation.column import Proof, least_of, relative_gap
@@ -50,11 +51,10 @@ from ssp_lp.problem import Problem, compiled_constrained
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
-from ssp_lp.processes.totals.ladder import Rungs
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
 _PATIENCE = 6  # refinements that need not even halve the gap
-_COARSE_RUNGS = 64  # of the grid that a search on totals begins with
+_COARSE_TOTALS = 64  # of the grid that a search on totals begins with
 _COARSE_GAP = 1e-4  # and how exactly it is solved
 _COARSE = 0.5  # relative gap of a search that is only to find out whether there is an answer
 _FINER = 1e-3  # of the tolerance, where a complement is minimised, which may be much larger
@@ -128,8 +128,8 @@ def rows_optimum(
     calls, work, gaps = 0, Work(), list[float]()
     best: RowsOptimum | None = None
     guess: RowsOptimum | None = None
-    if stated.rungs is not None:
-        coarse = replace(stated, rungs=Rungs(grid=_COARSE_RUNGS, most=_COARSE_RUNGS))
+    if stated.resolution is not None:
+        coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
         stated = stated.up_to(guess.kappa)
     while True:
@@ -159,7 +159,7 @@ def rows_optimum(
         if finer is None:
             return _optimum_with_value(best)
         stated = finer
-        if found.compiled.ladder is not None and np.isfinite(found.value):
+        if found.compiled.totals is not None and np.isfinite(found.value):
             guess = found
 
 
@@ -172,8 +172,8 @@ def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
     if np.isfinite(found.value) and (found.note or not found.compiled.is_rounded):
         return found
     levels = f"{found.compiled.layers:,} levels"
-    if found.compiled.ladder is not None:
-        levels = f"{levels} up to {found.compiled.ladder.rungs[-1]:.6g}"
+    if found.compiled.totals is not None:
+        levels = f"{levels} up to {found.compiled.totals.values[-1]:.6g}"
     if not np.isfinite(found.value):
         raise SolverError(
             f"no policy on {levels} of accumulated cost keeps to the limits: more ",
@@ -773,7 +773,7 @@ def least_goal_within(compiled: CompiledConstrained, bounds: FloatArray) -> floa
     if compiled.budget is None:
         return compiled.least_goal
     semantics = FailureSemantics(aim=Aim.LEAST_GOAL)
-    reach = replace(compiled, semantics=semantics, charge=None, ratio=False, rungs=None)
+    reach = replace(compiled, semantics=semantics, charge=None, ratio=False, resolution=None)
     try:
         opened = phase_one_opening(reach, reach, CERTIFYING)
     except InfeasibleError:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ssp_lp.analysis.cost_law import CostLaw
 from ssp_lp.analysis.frontier import Frontier
-from ssp_lp.analysis.total_cost.cost_law import CostLaw
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.errors import ModelError, SolverError, in_short

@@ -9,6 +9,7 @@ from numbers import Real
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import Measure
 from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, segment_minima
 from ssp_lp.errors import (
     Argument,
@@ -22,7 +23,6 @@ from ssp_lp.errors import (
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import attention_pairs
 from ssp_lp.processes.expectations import cost_means
-from ssp_lp.processes.layered.measures_of_law import Measure
 
 
 class GiveUp(enum.StrEnum):

@@ -11,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
@@ -29,7 +30,6 @@ from ssp_lp.model.graph.reachability import (
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
 from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.layered.charges import TailValues
 from ssp_lp.processes.live_rows import RowChoice, live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
 

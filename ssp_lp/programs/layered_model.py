@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.process import spread_layer
+from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.stationary import StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.flow import ModelFlow, Spread, decisions, model_flow, moving_within
-from ssp_lp.processes.layered.accumulated_cost import spread_layer
-from ssp_lp.processes.layered.open_ended import OpenEnded
 from ssp_lp.processes.quantities.conditions import Term
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.augmented import Augmented
@@ -56,7 +56,7 @@ class LayeredModel(Augmented):
             if merged:
                 mass = np.repeat(flow.pairs, np.diff(model.outcome_offsets)) * model.probabilities
                 moved = np.flatnonzero(mass)
-                reached = below[layer, base.lattice.ahead[moved]]
+                reached = below[layer, base.step_classes.ahead[moved]]
                 np.add.at(entering, (reached, model.successors[moved]), mass[moved])
                 flow = moving_within(quotient, flow, entering[layer])
             yield flow
@@ -77,7 +77,7 @@ class LayeredModel(Augmented):
 
     def paid(self, copy: int) -> float:
         """The layer's total; the last stands for more."""
-        return float(self.layered.totals[copy])
+        return float(self.layered.totals.values[copy])
 
     def policy(self, choice: IntArray) -> CostAwarePolicy:
         """One decision for each state and accumulated cost."""

@@ -8,6 +8,7 @@ from time import perf_counter
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
 from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.column import CONTRADICTION, FailureRow, Proof, relative_gap
@@ -36,7 +37,6 @@ from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, by_rows, by_sums, compiled_constrained, conditions_of
 from ssp_lp.processes.failure_semantics import Aim, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import extreme_goal_reach
-from ssp_lp.processes.totals.ladder import Rungs
 from ssp_lp.solution import Solution, as_solved
 
 _LOG = logging.getLogger("ssp_lp.certificate")
@@ -192,7 +192,7 @@ def _limits_certificate(solution: Solution, found: Evaluation) -> Certificate:
     values = np.asarray(values)
     levels = levels_of(solution.policy.policies)
     if levels is not None:
-        compiled = replace(compiled, rungs=Rungs(fixed=tuple(levels.tolist())))
+        compiled = replace(compiled, resolution=Resolution(fixed=tuple(levels.tolist())))
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget, spent = max(stated.budget or 0.0, least), [failure_of(found)]

@@ -13,7 +13,7 @@ from small_models import model_of
 from ssp_lp import SSP, certify, solve
 from ssp_lp.column_generation import compiled_problem as module
 from ssp_lp.column_generation.column import FailureRow
-from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled.deadline import Stop
 from tests.support.compiled import Switch

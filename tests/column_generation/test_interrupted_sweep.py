@@ -7,9 +7,9 @@ import pytest
 from examples.domains.navigation import navigation
 from formulations import S3P
 from ssp_lp import evaluate
+from ssp_lp.column_generation import layered_pricing
 from ssp_lp.column_generation.column import Column
-from ssp_lp.column_generation.pricing import layered_pricing
-from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.compiled.deadline import Stop, until
 
 
@@ -43,7 +43,7 @@ def test_layers_swept_by_then_are_an_optimum_at_a_lower_price(
     monkeypatch.setattr(LayeredPricing, "_one_pass", None)
     found = _stopped(monkeypatch, pricing, 80.0, layers)
     assert found is not None
-    process = replace(pricing.process, cap=layers)
+    process = replace(pricing.process, totals=pricing.process.base.totals(layers))
     paid = (pricing.process.cap - layers) * process.base.unit
     same = replace(pricing, process=process).minimise(80.0 - paid / process.base.survival)
     assert found.failure == pytest.approx(same.failure, rel=1e-13)

@@ -8,8 +8,9 @@ import scipy.sparse as sp
 
 from examples.domains.navigation import navigation
 from formulations import S3P
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExcessCharge
 from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost, CompiledProblem
-from ssp_lp.column_generation.pricing.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.dynamic_programming.bellman import (
     ChosenRows,
     PairCost,
@@ -19,7 +20,6 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.model import SSP
 from ssp_lp.processes import live_rows as module
-from ssp_lp.processes.layered.charges import TOTAL_COST, Charge, ExcessCharge
 from ssp_lp.processes.live_rows import RowChoice, live_rows, shared_live_rows
 from tests.support.compiled import Switch, assert_same, both
 

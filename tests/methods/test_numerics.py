@@ -10,10 +10,10 @@ import pytest
 from formulations import MCMP, S3P
 from small_models import model_of
 from ssp_lp import certify, evaluate, solve
+from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics
 from ssp_lp.processes.goal_reach import max_goal_probability, min_goal_probability
-from ssp_lp.processes.totals.levels import Window
 
 
 @pytest.mark.parametrize("leak", [1e-6, 1e-10, 1e-13])

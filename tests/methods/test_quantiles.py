@@ -10,10 +10,10 @@ import pytest
 from examples.solver_comparison.instances.families import corridor, layered
 from formulations import CostBoundedReach, CostQuantile
 from ssp_lp import SSP, certify, evaluate, solve, success_costs
+from ssp_lp.accumulated_cost.charges import LateCharge
 from ssp_lp.methods import risk
 from ssp_lp.methods.risk import Near, question_of
 from ssp_lp.options import SolveOptions
-from ssp_lp.processes.layered.charges import LateCharge
 
 FREE_STEPS = SSP.from_transitions(
     {

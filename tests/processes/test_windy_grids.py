@@ -24,11 +24,11 @@ from examples.solver_comparison.instances.families import (
 from formulations import MCMP, S3P, AlphaMCMP, MaxProb, MinCost
 from small_models import model_of
 from ssp_lp import SSP, InfeasibleError, OutOfTimeError, Status, certify, evaluate, solve
+from ssp_lp.accumulated_cost.totals import Resolution, resolution_of_costs
 from ssp_lp.compiled.deadline import Stop
 from ssp_lp.dynamic_programming import extreme_reach
 from ssp_lp.policies import DeterministicPolicy
 from ssp_lp.processes.goal_reach import greatest_goal_reach
-from ssp_lp.processes.totals.ladder import Rungs, wanted_rungs
 
 _ENDS = 60.0  # seconds; what is looked at here took for ever
 
@@ -228,7 +228,7 @@ def test_a_grid_with_real_costs_has_too_many_sums_to_follow() -> None:
     """So many kinds of steps that to number what each leads to from every sum filled the memory."""
     model = holes(39, slip=0.2, share=0.08, seed=4)
     costs = model.costs * np.random.default_rng(4).uniform(0.5, 2.0, model.n_outcomes)
-    assert wanted_rungs(replace(model, costs=costs)) == Rungs()
+    assert resolution_of_costs(replace(model, costs=costs)) == Resolution()
 
 
 def test_a_small_grid_whose_runs_are_long_has_an_answer() -> None:

@@ -1,0 +1,437 @@
+"""What arriving at the goal is charged for the total cost: one process, many criteria.
+
+On the accumulated-cost process (paper, section 3.1.1) a run that reaches the goal at total cost c
+is charged ``charge(c)``, one that fails nothing. The total cost itself gives S3P; a step, a kink
+or a utility in its place give bounded reach, the conditional value at risk, or GUBS. A negative
+charge is a reward. No charge falls as the total cost grows.
+
+A measure is a number of the *law of success costs* of a policy, the sub-probability law of the
+total cost C on the runs that reach the goal; what is missing from it is the failure probability.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Final, NamedTuple, Protocol
+
+import numpy as np
+
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
+from ssp_lp.errors import ModelError
+
+Utility = Callable[[FloatArray], FloatArray]
+"""A non-increasing function of the total cost, on arrays."""
+
+
+def utilities(utility: Utility, costs: FloatArray) -> FloatArray:
+    """The utility of each cost, like ``costs``.
+
+    Raises:
+        ModelError: the function does not take an array, or does not return as many finite numbers.
+    """
+    try:
+        worth = np.asarray(utility(costs), dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"utility must take an array of costs: {error}") from error
+    if worth.shape != costs.shape or not np.isfinite(worth).all():
+        raise ModelError("utility must map an array of costs to as many finite numbers")
+    return worth
+
+
+class TailValues(NamedTuple):
+    """What a stationary policy attains from some nodes on, arrays of one shape."""
+
+    goal: FloatArray  # E[gamma^T; goal]
+    failure: FloatArray  # 1 - goal, summed by itself: each is exact where it is small
+    early: FloatArray  # E[gamma^(T - 1); goal]
+    cost: FloatArray  # E[gamma^(T - 1) * cost; goal]
+    moment: FloatArray  # E[exp(rate * cost); goal]; 0 where no charge needs it
+
+    @classmethod
+    def stacked(
+        cls, policies: Sequence[TailValues], seen: Callable[[FloatArray], FloatArray]
+    ) -> TailValues:
+        """Several policies' values to be charged, one row each, seen by some other index."""
+        return cls(
+            *(np.array([seen(each) for each in same]) for same in zip(*policies, strict=True))
+        )
+
+    def row(self, number: int) -> TailValues:
+        """The values to be charged of one policy of several, whose number is the first index."""
+        return TailValues(*(each[number] for each in self))
+
+    def chosen(self, last: BoolArray) -> TailValues:
+        """Those of the last policy where ``last``, of the first elsewhere, like ``last``."""
+        return TailValues(*(np.where(last, each[-1], each[0]) for each in self))
+
+
+class Charge(ABC):
+    """A non-decreasing function of the total cost, by default affine from some cost on."""
+
+    @property
+    def offset(self) -> float:
+        """``offset + slope * cost`` is the charge from ``settled`` on."""
+        return 0.0
+
+    @property
+    def slope(self) -> float:
+        """Charge per unit of cost from ``settled`` on."""
+        return 0.0
+
+    @property
+    def lowest(self) -> float:
+        """No charge is less; at most 0."""
+        return 0.0
+
+    @property
+    def is_concave(self) -> bool:
+        """Whether interpolating the charge never exceeds it."""
+        return False
+
+    @abstractmethod
+    def at(self, totals: FloatArray) -> FloatArray:
+        """The charge of total costs, like ``totals``."""
+
+    @property
+    def settled(self) -> float | None:
+        """Total beyond which the charge is affine; None: never."""
+        return 0.0
+
+    def is_affine_beyond(self, total: float) -> bool:
+        """Whether the charge is its line at a total already; exponentials only come near theirs."""
+        line = self.offset + self.slope * total
+        return bool(np.isclose(float(self.at(np.array([total]))[0]), line, rtol=1e-9))
+
+    def lossless(self, price: float) -> float:
+        """Total from which on failing is best at a price of it; 0 where the charge is settled."""
+        return max((price - self.offset) / self.slope, 0.0) if self.slope > 0.0 else 0.0
+
+    def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
+        """E[charge; goal] of following a tail after so much has been paid."""
+        linear = self.slope * (tail.cost + paid * tail.early)
+        return np.asarray(linear + self.offset * tail.goal if self.offset else linear)
+
+
+@dataclass(frozen=True)
+class TotalCostCharge(Charge):
+    """The total cost itself: case S."""
+
+    @property
+    def is_concave(self) -> bool:
+        """True: a line is concave."""
+        return True
+
+    @property
+    def slope(self) -> float:
+        """1: the charge is the cost."""
+        return 1.0
+
+    def at(self, totals: FloatArray) -> FloatArray:
+        """The costs themselves."""
+        return np.asarray(totals)
+
+
+TOTAL_COST: Final = TotalCostCharge()
+
+
+@dataclass(frozen=True)
+class LateCharge(Charge):
+    """1 for arriving at a cost beyond the bound, 0 else.
+
+    A total within :data:`~ssp_lp.arrays.SAME_TOTAL` of the bound is the bound, summed in another
+    way.
+    """
+
+    bound: float | Fraction
+
+    @property
+    def offset(self) -> float:
+        """What an arrival beyond the bound is charged."""
+        return 1.0
+
+    def at(self, totals: FloatArray) -> FloatArray:
+        """The charge of arriving in time or beyond the bound."""
+        return np.where(np.asarray(totals) <= self.settled, self.lowest, self.offset)
+
+    @property
+    def settled(self) -> float:
+        """The bound, with room for rounding."""
+        return float(self.bound) * (1.0 + SAME_TOTAL)
+
+
+@dataclass(frozen=True)
+class ExcessCharge(Charge):
+    """``z + max(cost - z, 0) / share``: the integrand of Rockafellar and Uryasev's formula.
+
+    With a ``first`` it is the least of the integrands for first <= z <= threshold, or less:
+    ``max(first, min(cost, threshold)) + max(cost - threshold, 0) / share``.
+    """
+
+    threshold: float  # z
+    share: float  # 1 - level
+    first: float | None = None  # None: the threshold
+
+    @property
+    def offset(self) -> float:
+        """Where the line beyond z meets cost 0."""
+        return self.threshold * (1.0 - self.slope)
+
+    @property
+    def slope(self) -> float:
+        """The slope of the line beyond z."""
+        return 1.0 / self.share
+
+    def at(self, totals: FloatArray) -> FloatArray:
+        """The integrand."""
+        late = np.maximum(np.asarray(totals) - self.threshold, 0.0)
+        first = self.threshold if self.first is None else self.first
+        return np.asarray(np.clip(totals, first, self.threshold) + late * self.slope)
+
+    @property
+    def settled(self) -> float:
+        """The threshold."""
+        return self.threshold
+
+
+class Law(Protocol):
+    """The law of success costs, as far as measures need it."""
+
+    @property
+    def goal(self) -> float:
+        """The probability of reaching the goal."""
+        ...
+
+    def within(self, bound: float | Fraction) -> float:
+        """Pr(goal, C <= bound), the comparison made exactly on the lattice of costs."""
+        ...
+
+    def excess(self, threshold: float) -> float:
+        """E[(C - threshold)^+; goal]."""
+        ...
+
+    def quantile(self, level: float) -> float:
+        """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached."""
+        ...
+
+    def exponential(self, rate: float) -> float:
+        """E[exp(rate * C); goal], rate < 0."""
+        ...
+
+    def expectation(self, utility: Utility, at_infinity: float) -> float:
+        """E[utility(C); goal], where the utility falls to ``at_infinity``."""
+        ...
+
+
+class Measure(Protocol):
+    """A number of the law of success costs."""
+
+    @property
+    def maximised(self) -> bool:
+        """Whether more is better."""
+        return False
+
+    @property
+    def failing(self) -> float:
+        """What a run that fails is worth, where the measure is an expectation."""
+        return float("inf")
+
+    @property
+    def words(self) -> str:
+        """What is asked, in words."""
+        ...
+
+    @property
+    def charge(self) -> Charge:
+        """What arriving at the goal is charged in the process; of a search, to begin with."""
+        return TOTAL_COST
+
+    def of(self, law: Law) -> float:
+        """The measure of a law of costs."""
+        ...
+
+
+class Reward(Charge, Measure):
+    """An expectation to be maximised: its charge is minus what arriving is worth beyond failing."""
+
+    @property
+    def maximised(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def failing(self) -> float:
+        """Nothing is earned by failing."""
+        return 0.0
+
+    @property
+    def charge(self) -> Charge:
+        """Itself."""
+        return self
+
+
+@dataclass(frozen=True)
+class WithinBound(LateCharge, Reward):
+    """Pr(the goal is reached at a total cost of at most ``bound``): 1 for arriving in time."""
+
+    @property
+    def offset(self) -> float:
+        """Nothing for arriving late."""
+        return 0.0
+
+    @property
+    def lowest(self) -> float:
+        """What an arrival in time is charged."""
+        return -1.0
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"goal within cost {float(self.bound):g}"
+
+    def of(self, law: Law) -> float:
+        """The probability."""
+        return law.within(self.bound)
+
+
+@dataclass(frozen=True)
+class ExpectedUtility(Reward):
+    """E[utility of the total cost] + bonus * Pr(goal); a run that fails costs infinity (GUBS).
+
+    Beyond every table the utility is taken to be what it falls to, which understates it.
+    """
+
+    utility: Utility
+    bonus: float
+    at_infinity: float
+
+    @property
+    def failing(self) -> float:
+        """The utility of an infinite cost."""
+        return self.at_infinity
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"expected utility, goal bonus {self.bonus:g}"
+
+    @property
+    def offset(self) -> float:
+        """Minus the bonus."""
+        return -self.bonus
+
+    @property
+    def lowest(self) -> float:
+        """Minus what arriving at no cost is worth."""
+        return float(self.at(np.zeros(1))[0])
+
+    def at(self, totals: FloatArray) -> FloatArray:
+        """Minus (utility + bonus - utility of failing).
+
+        Raises:
+            ModelError: the utility is no non-increasing function with this limit.
+        """
+        cost, back = np.unique(totals, return_inverse=True)
+        worth = utilities(self.utility, cost) - self.at_infinity
+        wrong = (worth < 0.0) | np.append(np.diff(worth) > 0.0, False)
+        if wrong.any():
+            where = float(cost[int(np.argmax(wrong))])
+            raise ModelError(
+                f"utility must not increase with the cost nor fall below utility_at_infinity = "
+                f"{self.at_infinity:g}: it does at cost {where:g}"
+            )
+        return np.asarray(-(worth + self.bonus))[back].reshape(np.shape(totals))
+
+    @property
+    def settled(self) -> None:
+        """None: where a utility becomes constant is not known."""
+        return
+
+    def of(self, law: Law) -> float:
+        """The expected utility."""
+        reached = law.expectation(self.utility, self.at_infinity) + self.bonus * law.goal
+        return reached + self.at_infinity * (1.0 - law.goal)
+
+
+@dataclass(frozen=True)
+class ExponentialUtility(Reward):
+    """E[exp(rate * total cost); goal] + bonus * Pr(goal), rate < 0 (eGUBS).
+
+    What a tail is worth factors exactly.
+    """
+
+    rate: float
+    bonus: float
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"utility exp({self.rate:g} cost), goal bonus {self.bonus:g}"
+
+    @property
+    def is_concave(self) -> bool:
+        """True: it is minus a convex exponential."""
+        return True
+
+    @property
+    def offset(self) -> float:
+        """Minus the bonus, which is what is left in the limit."""
+        return -self.bonus
+
+    @property
+    def lowest(self) -> float:
+        """Minus what arriving at no cost is worth."""
+        return -(1.0 + self.bonus)
+
+    def at(self, totals: FloatArray) -> FloatArray:
+        """Minus utility and bonus."""
+        return np.asarray(-(np.exp(self.rate * np.asarray(totals)) + self.bonus))
+
+    def beyond(self, paid: FloatArray, tail: TailValues) -> FloatArray:
+        """``-(exp(rate * paid) * E[exp(rate * cost); goal] + bonus * goal)``."""
+        return np.asarray(-(np.exp(self.rate * paid) * tail.moment + self.bonus * tail.goal))
+
+    def of(self, law: Law) -> float:
+        """The expected utility."""
+        return law.exponential(self.rate) + self.bonus * law.goal
+
+
+@dataclass(frozen=True)
+class CostQuantileOf(Measure):
+    """The level-quantile of the total cost given success."""
+
+    level: float
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"{self.level:g}-quantile of the cost given success"
+
+    def of(self, law: Law) -> float:
+        """The least B with Pr(C <= B | goal) >= level."""
+        return law.quantile(self.level)
+
+
+@dataclass(frozen=True)
+class TailMeanOf(Measure):
+    """The conditional value at risk of the total cost given success: the mean of its worst share.
+
+    By Rockafellar and Uryasev's formula it is z + E[(C - z)^+ | goal] / (1 - level) at the
+    quantile z, and the least of these over all z.
+    """
+
+    level: float
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return f"conditional value at risk {self.level:g} given success"
+
+    def of(self, law: Law) -> float:
+        """The mean of the worst ``1 - level`` of the runs that succeed; nan if none does."""
+        if law.goal == 0.0:
+            return float("nan")
+        value = law.quantile(self.level)
+        return value + law.excess(value) / ((1.0 - self.level) * law.goal)

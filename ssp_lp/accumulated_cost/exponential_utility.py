@@ -1,0 +1,134 @@
+"""Exponential utility of the cost of reaching the goal, and from what cost on a tail is optimal.
+
+A run that has paid r and follows a stationary policy is worth ``exp(rate * r) * E[exp(rate * C);
+goal] + bonus * Pr(goal)``: the utility factors. As r grows the first term vanishes, so that from a
+finite cost on it is optimal to maximise the goal probability first and the exponential moment
+second (Freire, Delgado and Reis, ICAPS 2019: the cost horizon C_max of eGUBS).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.accumulated_cost.charges import TailValues
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, segment_sums
+from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
+from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
+from ssp_lp.model import SSP
+from ssp_lp.processes.expectations import costless_pairs, successor_means
+from ssp_lp.processes.goal_reach import GoalReach
+from ssp_lp.processes.quotient import Quotient, build_quotient
+
+_ROUNDING = 2.0
+"""A pair's loss of goal probability may be half of what is computed: the horizon then lies a little
+farther than it need, and no rounding matters."""
+
+
+_ONE = np.ones(1)
+
+
+@dataclass(frozen=True, eq=False)
+class MomentReach:
+    """A policy of greatest E[exp(rate * C); goal] among those allowed."""
+
+    decision: IntArray  # [states]
+    goal: FloatArray  # [states] Pr(goal)
+    moment: FloatArray  # [states] E[exp(rate * C); goal], 1 at goals
+    bound: FloatArray  # [states] checked upper bound of the moment of every allowed policy
+
+    @property
+    def values(self) -> TailValues:
+        """What following the policy from each state on attains, [states] each; costs are not."""
+        nothing = np.zeros_like(self.goal)
+        return TailValues(self.goal, 1.0 - self.goal, self.goal, nothing, self.moment)
+
+
+def greatest_moment(model: SSP, rate: float, usable: BoolArray | None) -> MomentReach:
+    """Maximise E[exp(rate * C); goal] over the policies that use some pairs only.
+
+    Every step that costs something shrinks what is to come, so that this is an ordinary problem
+    on a substochastic process; loops that cost nothing are collapsed, and a policy leaves them.
+
+    Args:
+        model: the model.
+        rate: negative.
+        usable: pairs, [model pairs], such as those of greatest goal probability; None: all.
+    """
+    quotient = build_quotient(model, usable=usable, free=costless_pairs(model))
+    shrinking = _shrunk_by_utility(quotient, rate)
+    gain = quotient.at_pairs(_shrunk_arrivals(model, rate))
+    hit = quotient.at_pairs(successor_means(model, model.goal_mask))
+    plain, _ = quotient.dynamics(1.0, departing=False)
+    first = approach_leaving(plain, hit > 0)
+    settled = iterate_policy(shrinking, gain[:, None], -_ONE, first)
+    moment = settled.totals[:, 0]
+    bound = -sub_solution(shrinking, -gain, -moment, floor=-1.0 - 1e-9)
+    equal = first_of_equals(shrinking, gain[:, None], settled.choice, settled.totals, settled.runs)
+    choice = np.where(moment > 0.0, equal, settled.choice)
+    chain, choice = leaving_chain(plain, choice, settled.choice)
+    reached = chain.solve(hit[choice])
+    at_goal = model.goal_mask
+    return MomentReach(
+        decision=quotient.pull_back(choice),
+        goal=np.where(at_goal, 1.0, quotient.lift(reached)),
+        moment=np.where(at_goal, 1.0, quotient.lift(moment)),
+        bound=np.where(at_goal, 1.0, quotient.lift(bound)),
+    )
+
+
+def cost_horizon(
+    model: SSP, greatest: GoalReach, tail: MomentReach, rate: float, bonus: float
+) -> float:
+    """Accumulated cost from which a tail of exponential utility is optimal: C_max of eGUBS.
+
+    At (s, r) the tail is optimal if no pair is better: bonus * (P(s) - Q_P(s, a)) >= exp(rate * r)
+    * (Q_V(s, a) - V(s)) for all pairs, with P the greatest goal probability and V the tail's
+    moment. Pairs that keep P satisfy it by V's optimality; each other one from some r on.
+
+    Args:
+        model: the model.
+        greatest: greatest goal probabilities and the pairs that keep them.
+        tail: the greatest moment among those.
+        rate: negative.
+        bonus: positive.
+
+    Returns:
+        The cost; 0 if the tail is optimal from the start.
+    """
+    losing = ~greatest.usable & (greatest.goal > 0.0)[model.pair_state]
+    losing &= ~model.goal_mask[model.pair_state]
+    lost = greatest.goal[model.pair_state] - successor_means(model, greatest.goal)
+    ahead = _shrunk_arrivals(model, rate, np.where(model.goal_mask, 1.0, tail.moment))
+    gained = ahead - tail.moment[model.pair_state]
+    tempting = losing & (gained > 0.0)
+    if not tempting.any():
+        return 0.0
+    share = bonus * lost[tempting] / _ROUNDING / gained[tempting]
+    with np.errstate(divide="ignore"):
+        return float(max(np.log(share).min() / rate, 0.0))
+
+
+def _shrunk_arrivals(model: SSP, rate: float, values: FloatArray | None = None) -> FloatArray:
+    """Exponential utility of stage cost and successor: E[exp(rate * cost) * value], [pairs]."""
+    worth = model.goal_mask.astype(np.float64) if values is None else values
+    terms = model.probabilities * np.exp(rate * model.costs) * worth[model.successors]
+    return segment_sums(terms, model.outcome_offsets)
+
+
+def _shrunk_by_utility(quotient: Quotient, rate: float) -> Dynamics:
+    """The process whose transitions are weighted by exp(rate * stage cost)."""
+    model = quotient.model
+    node = quotient.node_of[model.successors]
+    live = node >= 0
+    pair = np.repeat(np.arange(model.n_pairs), np.diff(model.outcome_offsets))
+    weight = model.probabilities * np.exp(rate * model.costs)
+    every = sp.csr_array(
+        (weight[live], (pair[live], node[live])), shape=(model.n_pairs, quotient.n_nodes)
+    )
+    lost = np.where(live, -np.expm1(rate * model.costs), 1.0) * model.probabilities
+    exits = quotient.at_pairs(segment_sums(lost, model.outcome_offsets))
+    return Dynamics(quotient.pair_offsets, sp.csr_array(every[quotient.pair_at]), exits)

@@ -1,0 +1,819 @@
+"""How much mass of policies' chains arrives at the goal at which total cost.
+
+The part of the chains that can still reach the goal is followed layer after layer of the costs'
+common unit. Where costs have none worth counting in, the sums that occur are followed one by one,
+in increasing order. They are whole numbers of a unit all the same, however small: a float means its
+shortest decimal, so that two ways to one sum meet in one number, exactly.
+
+A chain of few nodes that is hardly left arrives in millions of layers. One layer is a matrix on the
+places where mass can wait, and its powers of two lead to any layer in as many products as the layer
+has binary digits. What leaves is carried as data and sums up without a subtraction; the rows of a
+power are scaled to what it leaves over, so that the rounding of a probability of staying near 1 is
+not raised to the power of the layers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from heapq import heappop, heappush
+from numbers import Rational
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+
+from ssp_lp.accumulated_cost.totals import common_unit, exact_cost, last_layer, layers_of, totals_of
+from ssp_lp.arrays import (
+    SAME_TOTAL,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    concatenated_ranges,
+    read_only,
+)
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.equations import System
+from ssp_lp.errors import ModelError
+from ssp_lp.policies.chain import Chain, reaching_in_chain
+
+_FEW = 256  # nodes of which a table of all visits is kept
+
+
+@dataclass(frozen=True, eq=False)
+class ChainProspect:
+    """A policy's chain, and what is still to come from each of its nodes."""
+
+    chain: Chain
+    alive: BoolArray  # [nodes] before the goal, and able to reach it
+    goal: FloatArray  # [nodes] goal probability; 1 at goals
+    cost: FloatArray  # [nodes] E[cost from here on; goal]
+
+    @classmethod
+    def of(cls, chain: Chain) -> ChainProspect:
+        """The prospects of a live chain, by two linear solves."""
+        alive = reaching_in_chain(chain, chain.goal > 0) & (chain.goal == 0)
+        goal = chain.accumulate(chain.per_node(chain.goal[chain.target]), alive) + chain.goal
+        paid = chain.per_node(goal[chain.target] * chain.cost)
+        return cls(chain, alive, read_only(goal), read_only(chain.accumulate(paid, alive)))
+
+    def exponential(self, rate: float) -> float:
+        """E[exp(rate * C); goal], rate <= 0: what a step's factor takes away counts as given up."""
+        chain = self.chain
+        lost = chain.per_node(-np.expm1(rate * chain.cost))
+        tilted = replace(
+            chain,
+            probability=chain.probability * np.exp(rate * chain.cost),
+            give_up=chain.give_up + lost,
+        )
+        arriving = tilted.per_node(chain.goal[chain.target])
+        return float(chain.start @ (tilted.accumulate(arriving, self.alive) + chain.goal))
+
+
+@dataclass(frozen=True, eq=False)
+class LiveChain:
+    """The parts of one or several chains that can still reach the goal, the goals made one node.
+
+    Moves that lose the goal for good are left out; what they take away is ``lost``.
+    """
+
+    start: FloatArray  # [nodes + 1] the goal is last, in all three
+    goal: FloatArray  # [nodes + 1]
+    cost: FloatArray  # [nodes + 1]
+    lost: FloatArray  # [nodes] probability of losing the goal with the next decision
+    source: IntArray  # [moves]
+    target: IntArray  # [moves]
+    probability: FloatArray  # [moves]
+    paid: FloatArray  # [moves] cost
+
+    @classmethod
+    def of(cls, prospects: Sequence[ChainProspect], weights: FloatArray) -> LiveChain:
+        """Live chains side by side, entered with the weights of a lottery."""
+        size = sum(int(p.alive.sum()) for p in prospects)
+        first, start, ahead, moves = 0, np.zeros(size + 1), np.zeros((3, size + 1)), []
+        for prospect, weight in zip(prospects, weights, strict=True):
+            chain, alive = prospect.chain, prospect.alive
+            reached = chain.goal > 0
+            own = slice(first, first + int(alive.sum()))
+            number = np.full(chain.n_nodes, size, dtype=np.int64)
+            number[alive] = np.arange(own.start, own.stop)
+            start[own] = weight * chain.start[alive]
+            start[size] += weight * float(chain.start[reached].sum())
+            leaves = ~(alive | reached)[chain.target]
+            lost = chain.give_up + chain.per_node(leaves.astype(np.float64))
+            ahead[:, own] = prospect.goal[alive], prospect.cost[alive], lost[alive]
+            kept = alive[chain.source] & ~leaves
+            moves.append((number[chain.source[kept]], number[chain.target[kept]],
+                          chain.probability[kept], chain.cost[kept]))  # fmt: skip
+            first = own.stop
+        ahead[0, size] = 1.0
+        source, target, probability, paid = map(np.concatenate, zip(*moves, strict=True))
+        return cls(start, ahead[0], ahead[1], ahead[2, :-1], source, target, probability, paid)
+
+
+class FreeChainMoves:
+    """What moves on at no cost before anything is paid: each layer is a chain of its own."""
+
+    def __init__(self, live: LiveChain, free: BoolArray) -> None:
+        """Take the moves marked ``free``, [moves], none of which leads to the goal."""
+        n = len(live.lost)
+        where = (live.source[free], live.target[free])
+        inside = sp.csr_array((live.probability[free], where), shape=(n, n))
+        inside.sum_duplicates()
+        leak = np.bincount(live.source[~free], weights=live.probability[~free], minlength=n)
+        self._inside, self._leaving = inside, leak + live.lost
+        count, self._component = connected_components(inside, directed=False)
+        self._busy = np.zeros(count, dtype=np.bool_)
+        self._busy[self._component[where[0]]] = True
+
+    def spread(self, inflow: FloatArray) -> FloatArray:
+        """Expected visits by moves of a live chain within one layer, given what enters it, [nodes].
+
+        Few nodes by a table that holds however hardly a loop is left; of many only the components
+        that something enters are solved.
+        """
+        if inflow.size <= _FEW:
+            return np.asarray(inflow @ self._visits)
+        entered = np.zeros_like(self._busy)
+        entered[self._component[np.flatnonzero(inflow)]] = True
+        nodes = np.flatnonzero((entered & self._busy)[self._component])
+        visits = inflow.copy()
+        if nodes.size:
+            every = nodes.size == inflow.size
+            own = self._inside if every else sp.csr_array(self._inside[nodes][:, nodes])
+            visits[nodes] = System(own, self._leaving[nodes]).solve_transposed(inflow[nodes])
+        return visits
+
+    @cached_property
+    def _visits(self) -> FloatArray:
+        """Expected visits of a live chain within a layer, [nodes entered, nodes]."""
+        return self.gathered(np.eye(len(self._leaving)))
+
+    def gathered(self, rewards: FloatArray) -> FloatArray:
+        """Expected rewards of all visits of a live chain within one layer, by where it is entered.
+
+        Args:
+            rewards: of a visit, [nodes, rewards].
+        """
+        return System(self._inside, self._leaving).solve_by_reduction(rewards)
+
+
+MOST_LEVELS = 62
+"""Layers are counted up to 2^62, as far as integers of 64 bits go."""
+
+
+_MOSTLY_STAYS = 0.5
+"""Exits up to which what stays is taken from them; above, the subtraction would lose digits."""
+
+
+class _LayerPower(NamedTuple):
+    """2^k layers as one step."""
+
+    onward: FloatArray  # [places, places]
+    lands: FloatArray  # [places] probability of having arrived at the goal
+    leaves: FloatArray  # [places] probability of having lost it
+
+    def scaled(self) -> _LayerPower:
+        """The same power, where the probabilities of going on add up to what the exits leave."""
+        exits, total = self.lands + self.leaves, self.onward.sum(axis=1)
+        stays = exits <= _MOSTLY_STAYS
+        factor = np.divide(1.0 - exits, total, out=np.ones_like(exits), where=stays)
+        return self._replace(onward=self.onward * factor[:, None])
+
+    def doubled(self) -> _LayerPower:
+        """The power of twice as many layers."""
+        lands = self.lands + self.onward @ self.lands
+        leaves = self.leaves + self.onward @ self.leaves
+        return _LayerPower(self.onward @ self.onward, lands, leaves).scaled()
+
+
+class LayerPowers:
+    """Powers of two of one layer's transition, squared when they are first needed. Mutable."""
+
+    def __init__(self, onward: FloatArray, lands: FloatArray, leaves: FloatArray) -> None:
+        """Begin with one layer.
+
+        Args:
+            onward: probabilities of waiting at a place after the layer, [places, places].
+            lands: probability of arriving at the goal in the layer, [places].
+            leaves: probability of losing it in the layer, [places].
+        """
+        self._levels = [_LayerPower(onward, lands, leaves).scaled()]
+
+    def after(self, waiting: FloatArray, layers: int) -> tuple[float, FloatArray]:
+        """What has arrived after some layers, and what waits then.
+
+        Args:
+            waiting: mass before the first of them, [places].
+            layers: how many, at least 0 and less than 2^62.
+        """
+        arrived = 0.0
+        for k in range(layers.bit_length()):
+            if layers >> k & 1:
+                level = self._level(k)
+                arrived += float(waiting @ level.lands)
+                waiting = waiting @ level.onward
+        return arrived, waiting
+
+    def until(self, waiting: FloatArray, mass: float) -> int | None:
+        """How many layers pass before the one in which the arrivals reach a mass.
+
+        Args:
+            waiting: mass before the first layer, [places].
+            mass: above 0.
+
+        Returns:
+            The layers, or None where 2^62 of them are not enough.
+        """
+        k = 0
+        while float(waiting @ self._level(k).lands) < mass:
+            k += 1
+            if k > MOST_LEVELS:
+                return None
+        layers, arrived = 0, 0.0
+        for j in reversed(range(k)):
+            level = self._level(j)
+            more = arrived + float(waiting @ level.lands)
+            if more < mass:
+                layers, arrived, waiting = layers + (1 << j), more, waiting @ level.onward
+        return layers
+
+    def _level(self, k: int) -> _LayerPower:
+        """The transition of ``2^k`` layers."""
+        while len(self._levels) <= k:
+            self._levels.append(self._levels[-1].doubled())
+        return self._levels[k]
+
+
+@dataclass(frozen=True, eq=False)
+class LayerPlaces:
+    """Where mass can wait: at a node, some layers ahead. Those of a node follow each other."""
+
+    node: IntArray  # [places] the goal is the last node
+    delay: IntArray  # [places] layers ahead
+    first: IntArray  # [nodes] the place of each node with no delay
+
+    @classmethod
+    def upto(cls, dearest: IntArray) -> LayerPlaces:
+        """The places that steps lead to, and one without delay at each node.
+
+        Args:
+            dearest: layers that a step into the node passes at most, [nodes].
+        """
+        count = np.maximum(dearest, 1)
+        node = np.repeat(np.arange(len(count)), count)
+        delay = concatenated_ranges(np.zeros_like(count), count)
+        return cls(node, delay, np.cumsum(count) - count)
+
+    @property
+    def size(self) -> int:
+        """Number of places in which mass waits within a layer's power."""
+        return len(self.node)
+
+    def columns(self, n_nodes: int) -> IntArray:
+        """Where steps that lead to each place stand among (layers passed, node), [places]."""
+        return np.asarray((self.delay + 1) * n_nodes + self.node)
+
+    def powers(self, leaving: FloatArray) -> LayerPowers:
+        """The transition of one layer: mass without delay leaves, the rest comes one layer nearer.
+
+        Args:
+            leaving: where it goes: to each place, to the goal within the layer, or lost,
+                [nodes before the goal, places + 2].
+        """
+        goal = self.first[-1]
+        onward = np.zeros((self.size, self.size))
+        lands, leaves = np.zeros(self.size), np.zeros(self.size)
+        waits = np.flatnonzero(self.delay > 0)
+        onward[waits, waits - 1] = 1.0
+        begin = self.first[:-1]
+        onward[begin], lands[begin], leaves[begin] = leaving[:, :-2], leaving[:, -2], leaving[:, -1]
+        lands[goal] = 1.0
+        return LayerPowers(onward, lands, leaves)
+
+
+_FIRST_LAYERS = 64
+
+
+_LAST_LAYER = 2**62  # as good as infinitely many
+
+
+_MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
+
+
+_MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
+
+
+_WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
+
+
+_TOGETHER = 1_000_000  # moves that may be followed between two looks at the time
+
+
+_MOSTLY = 0.5  # share of a chain's nodes from which all of its moves are followed
+
+
+_TINY = 5e-324  # the least mass there is
+
+
+_MOST_PLACES = 800  # of a dense matrix of one layer, of which some sixty powers are kept, 300 MB
+
+
+_WORK_OF_POWERS = 0.125  # moves that could be followed while powers are taken, per places cubed
+
+
+class Arrivals:
+    """A sweep over the total cost in whole layers of the costs' common unit. Mutable: it grows.
+
+    Mass waits at (layer, node) in a ring as wide as the costliest step. A layer is settled by
+    spreading its mass over the moves that cost nothing and sending it on along the others; what
+    is then at the goal is that layer's atom. All that is not settled is known exactly from the
+    linear solves of each node's prospects, so the tail is never a difference of large numbers.
+    Where the nodes are few, what lies far beyond the settled layers is had from powers of the
+    transition of one layer (:attr:`leaps`).
+
+    Raises:
+        ModelError: the costs have no common unit that gives a sane number of layers.
+    """
+
+    def __init__(
+        self, live: LiveChain, exact_costs: Mapping[float, Fraction], unit: Fraction | None = None
+    ) -> None:
+        """Begin at total cost 0, nothing settled.
+
+        Args:
+            live: the chain.
+            exact_costs: float cost -> the fraction meant.
+            unit: of which every cost is rounded up to a multiple; None: their common unit.
+        """
+        self.settled = 0  # layers 0 .. settled - 1 are
+        self._work = 0
+        paid = live.paid
+        flat = paid.size > 0 and float(paid.min()) == float(paid.max())
+        distinct = paid[:1] if flat else np.unique(paid)
+        if unit is None:
+            self.unit = common_unit(distinct, exact_costs)
+            self._steps = layers_of(distinct, self.unit, exact_costs)
+        else:
+            self.unit = unit
+            self._steps = np.ceil(distinct / float(unit) * (1.0 - SAME_TOTAL)).astype(np.int64)
+        self._width = int(self._steps.max(initial=0)) + 1
+        self._live, self._size = live, len(live.start)
+        if self._width * self._size > _MOST_WAITING:
+            raise ModelError(self._too_large("one step passes too many layers"))
+        step = self._steps[np.searchsorted(distinct, paid)]
+        goal = self._size - 1
+        free = (step == 0) & (live.target != goal)
+        self._free = FreeChainMoves(live, free) if free.any() else None
+        onward = (live.source[~free], (step * self._size + live.target)[~free])
+        shape = (goal, self._width * self._size)
+        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
+        self._waiting = np.zeros(shape[1])
+        self._waiting[: self._size] = live.start
+        self._occupied = np.arange(self._width) == 0
+        self._lists: tuple[Any, ...] = ()  # of what waits, and of moves, once loops are compiled
+        self._layers: list[int] = []
+        self._masses: list[float] = []
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether no arrival is waited for any more: every atom is known."""
+        return not self._occupied.any()
+
+    def cost_of(self, layers: IntArray) -> FloatArray:
+        """Total cost of whole layers, rounded once, like ``layers``."""
+        return totals_of(layers, self.unit)
+
+    def last_layer(self, bound: float | Fraction) -> int:
+        """The last layer of a total cost of at most a finite bound, decided in whole numbers."""
+        far = float(_LAST_LAYER * self.unit)
+        if not isinstance(bound, Rational) and not 0.0 < bound < far:
+            return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
+        return min(max(last_layer(bound, self.unit), -1), _LAST_LAYER)
+
+    def atoms(self) -> tuple[IntArray, FloatArray]:
+        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
+        return np.array(self._layers, dtype=np.int64), np.array(self._masses, dtype=np.float64)
+
+    def settle(self, layers: int) -> None:
+        """Settle all layers below the given number.
+
+        Raises:
+            ModelError: this would take too long.
+            Stop: the time ended.
+        """
+        while self.settled < layers:
+            check_time()
+            if self._lists or (self._free is None and accelerated(_TOGETHER)):
+                few = max(_TOGETHER // max(self._onward.nnz, 1), 1)
+                self._settle_together(min(layers - self.settled, few))
+                continue
+            ahead = self._to_next()
+            if ahead is None or self.settled + ahead >= layers:
+                self.settled = layers
+            else:
+                self.settled += ahead
+                self._settle_one()
+
+    def followed(self, enough: int | None = None) -> Iterator[int]:
+        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
+
+        Yields:
+            How many layers are settled; at least once.
+
+        Raises:
+            ModelError: this would take too long.
+        """
+        yield self.settled
+        while not self.exhausted:
+            ahead = max(2 * self.settled, _FIRST_LAYERS)
+            self.settle(ahead if enough is None else min(ahead, enough))
+            yield self.settled
+
+    @property
+    def frontier(self) -> float:
+        """The total cost from which on nothing is settled."""
+        return float(self.cost_of(np.array(self.settled)))
+
+    @property
+    def leaps(self) -> bool:
+        """Whether layers that are not settled can be asked for: the places are few.
+
+        So it is after as much work of settling as the powers will take, and not before.
+        """
+        size = self._places.size
+        few = size <= _MOST_PLACES and not self.exhausted
+        return few and self._work >= _WORK_OF_POWERS * size**3
+
+    def arrived(self, layer: int) -> float:
+        """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
+        layers, masses = self.atoms()
+        known = float(masses[layers < layer].sum())
+        return known + self._ahead(layer)[0] if layer > self.settled and self.leaps else known
+
+    def first_reaching(self, mass: float) -> int:
+        """The layer in which the arrivals reach a mass that the settled ones do not; where leaps.
+
+        Raises:
+            ModelError: there are more layers before it than can be counted.
+        """
+        beyond = max(mass - sum(self._masses), _TINY)
+        layers = self._powers.until(self._here(), beyond)
+        if layers is None:
+            raise ModelError(self._too_large("the answer lies too far out"))
+        return self.settled + layers
+
+    def remaining(self, layer: int | None = None) -> tuple[float, float]:
+        """Of the runs that arrive at a layer or later: Pr(goal), and E[C - that layer; goal].
+
+        Args:
+            layer: the first that is not settled if left out; a later one where :attr:`leaps`.
+        """
+        if layer is None:
+            occupied = np.flatnonzero(self._waiting)
+            row, node = np.divmod(occupied, self._size)
+            ahead, delay = self._waiting[occupied], (row - self.settled) % self._width
+        else:
+            ahead, node, delay = self._ahead(layer)[1], self._places.node, self._places.delay
+        goal = ahead * self._live.goal[node]
+        cost = self.cost_of(delay) * goal + ahead * self._live.cost[node]
+        return float(goal.sum()), float(cost.sum())
+
+    @cached_property
+    def _places(self) -> LayerPlaces:
+        """Where mass that will arrive can wait: at each node, until its dearest step has passed."""
+        dearest = np.zeros(self._size, dtype=np.int64)
+        columns = self._onward.indices.astype(np.int64)
+        np.maximum.at(dearest, columns % self._size, columns // self._size)
+        return LayerPlaces.upto(dearest)
+
+    @cached_property
+    def _powers(self) -> LayerPowers:
+        """The transition of one layer and its powers."""
+        lost = self._live.lost[:, None]
+        chosen = self._places.columns(self._size)
+        later = self._onward[:, np.append(chosen, self._size - 1)].toarray()
+        leaving = np.hstack([later, lost])
+        return self._places.powers(leaving if self._free is None else self._free.gathered(leaving))
+
+    def _here(self) -> FloatArray:
+        """What waits before the first layer that is not settled, [places]."""
+        rows = (self.settled + self._places.delay) % self._width
+        return np.asarray(self._waiting[rows * self._size + self._places.node])
+
+    def _ahead(self, layer: int) -> tuple[float, FloatArray]:
+        """What arrives from the settled layers to a later one, and what waits then, [places]."""
+        return self._powers.after(self._here(), layer - self.settled)
+
+    def _to_next(self) -> int | None:
+        """How many layers ahead the next one is at which mass may wait; None: there is none."""
+        row = self.settled % self._width
+        for begin, part in ((0, self._occupied[row:]), (-row, self._occupied[:row])):
+            first = int(np.argmax(part)) if part.size else 0
+            if part.size and part[first]:
+                return (begin + first) % self._width
+        return None
+
+    def _settle_one(self) -> None:
+        """Settle one more layer: what arrives there is known."""
+        row, size = self.settled % self._width, self._size
+        here = self._waiting[row * size : (row + 1) * size]
+        visits = here[:-1].copy()
+        here[:-1] = 0.0
+        self._occupied[row] = False
+        if self._free is not None:
+            visits = self._free.spread(visits)
+        active = np.flatnonzero(visits)
+        if active.size:
+            self._send(visits, active, row * size)
+            self._occupied[(self.settled + self._steps[self._steps > 0]) % self._width] = True
+        if here[-1] > 0.0:
+            self._layers.append(self.settled)
+            self._masses.append(float(here[-1]))
+            here[-1] = 0.0
+        self.settled += 1
+
+    def _settle_together(self, layers: int) -> None:
+        """Settle several layers, none of which has moves that cost nothing, in compiled loops."""
+        from ssp_lp.compiled.layers import stream_layers
+
+        if not self._lists:  # where mass waits, layer by layer of the ring
+            places = np.flatnonzero(self._waiting)
+            heads, links = np.full(self._width, -1), np.full(self._waiting.size, -1, dtype=np.int32)
+            row = places // self._size
+            links[places[1:]] = np.where(row[1:] == row[:-1], places[:-1], -1)
+            heads[row] = places
+            moves = self._onward
+            rows = moves.indptr.astype(np.int64), moves.indices.astype(np.int64), moves.data
+            self._lists = heads, links, *rows
+        run: Callable[..., int] = stream_layers
+        arrived = np.zeros(layers)
+        followed = run(self._waiting, *self._lists, self.settled % self._width, arrived)
+        self._occupied = self._lists[0] >= 0
+        reached = np.flatnonzero(arrived)
+        self._layers += (self.settled + reached).tolist()
+        self._masses += arrived[reached].tolist()
+        self.settled += layers
+        self._count(int(followed) + layers * _WORK_OF_A_LAYER)
+
+    def _count(self, work: int) -> None:
+        """Count what has been followed; ModelError where it is too much."""
+        self._work += work
+        if self._work > _MOST_WORK:
+            raise ModelError(self._too_large("the answer lies too far out"))
+
+    def _send(self, visits: FloatArray, active: IntArray, begin: int) -> None:
+        """Send visits on along the moves that pay or arrive, into the ring that begins here."""
+        moves, waiting = self._onward, self._waiting
+        if active.size >= _MOSTLY * visits.size:
+            active = np.arange(visits.size)
+        first = moves.indptr[active].astype(np.int64)
+        counts = moves.indptr[active + 1] - first
+        self._count(int(counts.sum()) + _WORK_OF_A_LAYER)
+        if counts.sum() < waiting.size:
+            taken = concatenated_ranges(first, counts)
+            share = moves.data[taken] * np.repeat(visits[active], counts)
+            place = (moves.indices[taken].astype(np.int64) + begin) % waiting.size
+            np.add.at(waiting, place, share)
+            return
+        sent, turn = moves[active].T @ visits[active], waiting.size - begin
+        waiting[begin:] += sent[:turn]
+        waiting[:begin] += sent[turn:]
+
+    def _too_large(self, reason: str) -> str:
+        """Why the table of arrivals is too large, as an error says it."""
+        return (
+            f"the law of success costs takes too large a table: {self._size - 1:,} nodes of the "
+            f"policy's chain, {self._width:,} layers of cost {float(self.unit):g} in one step, "
+            f"{self.settled:,} layers so far ({reason}); round the costs to a coarser grid when "
+            "building the model, or ask for a lower cost or level"
+        )
+
+
+_FIRST_STEPS = 8  # of the dearest kind
+
+
+_MOST_SUMS = 50_000  # followed one by one, some seconds
+
+
+_MOST_SUMS_BESIDE = 5_000  # where a policy has a unit of its own: its chain is the larger
+
+
+_MOST_KINDS = 64  # of steps by cost
+
+
+_FINE = 2_000  # units in the mean of costs that are rounded
+
+
+_MOST_UNITS = 20_000  # in the dearest step
+
+
+_MOST_ROUNDED = 10_000_000  # masses kept at once, of rounded costs
+
+
+_EARLY = 2_000  # sums after which some of the runs must have arrived
+
+
+_SOME = 0.05  # share of those that succeed
+
+
+class _TooManySumsError(ModelError):
+    """A question needs more sums than are followed one by one."""
+
+
+class FollowedSums:
+    """A sweep over the sums of a chain's costs. Mutable: it grows.
+
+    The interface is that of ``Arrivals``, a layer being a multiple of a tiny unit.
+    """
+
+    leaps = False
+
+    def __init__(self, live: LiveChain, exact_costs: Mapping[float, Fraction], most: int) -> None:
+        """Begin at total cost 0, nothing settled, to follow at most so many sums."""
+        self.settled, self._followed, self._most = 0, 0, most
+        kinds, kind = np.unique(live.paid, return_inverse=True)
+        self.unit = common_unit(kinds, exact_costs)
+        exact = [exact_costs.get(c, exact_cost(c)) for c in kinds.tolist()]
+        self._steps = [int(c / self.unit) for c in exact]
+        self._live, self._size = live, len(live.start)
+        goal = self._size - 1
+        free = (live.paid == 0.0) & (live.target != goal)
+        self._free = FreeChainMoves(live, free) if free.any() else None
+        onward = (live.source[~free], kind[~free] * self._size + live.target[~free])
+        shape = (goal, len(kinds) * self._size)
+        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
+        nodes = np.flatnonzero(live.start)
+        self._pending: dict[int, list[tuple[IntArray, FloatArray]]] = {}
+        self._next: list[int] = []
+        self._send(0, nodes, live.start[nodes])
+        self._layers: list[int] = []
+        self._masses: list[float] = []
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether no sum is left to follow: every atom is known."""
+        return not self._next
+
+    def cost_of(self, layers: IntArray) -> FloatArray:
+        """Total cost of a followed sum, rounded once, like ``layers``."""
+        up, down = self.unit.numerator, self.unit.denominator
+        found = [int(layer) * up / down for layer in np.ravel(layers).tolist()]
+        return np.array(found, dtype=np.float64).reshape(np.shape(layers))
+
+    def last_layer(self, bound: float | Fraction) -> int:
+        """The last sum of at most a bound, which may itself be a sum rounded otherwise."""
+        return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
+
+    def atoms(self) -> tuple[IntArray, FloatArray]:
+        """Followed sums at which mass arrives, increasing, and how much: [atoms] each."""
+        return np.array(self._layers, dtype=object), np.array(self._masses, dtype=np.float64)
+
+    def followed(self, enough: int | None = None) -> Iterator[int]:
+        """Follow twice as many sums each time, up to ``enough`` or to the end of the support.
+
+        Yields:
+            How many layers are settled; at least once.
+
+        Raises:
+            _TooManySumsError: there are too many sums before it.
+        """
+        yield self.settled
+        while not self.exhausted:
+            ahead = max(2 * self.settled, _FIRST_STEPS * max(self._steps, default=1), 1)
+            self.settle(ahead if enough is None else min(ahead, enough))
+            yield self.settled
+
+    def settle(self, layers: int) -> None:
+        """Settle all sums below the given layer.
+
+        Raises:
+            _TooManySumsError: there are too many sums below it.
+            Stop: the time ended.
+        """
+        while self._next and self._next[0] < layers:
+            check_time()
+            self._followed += 1
+            if not self._are_few:
+                raise _TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
+            self._settle_one(heappop(self._next))
+        self.settled = max(self.settled, layers)
+
+    @property
+    def _are_few(self) -> bool:
+        """Whether there is hope that the sums come to an end of what is asked."""
+        if self._followed <= _EARLY:
+            return self._followed <= self._most and len(self._steps) <= _MOST_KINDS
+        arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
+        goal = float(self._live.start @ self._live.goal)
+        return self._followed <= self._most and arrived >= _SOME * goal
+
+    @property
+    def frontier(self) -> float:
+        """The total cost from which on no sum is settled."""
+        return float(self.settled * self.unit)
+
+    def arrived(self, layer: int) -> float:
+        """Pr(goal, C lies below the sum), which is settled."""
+        known = sum(1 for found in self._layers if found < layer)
+        return float(np.sum(self._masses[:known]))
+
+    def remaining(self, layer: int | None = None) -> tuple[float, float]:
+        """Of the runs that arrive at sums not settled: Pr(goal), and E[C - frontier; goal]."""
+        goal, cost, frontier = 0.0, 0.0, self.settled if layer is None else layer
+        for begun, parts in self._pending.items():
+            delay = float((begun - frontier) * self.unit)
+            for nodes, masses in parts:
+                reached = float(masses @ self._live.goal[nodes])
+                goal += reached
+                cost += delay * reached + float(masses @ self._live.cost[nodes])
+        return goal, cost
+
+    def first_reaching(self, mass: float) -> int:
+        """Where leaps only: never."""
+        raise ModelError(f"no leap to a mass of {mass:g}: sums are followed one by one")
+
+    def _settle_one(self, layer: int) -> None:
+        """Settle the least sum that is still followed."""
+        parts = self._pending.pop(layer)
+        nodes = np.concatenate([part[0] for part in parts])
+        masses = np.concatenate([part[1] for part in parts])
+        arrived = float(masses[nodes == self._size - 1].sum())
+        if arrived > 0.0:
+            self._layers.append(layer)
+            self._masses.append(arrived)
+        found = np.bincount(nodes, weights=masses, minlength=self._size)[:-1]
+        visits = found.astype(np.float64)
+        if self._free is not None:
+            visits = self._free.spread(visits)
+        active = np.flatnonzero(visits)
+        if active.size == 0:
+            return
+        moves = self._onward[active]
+        share = moves.data * np.repeat(visits[active], np.diff(moves.indptr))
+        kind, target = np.divmod(moves.indices.astype(np.int64), self._size)
+        for one in np.unique(kind).tolist():
+            chosen, ahead = kind == one, layer + self._steps[one]
+            self._send(ahead, target[chosen], share[chosen])
+
+    def _send(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
+        """Let mass wait for the sums that steps make of its own."""
+        if layer not in self._pending:
+            self._pending[layer] = []
+            heappush(self._next, layer)
+        self._pending[layer].append((nodes, masses))
+
+
+Sweep = Arrivals | FollowedSums
+
+
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """The sweeps over a chain's total cost, each begun when a question needs it."""
+
+    live: LiveChain
+    exact_costs: Mapping[float, Fraction]  # float cost -> the fraction meant
+    typical: float  # a total cost
+    rounded: LiveChain | None  # with costs rounded up to multiples of a unit worth counting in
+
+    def asked(self, question: Callable[[Sweep], Answer]) -> Answer:
+        """The answer to a question: exact, or of rounded costs where it needs too many sums."""
+        try:
+            return question(self._exact)
+        except ModelError as error:
+            if self.rounded is None and not isinstance(error, _TooManySumsError):
+                raise
+            return question(self._rounded)
+
+    @cached_property
+    def _exact(self) -> Sweep:
+        """The sums that costs make as they are, or layers of a common unit."""
+        try:
+            return Arrivals(self.live, self.exact_costs)
+        except ModelError:  # no common unit that is worth counting in
+            most = _MOST_SUMS if self.rounded is None else _MOST_SUMS_BESIDE
+            return FollowedSums(self.live, self.exact_costs, most)
+
+    @cached_property
+    def _rounded(self) -> Arrivals:
+        """Every cost rounded up to a multiple of a small unit, the smaller of two."""
+        most = max(min(_MOST_UNITS, _MOST_ROUNDED // len(self.live.start)), 1)
+        least = float(self.live.paid.max(initial=0.0)) / most
+        unit = Fraction(max(self.typical / _FINE, least))
+        if self.rounded is not None:
+            counted = Arrivals(self.rounded, self.exact_costs)
+            if counted.unit <= unit:
+                return counted
+        return Arrivals(self.live, {}, unit)
+
+
+def cost_of(sweep: Sweep, layer: int) -> float:
+    """Total cost of a layer or of a followed sum."""
+    return float(sweep.cost_of(np.array(layer)))

@@ -1,0 +1,808 @@
+"""A policy that remembers its cost, layer by layer of the cost paid, on the model's own outcomes.
+
+Backward sweeps total what follows. Only the layers that a step can reach are held at once. Within a
+layer, where steps cost nothing, and under the tails, the totals are those of a chain of its own and
+verified as such (``evaluate_chain``); from layer to layer they are sums of products, which lose a
+rounding each.
+
+Forward, the law of the total cost: below the cap the cost paid is the layer, so that all that a law
+needs of a layer is how much mass arrives at the goal with it. What reaches the cap goes on by the
+policy's tails, whose chains are written out.
+
+A state from which the goal is not reached under a policy is one in which it can be avoided for
+sure, so that the policy may give up there: what it would still pay changes no cost given success.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy.sparse as sp
+from scipy.sparse import csgraph
+
+from ssp_lp.accumulated_cost.totals import exact_cost, totals_of
+from ssp_lp.arrays import (
+    SAME_TOTAL,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    concatenated_ranges,
+    offsets_of,
+    read_only,
+)
+from ssp_lp.compiled.accelerator import accelerated
+from ssp_lp.compiled.deadline import check_time
+from ssp_lp.dynamic_programming.equations import System, strong_components
+from ssp_lp.dynamic_programming.evaluation import evaluate_chain
+from ssp_lp.model import SSP
+from ssp_lp.model.chunks import chunks
+from ssp_lp.model.graph.reachability import (
+    dead_ends,
+    goal_pairs,
+    nearer_pairs,
+    reached_along,
+)
+from ssp_lp.policies import CostAwarePolicy, MixedPolicy
+from ssp_lp.policies.chain import Chain, policy_chain
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, Policy
+from ssp_lp.policies.stationary import DeterministicPolicy
+
+HOPEFUL, OPEN, WRONG, ENDLESS, FAILS = 1, 2, 4, 8, 16
+"""Bits: the goal can be reached; some end can; a decision that is missing or not allowed can;
+a loop that costs something and is never left can; failing can, where that is forbidden."""
+
+
+ENDED = -3
+"""In place of a pair where an episode is over."""
+
+
+_NO_CLASSES = np.zeros(0, dtype=np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Staying:
+    """Moves of a layer's decisions that stay in it, among k states from which they stay there."""
+
+    share: sp.csr_array  # [k, k] probabilities
+    paid: sp.csr_array  # [k, k] the same times the cost
+    onward: FloatArray  # [k] probability of moving to a later layer
+
+
+@dataclass(frozen=True, eq=False)
+class LayerMoves:
+    """A model's outcomes by the class of their cost, and which of its states act.
+
+    ``slots`` are where in a ring of layers each class of steps leads, -1 where it stays, [classes].
+    """
+
+    model: SSP
+    layers: CostLayers
+
+    @cached_property
+    def acting(self) -> BoolArray:
+        """States at which episodes go on, [states]."""
+        return ~(dead_ends(self.model) | self.model.goal_mask)
+
+    @cached_property
+    def classes(self) -> IntArray:
+        """Class of each outcome's cost, [outcomes]; empty where there is one class."""
+        costs, model = self.layers.costs, self.model
+        if len(costs) == 1:
+            return _NO_CLASSES
+        result = np.empty(model.n_outcomes, dtype=np.min_scalar_type(len(costs)))
+        for some in chunks(model.n_outcomes):
+            result[some] = np.searchsorted(costs, model.costs[some])
+        return result
+
+    @property
+    def room(self) -> int:
+        """Layers in a ring that holds all to which a step may lead."""
+        return max(self.layers.width - 1, 1)
+
+    def pairs(self, layer: int, states: IntArray) -> IntArray:
+        """Pairs of acting states in a layer; codes stay, -3 elsewhere, like ``states``."""
+        decision = self.layers.decision[layer][states]
+        pair = np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
+        return np.where(self.acting[states], pair, ENDED)
+
+    def tail(self, number: int, states: IntArray) -> IntArray:
+        """The same moves under a tail."""
+        return np.where(self.acting[states], self.layers.tails[number][states], ENDED)
+
+    def slots(self, layer: int) -> IntArray:
+        """Slots of a layer's moves."""
+        leads, room = self.layers.leads(layer), self.room
+        slots = leads + layer % room
+        slots[slots >= room] -= room  # no step leads beyond the ring
+        slots[leads <= 0] = -1
+        return slots
+
+    def expect(
+        self,
+        pairs: IntArray,
+        slots: IntArray,
+        worth: FloatArray,
+        marks: IntArray,
+        priced: IntArray,
+        costs: FloatArray,
+    ) -> tuple[FloatArray, IntArray]:
+        """Expected worth of arriving in later layers, [k, columns], and marks met, [k].
+
+        Args:
+            pairs: of the states asked for, [k].
+            slots: [classes].
+            worth: [slots, states, columns].
+            marks: [slots, states].
+            priced: columns (from, to) of which one counts in the other, times a cost, [.., 2].
+            costs: of each class, [.., classes].
+        """
+        check_time()
+        sums, found = np.zeros((len(pairs), worth.shape[2])), np.zeros(len(pairs), dtype=np.uint8)
+        if accelerated(self.model.n_outcomes):
+            from ssp_lp.compiled.layers import stream_totals
+
+            stream_totals(self.model.n_outcomes)(
+                pairs, *self._outcomes, slots, costs, worth, marks, priced, sums, found
+            )
+            return sums, found
+        source, outcome, kind = self._taken(pairs, slots >= 0)
+        place = slots[kind] * marks.shape[1] + self.model.successors[outcome]
+        flat, shape = worth.reshape(-1, worth.shape[2]), (len(pairs), marks.size)
+        share = self.model.probabilities[outcome]
+        sums += sp.csr_array((share, (source, place)), shape=shape) @ flat
+        for (begin, end), cost in zip(priced.tolist(), costs, strict=True):
+            sums[:, end] += (
+                sp.csr_array((share * cost[kind], (source, place)), shape=shape) @ flat[:, begin]
+            )
+        np.bitwise_or.at(found, source, marks.reshape(-1)[place])
+        return sums, found
+
+    @cached_property
+    def free_order(self) -> IntArray:
+        """States, each after those that its free moves lead to, as far as may be, [states]."""
+        model = self.model
+        staying = (self.layers.leads(0) <= 0)[self.classes if self.classes.size else [0]]
+        begins = model.outcome_offsets[model.pair_offsets]
+        found = strong_components(begins, model.successors, model.probabilities * staying)
+        return found.order
+
+    def meet(self, begin: int, end: int, hopeful: BoolArray) -> None:
+        """Mark where decisions of layers may lead to what is marked in them or later, in place.
+
+        Args:
+            begin: the first of the layers, which pass equally many with each class of steps.
+            end: behind the last of them; they are taken from the last one on.
+            hopeful: what is marked, and becomes so, [layers and those behind them, states].
+        """
+        check_time()
+        model, leads, decision = self.model, self.layers.leads(begin), self.layers.decision
+        if not model.n_outcomes:
+            return
+        if accelerated(model.n_outcomes * (end - begin)):
+            from ssp_lp.compiled.layers import stream_hope
+
+            own = decision[begin:end], self.acting, model.pair_offsets
+            rest = leads, self.free_order, hopeful[begin:]
+            stream_hope(decision[begin:end].size)(*own, *self._outcomes, *rest)
+            return
+        everywhere = np.arange(model.n_states)
+        for layer in reversed(range(begin, end)):
+            pairs = self.pairs(layer, everywhere)
+            source, outcome, kind = self._taken(pairs, leads >= 0)
+            met = hopeful[layer + leads[kind], model.successors[outcome]]
+            hopeful[layer, source[met]] = True
+            if (leads <= 0).any():
+                marks = np.where(hopeful[layer], HOPEFUL, 0)
+                spread_in_layer(marks, HOPEFUL, self.staying(everywhere, pairs, self.slots(layer)))
+                hopeful[layer] = marks > 0
+
+    def reach(self, pairs: IntArray, slots: IntArray, arriving: BoolArray) -> None:
+        """Mark where pairs, [k], may lead in later layers, in place, [slots, states]."""
+        check_time()
+        if accelerated(self.model.n_outcomes):
+            from ssp_lp.compiled.layers import stream_arrivals
+
+            stream_arrivals(pairs, *self._outcomes, slots, arriving)
+            return
+        _, outcome, kind = self._taken(pairs, slots >= 0)
+        arriving[slots[kind], self.model.successors[outcome]] = True
+
+    def send(self, mass: FloatArray, pairs: IntArray, slots: IntArray, waiting: FloatArray) -> None:
+        """Send the mass of a layer, [states], on to later ones, in place, [slots, states]."""
+        check_time()
+        if accelerated(self.model.n_outcomes):
+            from ssp_lp.compiled.layers import stream_mass
+
+            stream_mass(mass, pairs, *self._outcomes, slots, waiting)
+            return
+        source, outcome, kind = self._taken(np.where(mass > 0.0, pairs, -1), slots >= 0)
+        place = slots[kind], self.model.successors[outcome]
+        np.add.at(waiting, place, mass[source] * self.model.probabilities[outcome])
+
+    def within(self, pairs: IntArray, slots: IntArray, begins: IntArray) -> IntArray:
+        """States to which moves that stay lead from some, these included, increasing.
+
+        Args:
+            pairs: of all states, [states].
+            slots: [classes].
+            begins: increasing.
+        """
+        source, outcome, _ = self._taken(pairs, slots < 0)
+        if not source.size:
+            return begins
+        offsets = offsets_of(np.bincount(source, minlength=len(pairs)))
+        return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
+
+    def staying(self, states: IntArray, pairs: IntArray, slots: IntArray) -> Staying | None:
+        """Moves within the layer; None: there are none.
+
+        Args:
+            states: increasing, from which all such moves lead to one of them, [k].
+            pairs: [k].
+            slots: [classes].
+        """
+        if (slots >= 0).all():
+            return None
+        source, outcome, kind = self._taken(pairs, slots < 0)
+        if not source.size:
+            return None
+        share, target = self.model.probabilities[outcome], self.model.successors[outcome]
+        where, shape = (source, np.searchsorted(states, target)), (len(states), len(states))
+        paid = sp.csr_array((share * self.layers.costs[kind], where), shape=shape)
+        onward = np.zeros(len(pairs))
+        source, outcome, _ = self._taken(pairs, slots >= 0)
+        np.add.at(onward, source, self.model.probabilities[outcome])
+        return Staying(sp.csr_array((share, where), shape=shape), paid, onward)
+
+    @property
+    def _outcomes(self) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
+        """What a compiled pass reads of a layer's moves."""
+        model = self.model
+        successors = model.successors.view(np.uint32)
+        return model.outcome_offsets, successors, model.probabilities, self.classes
+
+    def _taken(self, pairs: IntArray, wanted: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+        """Position among the pairs, outcome and class of each possible move of wanted classes."""
+        where = np.flatnonzero(pairs >= 0)
+        begin = self.model.outcome_offsets[pairs[where]]
+        counts = self.model.outcome_offsets[pairs[where] + 1] - begin
+        outcome, source = concatenated_ranges(begin, counts), np.repeat(where, counts)
+        kept = self.model.probabilities[outcome] > 0.0
+        if self.classes.size:
+            kept &= wanted[self.classes[outcome]]
+        elif not wanted.all():
+            kept[:] = False
+        source, outcome = source[kept], outcome[kept]
+        return source, outcome, self.classes[outcome] if self.classes.size else 0 * outcome
+
+
+def marks_of(
+    pairs: IntArray,
+    staying: Staying | None,
+    met: IntArray,
+    ended: IntArray,
+    forbidden: BoolArray,
+    *,
+    forbids_failing: bool,
+    paying: BoolArray | None,
+) -> IntArray:
+    """The marks of k states of a layer, of what its moves may meet.
+
+    Args:
+        pairs: [k].
+        staying: moves within the layer; None: there are none.
+        met: marks that may be met in later layers, [k].
+        ended: marks of goals and dead-ends, 0 elsewhere, [k].
+        forbidden: where the policy may not give up, [k].
+        forbids_failing: whether failing is forbidden.
+        paying: states whose decision may cost something, where loops that are never left cost
+            without end, [k]; None: nothing is paid in them.
+    """
+    quits, missing = pairs == GIVE_UP_CODE, pairs == UNDECIDED
+    marks = met | ended
+    marks[quits] |= OPEN | (FAILS if forbids_failing else 0)
+    marks[missing | (quits & forbidden)] |= WRONG
+    acting = ended == 0
+    for bit in (HOPEFUL, OPEN):
+        spread_in_layer(marks, bit, staying)
+    if forbids_failing:
+        marks[acting & ((marks & HOPEFUL) == 0)] |= FAILS
+    if paying is not None and staying is not None:
+        never = acting & ((marks & OPEN) == 0)
+        marks[closed_states(staying.share, staying.onward, never) & paying] |= ENDLESS
+    for bit in (WRONG, ENDLESS, FAILS):
+        spread_in_layer(marks, bit, staying)
+    return marks
+
+
+def spread_in_layer(marks: IntArray, bit: int, staying: Staying | None) -> None:
+    """Mark, in place, all states from which a marked one can be reached within the layer."""
+    begins = np.flatnonzero(marks & bit)
+    if staying is None or not begins.size or begins.size == marks.size:
+        return
+    backward = staying.share.tocsc()
+    marks[reached_along(backward.indices, backward.indptr, begins)] |= bit
+
+
+def closed_states(share: sp.csr_array, onward: FloatArray, among: BoolArray) -> BoolArray:
+    """States of classes that no move of the layer ever leaves, [k].
+
+    Args:
+        share: moves, [k, k].
+        onward: probability of leaving otherwise, [k].
+        among: states outside of which every move leaves, [k].
+    """
+    _, label = csgraph.connected_components(share, connection="strong")
+    entry = share.tocoo()
+    leaves = ~among | (onward > 0.0)
+    leaves[entry.row[label[entry.row] != label[entry.col]]] = True
+    return np.asarray(~np.isin(label, np.unique(label[leaves])))
+
+
+_LOG = logging.getLogger("ssp_lp.evaluation")
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One total: ``v(x) = reward + survival * E[v(next)]`` where something is still open."""
+
+    ends: FloatArray  # [states] value at goals and dead-ends
+    survival: float = 1.0  # factor of what is to come
+    until_lost: bool = True  # open while the goal can be reached; else while some end can be
+    each: float = 0.0  # reward of every decision
+    reward: FloatArray | None = None  # [pairs] beside it
+    gives_up: FloatArray | float = 0.0  # [states] reward of giving up
+    lost: FloatArray | float = 0.0  # [states] value where nothing is open
+    goes_on: bool = False  # costs go on where the goal is lost, until a dead-end is entered
+    prices: int | None = None  # the column whose next value, times the cost, counts besides
+
+
+@dataclass(frozen=True, eq=False)
+class LayerSweep:
+    """The layers of one policy, and what is totalled over them.
+
+    First it is found where the policy may be in each layer: only these states are totalled.
+    """
+
+    moves: LayerMoves
+    columns: tuple[Column, ...]
+    forbidden: BoolArray  # [states] where the policy may not give up
+    forbids_failing: bool
+
+    def at_start(self, begins: IntArray) -> tuple[FloatArray, IntArray]:
+        """The totals from some states on, [begins, columns], with nothing paid, and their marks.
+
+        Args:
+            begins: states, increasing.
+        """
+        moves, room = self.moves, self.moves.room
+        met, worth, marks = self._met(begins)
+        for layer in reversed(range(moves.layers.count)):
+            over = 1.0 - layer / moves.layers.count
+            _LOG.debug("layer %d of %d", layer, moves.layers.count, extra={"share": over})
+            here = _listed_in_layer(np.unpackbits(met[layer]))
+            pairs, slots = moves.pairs(layer, here), moves.slots(layer)
+            sums, found = moves.expect(pairs, slots, worth, marks, *self._priced)
+            staying = moves.staying(here, pairs, slots)
+            found = self._settled(here, pairs, staying, sums, found)
+            worth[layer % room, here], marks[layer % room, here] = sums, found
+        at = np.searchsorted(here, begins)
+        return sums[at], found[at]
+
+    def _met(self, begins: IntArray) -> tuple[list[npt.NDArray[np.uint8]], FloatArray, IntArray]:
+        """Where the policy may be in each layer, as bits, and what follows beyond the last one.
+
+        Returns:
+            The bits of the states, [layers]; then, of the states that may be met in the layers from
+            there on, the totals, [slots, states, columns], and the marks, [slots, states].
+        """
+        moves, room, n = self.moves, self.moves.room, self.moves.model.n_states
+        arriving, met, everywhere = np.zeros((room, n), dtype=np.bool_), [], np.arange(n)
+        arriving[0, begins] = True
+        for layer in range(moves.layers.count):
+            here, slots = _listed_in_layer(arriving[layer % room]), moves.slots(layer)
+            arriving[layer % room] = False
+            if (slots < 0).any():
+                here = moves.within(moves.pairs(layer, everywhere), slots, here)
+            moves.reach(moves.pairs(layer, here), slots, arriving)
+            is_met = np.zeros(n, dtype=np.bool_)
+            is_met[here] = True
+            met.append(np.packbits(is_met))
+        worth, marks = np.empty((room, n, len(self.columns))), np.empty((room, n), dtype=np.uint8)
+        count = moves.layers.count
+        chosen = {slot % room: moves.layers.tail_at(slot) for slot in range(count, count + room)}
+        for number in range(len(moves.layers.tails)):
+            lands = [arriving[slot] & (tail == number) for slot, tail in chosen.items()]
+            begins = _listed_in_layer(np.logical_or.reduce(lands))
+            if begins.size:
+                here, totals, found = self._tail(number, begins)
+                for slot, tail in chosen.items():
+                    own = tail[here] == number
+                    worth[slot, here[own]], marks[slot, here[own]] = totals[own], found[own]
+        return met, worth, marks
+
+    def _tail(self, number: int, begins: IntArray) -> tuple[IntArray, FloatArray, IntArray]:
+        """Where a tail may come to from some states on, all of whose moves stay: totals, marks."""
+        moves = self.moves
+        slots, n = np.full(len(moves.layers.costs), -1), moves.model.n_states
+        here = moves.within(moves.tail(number, np.arange(n)), slots, begins)
+        pairs, sums = moves.tail(number, here), np.zeros((len(here), len(self.columns)))
+        staying = moves.staying(here, pairs, slots)
+        none = np.zeros(len(here), dtype=np.uint8)
+        return here, sums, self._settled(here, pairs, staying, sums, none)
+
+    @cached_property
+    def _priced(self) -> tuple[IntArray, FloatArray]:
+        """Columns (from, to) of which one, times a cost, counts in the other, and the costs.
+
+        What is to come is discounted later, and these are not.
+
+        Returns:
+            [k, 2], and the costs of each class of steps, [k, classes].
+        """
+        found = [(c.prices, k) for k, c in enumerate(self.columns) if c.prices is not None]
+        factors = [1.0 / self.columns[k].survival for _, k in found]
+        return np.array(found, dtype=np.int64), np.outer(factors, self.moves.layers.costs)
+
+    @cached_property
+    def _ended(self) -> IntArray:
+        """Marks of goals and dead-ends, [states]."""
+        failed = OPEN | (FAILS if self.forbids_failing else 0)
+        ended = np.where(self.moves.model.goal_mask, HOPEFUL | OPEN, failed)
+        return np.where(self.moves.acting, 0, ended).astype(np.uint8)
+
+    def _settled(
+        self,
+        here: IntArray,
+        pairs: IntArray,
+        staying: Staying | None,
+        sums: FloatArray,
+        met: IntArray,
+    ) -> IntArray:
+        """The totals from a layer on, in place of those of its moves to later ones; the marks, [k].
+
+        Args:
+            here: states, increasing, [k].
+            pairs: [k].
+            staying: moves within the layer; None: there are none.
+            sums: expected totals after moves to later layers, overwritten, [k, columns].
+            met: marks that may be met there, [k].
+        """
+        acting = self.moves.acting[here]
+        paying, goes_on = None, [c.goes_on for c in self.columns]
+        if any(goes_on) and staying is not None:
+            paying = np.asarray(staying.paid.sum(axis=1)).ravel() > 0.0
+        marks = marks_of(
+            pairs, staying, met, self._ended[here], self.forbidden[here],
+            forbids_failing=self.forbids_failing, paying=paying,
+        )  # fmt: skip
+        hopeful, is_open = (marks & HOPEFUL) > 0, (marks & OPEN) > 0
+        finite = (marks & ENDLESS) == 0
+        if any(goes_on) and staying is not None:
+            finite &= ~closed_states(staying.share, staying.onward, acting & ~is_open)
+        self._add_rewards(here, pairs, sums)
+        inside = [
+            acting & self._inside(column, hopeful, is_open, finite) for column in self.columns
+        ]
+        self._close(here, sums, inside)
+        if staying is not None:
+            chains: dict[tuple[float, bytes], tuple[IntArray, sp.csr_array, System]] = {}
+            for columns in self._groups():
+                survival, within = self.columns[columns[0]].survival, inside[columns[0]]
+                key = survival, within.tobytes()
+                if key not in chains:
+                    chains[key] = _chain_in_sweep(pairs, staying, within, survival)
+                self._solve(columns, *chains[key], staying, sums)
+        return marks
+
+    def _inside(
+        self, column: Column, hopeful: BoolArray, is_open: BoolArray, finite: BoolArray
+    ) -> BoolArray:
+        """Where a total is still open, if anything happens there, [k]."""
+        inside = hopeful if column.until_lost else is_open
+        if column.goes_on:
+            inside = inside | finite if column.survival == 1.0 else np.ones_like(inside)
+        return inside
+
+    def _add_rewards(self, here: IntArray, pairs: IntArray, sums: FloatArray) -> None:
+        """Discount what follows and add what each decision earns, in place."""
+        if any(column.survival < 1.0 for column in self.columns):
+            sums *= np.array([column.survival for column in self.columns])
+            sums += np.array([column.each for column in self.columns])
+        moving, quits = np.maximum(pairs, 0), np.flatnonzero(pairs == GIVE_UP_CODE)
+        for k, column in enumerate(self.columns):
+            if column.reward is not None:
+                sums[:, k] += np.where(pairs >= 0, column.reward[moving], 0.0)
+            if quits.size:
+                gain = column.gives_up
+                sums[quits, k] += gain[here[quits]] if isinstance(gain, np.ndarray) else gain
+
+    def _close(self, here: IntArray, sums: FloatArray, inside: list[BoolArray]) -> None:
+        """The totals where nothing is open, in place."""
+        acting = self.moves.acting[here]
+        for k, column in enumerate(self.columns):
+            out = np.flatnonzero(~inside[k])
+            lost = 0.0 if column.goes_on else column.lost
+            lost = lost[here[out]] if isinstance(lost, np.ndarray) else lost
+            sums[out, k] = np.where(acting[out], lost, column.ends[here[out]])
+
+    def _groups(self) -> list[list[int]]:
+        """Columns that are totalled over the same states at once, those that need others last."""
+        groups: dict[tuple[bool, bool, float, bool], list[int]] = {}
+        for k, column in enumerate(self.columns):
+            key = column.prices is not None, column.until_lost, column.survival, column.goes_on
+            groups.setdefault(key, []).append(k)
+        return [columns for _, columns in sorted(groups.items())]
+
+    def _solve(
+        self,
+        columns: list[int],
+        nodes: IntArray,
+        rows: sp.csr_array,
+        system: System,
+        staying: Staying,
+        worth: FloatArray,
+    ) -> None:
+        """The totals with the moves within a layer, verified, in place.
+
+        Args:
+            columns: that are open at the same states, with the same discount.
+            nodes: those states.
+            rows: their moves within the layer, [nodes, k].
+            system: the equations among them.
+            staying: all moves within the layer.
+            worth: the totals, those at the nodes without these moves, [k, columns].
+        """
+        if not nodes.size:
+            return
+        rewards, beyond = worth[nodes][:, columns], worth[:, columns]
+        beyond[nodes] = 0.0
+        rewards += self.columns[columns[0]].survival * (rows @ beyond)
+        for j, k in enumerate(columns):
+            prices = self.columns[k].prices
+            if prices is not None:
+                rewards[:, j] += staying.paid[nodes] @ worth[:, prices]
+        worth[nodes[:, None], columns] = evaluate_chain(system, rewards).values
+
+
+def _chain_in_sweep(
+    pairs: IntArray, staying: Staying, inside: BoolArray, survival: float
+) -> tuple[IntArray, sp.csr_array, System]:
+    """The nodes at which totals are open, their moves in the layer, and their equations."""
+    nodes = np.flatnonzero(inside)
+    rows = staying.share[nodes]
+    own = sp.csr_array(rows[:, nodes] * survival)
+    quits = (pairs[nodes] == GIVE_UP_CODE).astype(np.float64)
+    left = rows @ (~inside).astype(np.float64) + staying.onward[nodes] + quits
+    return nodes, rows, System(own, (1.0 - survival) + survival * left)
+
+
+def _listed_in_layer(chosen: npt.NDArray[Any]) -> IntArray:
+    """The states that are marked, increasing."""
+    return np.flatnonzero(chosen)
+
+
+_AT_ONCE = 1_000_000  # decisions between two looks at the time
+
+
+def stopping_where_lost(policy: MixedPolicy) -> MixedPolicy:
+    """The same policy, but that members that remember their cost give up once the goal is lost.
+
+    Raises:
+        Stop: the time ended.
+    """
+    return replace(policy, policies=tuple(_stopping(member) for member in policy.policies))
+
+
+def _stopping(policy: Policy) -> Policy:
+    """A member that gives up where it has lost the goal; others are left as they are."""
+    layers = policy.layers()
+    if not isinstance(policy, CostAwarePolicy) or layers is None:
+        return policy
+    model, moves, count = policy.model, LayerMoves(policy.model, layers), layers.count
+    tails, decision, everywhere = (
+        layers.tails.copy(),
+        layers.decision.copy(),
+        np.arange(model.n_states),
+    )
+    beyond = np.empty(tails.shape, dtype=np.bool_)  # where a tail has not lost the goal
+    for number, tail in enumerate(layers.tails):
+        followed = np.zeros(model.n_pairs, dtype=np.bool_)
+        followed[tail[tail >= 0]] = True
+        nearer = nearer_pairs(model, goal_pairs(model), followed)
+        beyond[number] = model.goal_mask | (nearer >= 0)
+    hopeful = np.empty((count + moves.room, model.n_states), dtype=np.bool_)
+    hopeful[:count] = model.goal_mask
+    for layer in range(count, len(hopeful)):
+        hopeful[layer] = beyond[layers.tail_at(layer), everywhere]
+    several = 1 if layers.unit is None else max(_AT_ONCE // max(model.n_states, 1), 1)
+    for end in range(count, 0, -several):
+        moves.meet(max(end - several, 0), end, hopeful)
+    decision[moves.acting & (decision >= 0) & ~hopeful[:count]] = GIVE_UP_CODE
+    tails[moves.acting & (tails >= 0) & ~beyond] = GIVE_UP_CODE
+    return replace(policy, decision=decision, tails=tails)
+
+
+LARGE = 300_000
+"""Nodes, states times layers, above which a chain is not written out."""
+
+
+_NOTHING = np.zeros(0, dtype=np.int64)
+
+
+def chain_of_law(
+    model: SSP, policy: Policy, start: FloatArray, *, least_nodes: int = LARGE
+) -> Chain:
+    """A chain with the law of a policy's total cost: its own, or a smaller one where that is large.
+
+    The smaller one of a policy that rounds costs up has the law of the rounded costs.
+
+    Args:
+        model: the model.
+        policy: on the model.
+        start: distribution over states, [states].
+        least_nodes: states times layers from which a policy is not written out.
+
+    Raises:
+        ModelError: the policy has no decision in a state that it reaches.
+    """
+    layers = policy.layers()
+    if (
+        layers is None
+        or layers.count * model.n_states < least_nodes
+        or not _is_exact_law(model, layers)
+    ):
+        return policy_chain(model, policy, start)
+    found = _law_forwards(LayerMoves(model, layers), start)
+    return (
+        policy_chain(model, policy, start) if found is None else _spine_of_law(model, layers, found)
+    )
+
+
+def _is_exact_law(model: SSP, layers: CostLayers) -> bool:
+    """Whether every cost is a whole number of layers, and not only as a float, or made one."""
+    if layers.unit is None or layers.rounds_up:
+        return layers.rounds_up
+    unit, steps = _exact_cost_of_law(model, layers.unit), layers.leads(0).tolist()
+    costs = layers.costs.tolist()
+    return all(_exact_cost_of_law(model, c) == k * unit for c, k in zip(costs, steps, strict=True))
+
+
+def _exact_cost_of_law(model: SSP, cost: float) -> Fraction:
+    """A cost of the law's chain as the fraction that it is."""
+    return model.exact_costs.get(cost, exact_cost(cost))
+
+
+@dataclass(frozen=True, eq=False)
+class _Arrived:
+    """What one sweep forwards finds."""
+
+    goal: FloatArray  # [layers] mass that arrives at the goal, the layers beyond the cap included
+    landed: FloatArray  # [layers beyond the cap, states] mass that goes on there
+
+
+def _law_forwards(moves: LayerMoves, start: FloatArray) -> _Arrived | None:
+    """Follow the law's mass layer by layer; None where a decision is missing."""
+    layers, room = moves.layers, moves.layers.width
+    goals = np.flatnonzero(moves.model.goal_mask)
+    waiting, goal = np.zeros((room, len(start))), np.zeros(layers.count + room)
+    waiting[0], everywhere = start, np.arange(len(start))
+    for layer in range(layers.count + room):
+        mass = waiting[layer % room]
+        if layer < layers.count:
+            pairs, leads = moves.pairs(layer, everywhere), layers.leads(layer)
+            if (mass[pairs == UNDECIDED] > 0.0).any():
+                return None
+            staying = moves.staying(everywhere, pairs, np.where(leads > 0, 0, -1))
+            if staying is not None:
+                mass = _visits_within_law(staying, pairs, mass)
+            moves.send(mass, pairs, np.where(leads > 0, (layer + leads) % room, -1), waiting)
+            goal[layer] = mass[goals].sum()
+            waiting[layer % room] = 0.0
+        else:
+            goal[layer] = mass[goals].sum()
+            waiting[layer % room, ~moves.acting] = 0.0
+    order = (layers.count + np.arange(room)) % room
+    return _Arrived(goal, waiting[order])
+
+
+def _spine_of_law(model: SSP, layers: CostLayers, found: _Arrived) -> Chain:
+    """One node of the law's chain per block of layers below the cap, then the tails.
+
+    A node goes on to the next block, or to the goal at the cost of each layer of its own; the last
+    one to where the mass lands beyond the cap. Mass that fails below the cap never starts.
+    """
+    block = len(found.landed)  # as many layers as a step may pass: no move is much longer
+    count, last = -(-layers.count // block), (layers.count - 1) // block
+    tail_at = np.stack([layers.tail_at(layers.count + k) for k in range(block)])
+    parts, first = list[tuple[int, Chain]](), count + 1
+    moves = list[tuple[IntArray, IntArray, FloatArray, IntArray]]()  # from, to, mass, layer
+    for number, tail in enumerate(layers.tails):
+        entering = np.where(tail_at == number, found.landed, 0.0)
+        total = entering.sum(axis=0)
+        if not (total > 0.0).any():
+            continue
+        chain = policy_chain(model, DeterministicPolicy(model, tail), total)
+        if layers.rounds_up and layers.unit is not None:
+            chain = replace(chain, cost=_rounded_up(chain.cost, layers.unit))
+        place = np.full(model.n_states, -1, dtype=np.int64)
+        place[chain.state] = np.arange(first, first + chain.n_nodes)
+        ahead, state = np.nonzero(entering)
+        source = np.full(len(ahead), last)
+        moves.append((source, place[state], entering[ahead, state], layers.count + ahead))
+        parts.append((first, chain))
+        first += chain.n_nodes
+    arriving = np.flatnonzero(found.goal[1:] > 0.0) + 1
+    source = np.minimum(arriving // block, last)
+    moves.append((source, np.full(len(arriving), count), found.goal[arriving], arriving))
+    taken = np.zeros(count)
+    for source, _, mass, _ in moves:
+        np.add.at(taken, source, mass)
+    left = np.cumsum(taken[::-1])[::-1]  # from each block on
+    every = np.arange(count - 1)
+    moves.append((every, every + 1, left[1:], (every + 1) * block))
+    mass = np.concatenate([part[2] for part in moves])
+    kept = np.flatnonzero(mass > 0.0)
+    source, target, there = (np.concatenate([part[i] for part in moves])[kept] for i in (0, 1, 3))
+    unit, ahead = float(layers.unit or 0.0), there - source * block
+    paid = totals_of(ahead, exact_cost(unit)) if layers.rounds_up else ahead * unit
+    own = source, target, np.asarray(mass[kept] / left[source]), np.asarray(paid)
+    return _joined_chain_of_law(model, own, parts, count, float(left[0]), float(found.goal[0]))
+
+
+def _rounded_up(costs: FloatArray, unit: float) -> FloatArray:
+    """Costs of the law as whole multiples of a unit, rounded once each, like ``costs``."""
+    layers = np.ceil(costs / unit * (1.0 - SAME_TOTAL)).astype(np.int64)
+    return totals_of(layers, exact_cost(unit))
+
+
+def _joined_chain_of_law(
+    model: SSP,
+    own: tuple[IntArray, IntArray, FloatArray, FloatArray],
+    parts: list[tuple[int, Chain]],
+    count: int,
+    begins: float,
+    arrived: float,
+) -> Chain:
+    """The spine's nodes, the goal, and the tails' chains, as one chain."""
+    acting = int(np.argmin(model.goal_mask))
+    goal = int(np.argmax(model.goal_mask))
+    state = np.concatenate([np.full(count, acting), [goal], *(c.state for _, c in parts)])
+    start = np.zeros(len(state))
+    start[0], start[count] = begins, arrived
+    nothing, chains = np.zeros(count + 1), [chain for _, chain in parts]
+    source, target, probability, cost = own
+    return Chain(
+        model=model,
+        state=read_only(state),
+        memory=read_only(np.zeros(len(state), dtype=np.int64)),
+        start=read_only(start),
+        give_up=read_only(np.concatenate([nothing, *(c.give_up for c in chains)])),
+        dead=read_only(np.concatenate([nothing, *(c.dead for c in chains)])),
+        source=np.concatenate([source, *(c.source + first for first, c in parts)]),
+        target=np.concatenate([target, *(c.target + first for first, c in parts)]),
+        probability=np.concatenate([probability, *(c.probability for c in chains)]),
+        cost=np.concatenate([cost, *(c.cost for c in chains)]),
+        outcome=_NOTHING,
+        branch_node=_NOTHING,
+        branch_pair=_NOTHING,
+        branch_probability=np.zeros(0),
+    )
+
+
+def _visits_within_law(staying: Staying, pairs: IntArray, mass: FloatArray) -> FloatArray:
+    """Expected visits within a layer, given what enters it, [states]."""
+    inside = (pairs >= 0) & ~closed_states(staying.share, staying.onward, pairs >= 0)
+    nodes, others = np.flatnonzero(inside), np.flatnonzero(~inside)
+    rows = staying.share[nodes]
+    exits = staying.onward[nodes] + rows @ (~inside).astype(np.float64)
+    visits = mass.copy()
+    visits[nodes] = System(sp.csr_array(rows[:, nodes]), exits).solve_transposed(mass[nodes])
+    visits[others] += sp.csr_array(rows[:, others]).T @ visits[nodes]
+    return visits

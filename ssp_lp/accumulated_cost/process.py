@@ -1,0 +1,525 @@
+"""The accumulated cost of case S (paper, section 3.1.1) as a layered substochastic process.
+
+States are (node, layer), the layer standing for the cost paid so far. Only one layer's structure is
+stored: it is the same in all of them. A failing episode costs nothing here, so where the goal can
+be avoided for sure (attention states) a policy may fail at once. The process is cut at a cap M,
+where tail policies take over; sweeps take it layer by layer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, TailValues, TotalCostCharge
+from ssp_lp.accumulated_cost.totals import (
+    StepClasses,
+    Totals,
+    Window,
+    last_steps,
+    multiples_of_unit,
+    step_costs,
+    totals_of,
+)
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, csr_of, unsigned
+from ssp_lp.dynamic_programming.bellman import PairCost, SparseRows, written_out
+from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
+from ssp_lp.model import SSP
+from ssp_lp.model.graph.reachability import attention_states
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.processes.expectations import cost_means, successor_means
+from ssp_lp.processes.failure_semantics import Aim, survival_of
+from ssp_lp.processes.flow import Spread
+from ssp_lp.processes.live_rows import RowChoice, live_rows, shared_live_rows
+from ssp_lp.processes.quantities.conditions import UpperRow, free_pairs
+from ssp_lp.processes.quotient import Quotient, build_quotient
+
+_MOST_TURNS = 300  # to bound the steps within a layer
+
+
+_LAST_STEP = 0.4  # what another one adds by then; a half would do but for rounding
+
+
+@dataclass(frozen=True, eq=False)
+class AccumulatedCost:
+    """One layer of the process, and how its pairs lead to the same and to later layers."""
+
+    quotient: Quotient
+    step_classes: StepClasses  # outcomes by what they cost
+    survival: float  # the discount, 1 in the exact setting
+    instant: sp.csr_array  # [pairs, nodes] steps that cost nothing and stay in the layer
+    later: SparseRows  # [pairs, (width - 1) * nodes] column 0 is one layer ahead
+    gain: FloatArray  # [pairs] probability of stepping into the goal (weight gamma^t)
+    gain_cost: FloatArray  # [pairs] E[stage cost; step into the goal]
+    failure: FloatArray  # [pairs] mass that fails
+    start: FloatArray  # [nodes]
+    start_goal: float  # start mass on goals
+    start_failure: float  # start mass on dead-ends
+    departs: FloatArray  # [pairs] what rows were divided by: they count departures from a node
+    arrivals: sp.csr_array | None = None  # [pairs, width] steps into the goal by layers ahead
+    last_steps: FloatArray | None = None  # [width] their costs, where classes are numbers of costs
+
+    @property
+    def exact_unit(self) -> Fraction:
+        """Cost of one layer."""
+        return self.step_classes.unit
+
+    @cached_property
+    def unit(self) -> float:
+        """The same as a float."""
+        return float(self.step_classes.unit)
+
+    @property
+    def by_steps(self) -> bool:
+        """Whether classes of steps are their distinct costs, not multiples of a common unit."""
+        return self.last_steps is not None
+
+    @property
+    def width(self) -> int:
+        """Layers that one step can reach: 0 .. width - 1 ahead."""
+        return self.step_classes.width
+
+    def totals(self, cap: int) -> Totals:
+        """The multiples of the unit, as many as layers below a cap."""
+        return Totals.of_unit(self.exact_unit, cap, self.width)
+
+    @property
+    def n_nodes(self) -> int:
+        """States of one layer."""
+        return self.quotient.n_nodes
+
+    @property
+    def pair_offsets(self) -> IntArray:
+        """Pairs of each node, [nodes + 1]."""
+        return self.quotient.pair_offsets
+
+    @cached_property
+    def instant_dynamics(self) -> Dynamics:
+        """Steps that cost nothing; whatever goes on to a later layer leaves."""
+        onward = np.asarray(written_out(self.later).sum(axis=1)).ravel()
+        exits = onward + self.survival * self.gain + self.failure
+        return Dynamics(self.pair_offsets, self.instant, exits, is_reused=True)
+
+    @cached_property
+    def steps_within(self) -> FloatArray | None:
+        """At least one more than after the free steps of any pair, [nodes]; None: it is large.
+
+        So it bounds the steps that a policy takes before it leaves a layer. Where another step
+        adds at most half a one, twice as many do.
+        """
+        steps = np.ones(self.n_nodes)
+        for _ in range(_MOST_TURNS):
+            after = self.instant @ steps
+            more = 1.0 + np.maximum.reduceat(after, self.pair_offsets[:-1])
+            if (more - steps).max(initial=0.0) <= _LAST_STEP:
+                return 2.0 * steps
+            steps = more
+        return None
+
+    @property
+    def steps(self) -> sp.csr_array:
+        """All steps, [pairs, width * nodes]; column = layers ahead * nodes + node."""
+        later, n = written_out(self.later), self.n_nodes
+        if len(self.instant.indices):
+            return sp.csr_array(sp.hstack([self.instant, later]))
+        columns = later.indices + np.asarray(n, dtype=later.indices.dtype)
+        return csr_of(later.data, columns, later.indptr, (later.shape[0], n + later.shape[1]))
+
+    @cached_property
+    def steps_by_class(self) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
+        """Rows of all steps, the class of each entry (0: free), where it leads, and its share.
+
+        [pairs + 1], and [entries] each.
+        """
+        steps, n = self.steps, max(self.n_nodes, 1)
+        classes, nodes = np.divmod(unsigned(steps.indices), np.uint32(n))
+        smallest = np.uint8 if self.width <= 256 else np.uint32
+        return unsigned(steps.indptr), classes.astype(smallest), nodes.astype(np.uint32), steps.data
+
+
+def spread_layer(base: AccumulatedCost, spread: Spread, start: FloatArray) -> AccumulatedCost:
+    """One layer of the states themselves, nothing collapsed and every self-loop in its place.
+
+    Args:
+        base: the layer as methods take it, without discount.
+        spread: its quotient's pairs, each by itself.
+        start: distribution over states, [states].
+    """
+    instant, later = _steps_by_cost(spread.quotient, base.step_classes, base.survival)
+    arrivals, own = base.arrivals, np.maximum(spread.place, 0)
+    if arrivals is not None:
+        factor = np.where(spread.place >= 0, spread.departs, 0.0)
+        arrivals = _scaled_rows(sp.csr_array(arrivals[own]), factor)
+    return replace(
+        base,
+        quotient=spread.quotient,
+        instant=instant,
+        later=later,
+        gain=spread.per_taking(base.gain),
+        gain_cost=spread.per_taking(base.gain_cost),
+        failure=spread.per_taking(base.failure),
+        start=spread.quotient.gather(start),
+        departs=np.ones(len(spread.place)),
+        arrivals=arrivals,
+    )
+
+
+def accumulate_cost(
+    model: SSP,
+    start: FloatArray,
+    discount: float | None,
+    *,
+    arrivals: bool = False,
+    usable: BoolArray | None = None,
+    side: Iterable[UpperRow] = (),
+    by_steps: bool = False,
+) -> AccumulatedCost:
+    """Build the process of case S.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        discount: None keeps real probabilities; a number scales every transition by it.
+        arrivals: place the costs of arriving at the goal on the lattice too, so that any function
+            of the total cost can be charged.
+        usable: pairs that may be used, [model pairs]; with it nobody may fail by choice, which is
+            the second stage of a least-failure problem (mathematics, section 4).
+        side: what is limited besides.
+        by_steps: steps are told apart by their distinct costs, not by multiples of a common unit.
+
+    Raises:
+        ModelError: the costs have no common unit that gives a sane number of layers.
+    """
+    survival = survival_of(discount)
+    free = free_pairs(model, Aim.LEAST_COST, side) if discount is None else None
+    exits = attention_states(model) if usable is None else None
+    quotient = build_quotient(model, usable=usable, free=free, exits=exits)
+    going_on = quotient.node_of >= 0
+    counted = going_on | model.goal_mask if arrivals else going_on
+    if by_steps:
+        classes, (arriving, last) = step_costs(model)[0], last_steps(model)
+    else:
+        classes = arriving = multiples_of_unit(model, counted)
+        last = None
+    instant, later = _steps_by_cost(quotient, classes, survival)
+    to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
+    acting = quotient.pair_at >= 0
+    base = AccumulatedCost(
+        quotient=quotient,
+        step_classes=classes,
+        survival=survival,
+        instant=instant,
+        later=later,
+        gain=quotient.at_pairs(successor_means(model, model.goal_mask)),
+        gain_cost=quotient.at_pairs(cost_means(model, model.goal_mask)),
+        failure=np.where(acting, (1.0 - survival) + survival * to_dead, 1.0),
+        start=quotient.gather(start),
+        start_goal=float(start[model.goal_mask].sum()),
+        start_failure=float(start[quotient.dead].sum()),
+        departs=np.ones(len(quotient.pair_at)),
+        arrivals=_arrivals_by_cost(quotient, arriving) if arrivals else None,
+        last_steps=last,
+    )
+    return base if discount is not None or instant.nnz == 0 else _departing(base)
+
+
+def _departing(base: AccumulatedCost) -> AccumulatedCost:
+    """Pairs of accumulated cost seen on departing only: waiting for free changes no total."""
+    later = written_out(base.later)
+    leak = base.gain + base.failure + np.asarray(later.sum(axis=1)).ravel()
+    instant = base.instant.copy()
+    instant.sum_duplicates()
+    instant, departs = without_self_loops(instant, base.quotient.pair_node, leak)
+    if (departs == 1.0).all():
+        return base
+    arrivals, share = base.arrivals, 1.0 / departs
+    return replace(
+        base,
+        instant=instant,
+        later=_scaled_rows(later, share),
+        gain=base.gain / departs,
+        gain_cost=base.gain_cost / departs,
+        failure=base.failure / departs,
+        departs=departs,
+        arrivals=None if arrivals is None else _scaled_rows(arrivals, share),
+    )
+
+
+def _scaled_rows(matrix: sp.csr_array, factor: FloatArray) -> sp.csr_array:
+    """A matrix with each row multiplied by a factor, [rows]."""
+    data = matrix.data * np.repeat(factor, np.diff(matrix.indptr))
+    return sp.csr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
+def _arrivals_by_cost(quotient: Quotient, classes: StepClasses) -> sp.csr_array:
+    """Probability of stepping into the goal by the accumulated cost of the step, [pairs, width]."""
+    at_goal = np.where(quotient.model.goal_mask, 0, -1).astype(np.int32)
+    rows = RowChoice(
+        quotient.model, at_goal, 1, quotient.pair_at, ahead=classes.ahead, width=classes.width
+    )
+    return live_rows(rows).matrix
+
+
+def _steps_by_cost(
+    quotient: Quotient, classes: StepClasses, survival: float
+) -> tuple[sp.csr_array, SparseRows]:
+    """Steps that cost nothing, and steps that add to the accumulated cost; one is often empty."""
+    model, n, width = quotient.model, quotient.n_nodes, classes.width
+    rows = RowChoice(model, quotient.node_of, n, quotient.pair_at)
+    if classes.least > 0:  # no step stays in its layer
+        ahead = None if width == 2 else classes.ahead - 1
+        rows = replace(rows, ahead=ahead, width=width - 1)
+        none, indptr = np.zeros(0, dtype=np.int32), np.zeros(len(rows.pair_at) + 1, dtype=np.int32)
+        instant = csr_of(np.zeros(0), none, indptr, (len(rows.pair_at), n))
+        return instant, shared_live_rows(rows, survival)
+    rows = replace(rows, ahead=classes.ahead, width=width)
+    steps = live_rows(rows, survival).matrix
+    return sp.csr_array(steps[:, :n]), sp.csr_array(steps[:, n:])
+
+
+_TABLE = 1_000_000
+"""Charges, layers x pairs or x layers of a step, that are worked out together."""
+
+
+@dataclass(frozen=True, eq=False)
+class ArrivalCharges:
+    """A charge of the total cost at the pairs of an accumulated-cost process."""
+
+    base: AccumulatedCost
+    charge: Charge
+    totals: FloatArray  # [layers] what has been paid there
+
+    @property
+    def grow_evenly(self) -> bool:
+        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
+        return isinstance(self.charge, TotalCostCharge)
+
+    def from_layer(self, layer: int) -> PairCost:
+        """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
+        base = self.base
+        if self.grow_evenly or base.arrivals is None:
+            return PairCost(base.gain_cost, base.gain, float(self.totals[layer]))
+        size = max(_TABLE // max(len(base.gain), 1), 1)
+        block, within = divmod(layer, size)
+        if block not in self._blocks:
+            some = slice(block * size, min((block + 1) * size, len(self.totals)))
+            charged = np.zeros((some.stop - some.start, len(base.gain)))
+            charged[:, self.arriving] = self.of_arriving(some)
+            self._blocks.clear()
+            self._blocks[block] = charged
+        return PairCost(self._blocks[block][within])
+
+    @cached_property
+    def arriving(self) -> IntArray:
+        """Pairs by which the goal can be reached, [arriving]."""
+        arrivals = self.base.arrivals
+        return (self.base.gain if arrivals is None else np.diff(arrivals.indptr)).nonzero()[0]
+
+    def of_arriving(self, some: slice) -> FloatArray:
+        """Expected charge of arriving by the pairs that may, from some layers, [some, arriving]."""
+        base, arrivals = self.base, self.base.arrivals
+        if arrivals is None:
+            return (
+                base.gain_cost[self.arriving] + self.totals[some, None] * base.gain[self.arriving]
+            )
+        classes, column = np.unique(arrivals.indices, return_inverse=True)
+        if base.last_steps is not None:
+            charged = self.charge.at(self.totals[some, None] + base.last_steps[classes])
+        else:
+            ahead = np.arange(some.start, some.stop)[:, None] + classes
+            charged = self.charge.at(totals_of(ahead, base.exact_unit))
+        bounds = np.append(arrivals.indptr[self.arriving], len(column)).astype(np.int64)
+        shape = len(self.arriving), len(classes)  # other rows have no entries
+        rows = csr_of(arrivals.data, column.astype(np.int64), bounds, shape)
+        return np.ascontiguousarray((rows @ charged.T).T)
+
+    @property
+    def at_start(self) -> float:
+        """Charge of the start mass that lies on goals."""
+        return self.base.start_goal * float(self.charge.at(np.zeros(1))[0])
+
+    @cached_property
+    def _blocks(self) -> dict[int, FloatArray]:
+        """Charges of a block of layers, kept: [layers, pairs] by the number of the block."""
+        return {}
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredTails:
+    """Stationary policies for accumulated costs beyond the cap, as values per node.
+
+    Row 0 goes for the goal, where ``exact`` with the least failure; the last row fails most (the
+    paper's pi'_or).
+    """
+
+    decisions: IntArray  # [tails, states]
+    values: TailValues  # [tails, nodes] each
+    greatest_goal: FloatArray  # [nodes] checked upper bound of E[gamma^T; goal]
+    least_goal: FloatArray  # [nodes] checked lower bound of it
+    exact: bool = True  # whether row 0 and the upper bound are those of the least failure
+    least_cost: FloatArray | None = None  # [nodes] checked: of E[cost; goal], none where it is 0
+    greatest_moment: FloatArray | None = None  # [nodes] checked: of E[exp(rate * cost); goal]
+    guess: tuple[float, float] | None = None  # E[cost; goal] and goal, where row 0 only fails
+
+    @property
+    def goal(self) -> FloatArray:
+        """E[gamma^T; goal], [tails, nodes]."""
+        return self.values.goal
+
+    def bounding(self, goal: FloatArray) -> TailValues:
+        """As if one policy had a goal probability and the greatest moment, like ``goal``."""
+        nothing = np.zeros_like(goal)
+        moment = nothing if self.greatest_moment is None else nothing + self.greatest_moment
+        return TailValues(goal, 1.0 - goal, nothing, nothing, moment)
+
+    @property
+    def first(self) -> TailValues:
+        """The values of row 0, [nodes] each."""
+        return self.values.row(0)
+
+    def threshold(self, failure_price: float, charge: Charge) -> FloatArray:
+        """Total from which the last tail is no worse than the first at this price, [nodes].
+
+        The value of tail k at accumulated cost r is price * (1 - goal_k) + slope * (r * early_k +
+        cost_k) + offset * goal_k.
+        """
+        first, last = self.values.row(0), self.values.row(-1)
+        saved = charge.slope * (first.early - last.early)
+        owed = (failure_price - charge.offset) * (first.goal - last.goal)
+        owed = owed + charge.slope * (last.cost - first.cost)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            total = owed / saved
+        return np.where(saved > 0, total, np.where(owed < 0, -np.inf, np.inf))
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredProcess:
+    """States (node, layer) for layers below ``cap``; beyond it a policy follows a tail for good."""
+
+    base: AccumulatedCost
+    totals: Totals  # what the layers stand for, and which step leads where
+    tails: LayeredTails
+    charge: Charge = TOTAL_COST
+
+    @property
+    def cap(self) -> int:
+        """Number of layers."""
+        return self.totals.size
+
+    @property
+    def end(self) -> float:
+        """The total at which the table ends, in units."""
+        return float(self.totals.values[-1]) if self.base.by_steps else self.cap
+
+    def window(self, beyond: FloatArray) -> Window:
+        """Values of the layers ahead, beginning with those beyond the cap, [layers, ...]."""
+        return Window(beyond, self.totals)
+
+    @cached_property
+    def charges(self) -> ArrivalCharges:
+        """What arriving is charged from each layer."""
+        return ArrivalCharges(self.base, self.charge, self.totals.values[: self.cap])
+
+    @property
+    def grows_evenly(self) -> bool:
+        """Whether the charge is the total cost itself, so that a layer adds the same everywhere."""
+        return self.charges.grow_evenly
+
+    def charged(self, layer: int) -> PairCost:
+        """Expected charge of arriving at the goal by each pair from a layer, [pairs]."""
+        return self.charges.from_layer(layer)
+
+    @property
+    def start_charge(self) -> float:
+        """Charge of the start mass that lies on goals."""
+        return self.charges.at_start
+
+    @property
+    def beyond_units(self) -> FloatArray:
+        """The totals at which tails take over, in units, [layers, 1]."""
+        if not self.base.by_steps:
+            return self.cap + np.arange(self.base.width - 1.0)[:, None]
+        return self.totals.beyond[:, None]
+
+    def threshold(self, price: float) -> FloatArray:
+        """Total, in units, from which the last tail is followed at a price of failure, [nodes].
+
+        -infinity where it is followed from the cap on, so that equal rules compare equal.
+        """
+        total = self.tails.threshold(price, self.charge) / self.base.unit
+        total = total if self.base.by_steps else np.ceil(total - 1e-9)
+        return np.where(total <= self.end, -np.inf, total)
+
+    def beyond(self, price: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """(charge, failure, goal) of the tails that a price chooses beyond the cap.
+
+        Returns:
+            3 x [layers, nodes].
+        """
+        last = self.beyond_units >= self.threshold(price)[None, :]
+        chosen, paid = self.tails.values.chosen(last), self.beyond_units * self.base.unit
+        return self.charge.beyond(paid, chosen), chosen.failure, chosen.goal
+
+    def measures_beyond(self, price: float) -> FloatArray:
+        """The same, [layers, nodes, 3]."""
+        return np.stack(self.beyond(price), axis=-1)
+
+    def beyond_value(self, price: float, failing: float) -> FloatArray:
+        """What the tails that a price chooses are worth at it, [layers, nodes].
+
+        Args:
+            price: kappa.
+            failing: what failing counts: kappa, or 0 with -kappa for success.
+        """
+        charge, failure, goal = self.beyond(price)
+        return charge + failing * failure - (price - failing) * goal
+
+    def beyond_bound(self, failure_price: float, failing: float) -> FloatArray:
+        """Lower bound of every policy's value beyond the cap, [layers, nodes].
+
+        Every success is charged at least what it would be if it came at once: charge(r) * early +
+        price * (1 - goal) with early = goal / gamma (mathematics, section 5: r + (kappa - r) F). It
+        is exact where it is best to fail and possible.
+
+        Args:
+            failure_price: kappa.
+            failing: what failing counts: kappa, or 0 with -kappa for success.
+        """
+        tails, totals = self.tails, self.totals.beyond[:, None]
+        paid = self.charge.at(totals) / self.base.survival
+        goal = np.where(paid < failure_price, tails.greatest_goal, tails.least_goal)
+        rest = failing * (1.0 - goal) - (failure_price - failing) * goal
+        least = paid * goal
+        if tails.greatest_moment is not None:
+            least = self.charge.beyond(totals, tails.bounding(goal))
+        if tails.least_cost is not None:
+            least = least + self.charge.slope * tails.least_cost
+        size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)
+        return np.asarray(rest + least - 8.0 * size)
+
+    def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
+        """Pull a choice back to the model.
+
+        Args:
+            choice: position among the pairs of its node, [cap, nodes].
+            tail_price: the price of failure by which tails are chosen beyond the cap.
+        """
+        quotient, model = self.base.quotient, self.base.quotient.model
+        threshold = np.full(model.n_states, np.inf)
+        live = quotient.node_of >= 0
+        threshold[live] = self.threshold(tail_price)[quotient.node_of[live]]
+        first = self.base.pair_offsets[:-1]
+        decision = quotient.positions(first, choice)
+        return CostAwarePolicy(
+            model=model,
+            unit=self.base.unit,
+            decision=decision,
+            tails=self.tails.decisions,
+            tail_threshold=threshold,
+            levels=self.totals.values if self.base.by_steps else None,
+        )

@@ -1,0 +1,305 @@
+"""The accumulated-cost process written out state by state, for methods that need it so.
+
+:func:`materialise` ends with the tails of a layered process. :class:`OpenEnded` has one place for
+all costs beyond the cap: there a policy goes on as it likes, but does not count the cost any more:
+arriving there is charged as if the cap had just been reached, and each step what it costs those
+that succeed at least. That is too little, so that the least objective bounds every policy's from
+below; everything else (failing, visits, secondary costs, ends) is exact. As every policy of this
+process is one of the model, too, its true objective bounds the optimum from above, and the two meet
+as the cap grows (paper, section 3.5, with a tail that is free to choose).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.sparse as sp
+
+from ssp_lp.accumulated_cost.charges import Charge, TailValues
+from ssp_lp.accumulated_cost.process import AccumulatedCost, ArrivalCharges, LayeredProcess
+from ssp_lp.accumulated_cost.totals import Totals, layers_within
+from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.policies.cost_aware import CostAwarePolicy
+from ssp_lp.processes.counting import Counting
+from ssp_lp.processes.expectations import cost_means
+from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.failure_semantics import FailureSemantics
+
+
+def materialise(process: LayeredProcess) -> ExplicitProcess:
+    """Write all layers of the process out: state = layer * nodes + node.
+
+    The layers beyond the cap that a step can reach follow, with one pair for each tail policy,
+    so that the written-out process can do all that either tail can; the source state comes last.
+
+    Args:
+        process: the layered process.
+    """
+    base, n, cap = process.base, process.base.n_nodes, process.cap
+    n_beyond = len(process.totals.beyond) * n
+    n_states = cap * n + n_beyond + 1
+    tails_cost, tails_failure, tails_goal = _tail_pairs(process)
+    steps = _layer_steps(process, n_states)
+    entry = sp.csr_array(
+        (base.start, (np.zeros(n, dtype=np.int64), np.arange(n))), shape=(1, n_states)
+    )
+    cost = np.stack([process.charged(layer).total for layer in range(cap)])
+    own_pairs = np.tile(np.diff(base.pair_offsets), cap)
+    counts = np.concatenate([own_pairs, np.full(n_beyond, tails_cost.shape[1]), [1]])
+    start = np.zeros(n_states)
+    start[-1] = 1.0
+    return ExplicitProcess(
+        pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+        transitions=sp.csr_array(
+            sp.vstack([steps, sp.csr_array((tails_cost.size, n_states)), entry])
+        ),
+        start=start,
+        cost=np.concatenate([cost.ravel(), tails_cost.ravel(), [process.start_charge]]),
+        failure=np.concatenate(
+            [np.tile(base.failure, cap), tails_failure.ravel(), [base.start_failure]]
+        ),
+        goal=np.concatenate(
+            [np.tile(base.survival * base.gain, cap), tails_goal.ravel(), [base.start_goal]]
+        ),
+    )
+
+
+def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -> IntArray:
+    """The pair that a policy takes in each state of the written-out process, [states].
+
+    Args:
+        process: the layered process.
+        choice: position among the pairs of its node, [cap, nodes].
+        tail_price: the price of failure by which tails are chosen beyond the cap.
+    """
+    base, cap, n_tails = process.base, process.cap, len(process.tails.goal)
+    within = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1] + choice
+    last = (process.beyond_units >= process.threshold(tail_price)).ravel()
+    beyond = cap * len(base.gain) + np.arange(last.size) * n_tails + last * (n_tails - 1)
+    source = cap * len(base.gain) + last.size * n_tails
+    return np.concatenate([within.ravel(), beyond, [source]])
+
+
+def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
+    """Transitions of the pairs of all layers of the process, [cap * pairs, states]."""
+    base, n, cap = process.base, process.base.n_nodes, process.cap
+    n_pairs, per_layer = len(base.gain), base.steps.nnz
+    ahead, node = np.divmod(base.steps.indices.astype(np.int64), max(n, 1))
+    columns = (process.totals.reached[:, ahead] * n + node).ravel()
+    row_ends = np.tile(base.steps.indptr[1:].astype(np.int64), cap)
+    row_ends += np.repeat(np.arange(cap, dtype=np.int64) * per_layer, n_pairs)
+    index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
+    indptr = np.concatenate([[0], row_ends]).astype(index)
+    return sp.csr_array(
+        (np.tile(base.steps.data, cap), columns.astype(index), indptr),
+        shape=(cap * n_pairs, n_states),
+    )
+
+
+def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Charge, failure and goal mass of the tails beyond the layered process's cap.
+
+    Returns:
+        3 x [layers * nodes, tails].
+    """
+    tails = process.tails
+    values = tails.values
+    each = TailValues(
+        values.goal.T, values.failure.T, values.early.T, values.cost.T, values.moment.T
+    )
+    cost = process.charge.beyond(process.totals.beyond[:, None, None], each)
+    all_three = (cost, *(np.broadcast_to(v[None], cost.shape) for v in (each.failure, each.goal)))
+    failed, reached = (v.reshape(-1, cost.shape[-1]) for v in all_three[1:])
+    return cost.reshape(-1, cost.shape[-1]), failed, reached
+
+
+_FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
+
+
+_TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
+
+
+_BEYOND = 1e-9  # relative distance of a total that lies beyond another
+
+
+@dataclass(frozen=True, eq=False)
+class OpenEnded:
+    """States (node, layer) below the cap, then the nodes beyond it, then the source."""
+
+    base: AccumulatedCost
+    charge: Charge
+    shift: float  # what every episode is charged on top
+    totals: Totals  # what each layer stands for, the last for all beyond it as well
+    start: FloatArray  # [states]
+    least_goal: FloatArray | None = None  # [states] of every policy that counts; None: unknown
+
+    @property
+    def cap(self) -> int:
+        """Layers told apart, at least 1."""
+        return self.totals.size
+
+    @property
+    def n_nodes(self) -> int:
+        """States of one layer."""
+        return self.base.n_nodes
+
+    @cached_property
+    def process(self) -> ExplicitProcess:
+        """All layers written out."""
+        base, n, copies = self.base, self.n_nodes, self.cap + 1
+        counts = np.append(np.tile(np.diff(base.pair_offsets), copies), 1)
+        start = np.zeros(copies * n + 1)
+        start[-1] = 1.0
+        entry = sp.csr_array(np.append(base.start, np.zeros(len(start) - n))[None, :])
+        return ExplicitProcess(
+            pair_offsets=np.concatenate([[0], np.cumsum(counts)]),
+            transitions=sp.csr_array(sp.vstack([self._steps(len(start)), entry])),
+            start=start,
+            cost=self._cost(),
+            failure=self.everywhere(base.failure, base.start_failure),
+            goal=self.everywhere(base.survival * base.gain, base.start_goal),
+        )
+
+    def everywhere(self, per_pair: FloatArray, at_source: float) -> FloatArray:
+        """What does not depend on the accumulated cost, at all pairs of the process.
+
+        Args:
+            per_pair: [pairs of a layer].
+            at_source: at the only pair of the source.
+        """
+        return np.append(np.tile(per_pair, self.cap + 1), at_source)
+
+    def counting(self) -> Counting:
+        """How anything else is counted at the pairs of a layer."""
+        base = self.base
+        goal, semantics = base.survival * base.gain, FailureSemantics()
+        return Counting(
+            base.quotient, base.departs, goal, base.failure, self.start, semantics, base.survival
+        )
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """One decision for each state and accumulated cost, the last for all beyond the cap.
+
+        Args:
+            choice: one pair of each state of the process, [process states].
+        """
+        base, n = self.base, self.n_nodes
+        quotient, model = base.quotient, base.quotient.model
+        inner = choice[: (self.cap + 1) * n].reshape(self.cap + 1, n) % max(len(base.gain), 1)
+        first = np.zeros(base.n_nodes, dtype=np.int32)
+        decision = quotient.positions(first, inner[: self.cap])
+        never, beyond = np.full(model.n_states, np.inf), quotient.pull_back(inner[-1])[None, :]
+        levels = self.totals.values if base.by_steps else None
+        return CostAwarePolicy(model, base.unit, decision, beyond, never, levels=levels)
+
+    def nearer_goal(self, *, safely: bool = False) -> None:
+        """None: such pairs have to be found on the process itself."""
+        return
+
+    @cached_property
+    def own_cost(self) -> FloatArray:
+        """Charges of arriving, [process pairs]."""
+        charges = ArrivalCharges(self.base, self.charge, self.totals.values)
+        each = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
+        if self.charge.slope > 0.0 and self.totals.values[-1] >= (self.charge.settled or 0.0):
+            each[-1] = each[-1] + self.charge.slope * self._beyond()
+        return np.append(np.concatenate(each), charges.at_start)
+
+    def _beyond(self) -> FloatArray:
+        """What a step beyond the cap costs those that succeed, at least, [pairs].
+
+        However a policy goes on, it reaches the goal with the least probability that there is.
+        """
+        base, quotient = self.base, self.base.quotient
+        if self.least_goal is None:
+            return np.zeros(len(base.gain))
+        going_on = np.where(quotient.node_of >= 0, self.least_goal, 0.0)
+        return quotient.at_pairs(cost_means(quotient.model, going_on)) / base.departs
+
+    def _cost(self) -> FloatArray:
+        """Charges of arriving, with the shift, [process pairs]."""
+        base = self.base
+        ends = base.survival * base.gain + base.failure
+        shift = self.everywhere(
+            self.shift * ends, self.shift * (base.start_goal + base.start_failure)
+        )
+        return self.own_cost + shift
+
+    def _steps(self, n_states: int) -> sp.csr_array:
+        """Transitions of the pairs of all layers; whatever passes the cap stays beyond it."""
+        base, n, copies = self.base, self.n_nodes, self.cap + 1
+        steps = sp.csr_array(base.steps)
+        ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
+        below, share = self.leads
+        pair = np.repeat(np.arange(len(base.gain)), np.diff(steps.indptr))
+        rows = np.arange(copies)[:, None] * len(base.gain) + pair
+        upper = share[:, ahead] > 0.0
+        entry = np.broadcast_to(steps.data, rows.shape)
+        data = np.concatenate(
+            [(entry * (1.0 - share[:, ahead])).ravel(), (entry * share[:, ahead])[upper]]
+        )
+        columns = below[:, ahead] * n + node
+        places = np.concatenate([columns.ravel(), columns[upper] + n])
+        index = np.int32 if max(n_states, places.size) <= np.iinfo(np.int32).max else np.int64
+        taken = np.concatenate([rows.ravel(), rows[upper]]).astype(index)
+        shape = copies * len(base.gain), n_states
+        return sp.csr_array((data, (taken, places.astype(index))), shape=shape)
+
+    @cached_property
+    def leads(self) -> tuple[IntArray, FloatArray]:
+        """The layer that each step leads to, and the share of the next one, [layers, steps].
+
+        On a grid a step is rounded down, whence no charge is more; where interpolating the charge
+        does not exceed it either, it leads to both neighbours of what it makes.
+        """
+        below, share = self.totals.leads
+        return below, share if self.charge.is_concave else np.zeros_like(share)
+
+
+def first_cap(
+    base: AccumulatedCost, charge: Charge | None, typical: float, fixed: float | None
+) -> int:
+    """A cap of the open-ended table: as many layers as the charge needs to settle, or some more.
+
+    Args:
+        base: one layer of the process.
+        charge: of arriving; None: nothing is told apart.
+        typical: a cost given success.
+        fixed: the user's cap on accumulated cost.
+    """
+    if charge is None:
+        return 1
+    if fixed is not None:
+        return max(int(np.ceil(fixed / base.unit)), 1)
+    if (settled := _settled_open_end(charge)) is None:
+        return _FIRST_LAYERS + base.width
+    needed = max(layers_within(settled, base.exact_unit), 1)
+    if charge.slope == 0.0:
+        return needed
+    return needed + int(min(_TYPICAL * typical / base.unit, 1e15)) + base.width
+
+
+def first_total(charge: Charge, typical: float) -> float:
+    """The same as a total, where layers are no multiples of a unit."""
+    settled = _settled_open_end(charge)
+    if settled is not None and charge.slope == 0.0:
+        return settled * (1.0 + _BEYOND)
+    return (settled or 0.0) + _TYPICAL * typical
+
+
+def truncates(charge: Charge | None, total: float) -> bool:
+    """Whether the open end may lose something: the charge still changes beyond it."""
+    if charge is None or charge.slope > 0.0:
+        return charge is not None
+    settled = charge.settled
+    return settled is None or total <= settled or not charge.is_affine_beyond(total)
+
+
+def _settled_open_end(charge: Charge) -> float | None:
+    """Beyond which total the charge is its line; None: it only comes near it."""
+    settled = charge.settled
+    if settled is None or not charge.is_affine_beyond(settled * (1.0 + _BEYOND)):
+        return None
+    return settled

@@ -1,1 +1,0 @@
-"""The law of a policy's total cost."""

@@ -1,0 +1,462 @@
+"""Compiled passes over the layers of accumulated cost, backward and forward.
+
+No fast-math: sums run in the order of scipy's products, so that both agree to the last bit.
+Index arrays come as unsigned views: signed ones cost a test for negative positions at each access.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numba import njit, prange
+
+from ssp_lp.compiled.cores import one_or_all_cores
+
+Array = np.ndarray[Any, Any]
+
+_LOWERINGS = 16
+"""Turns in which bounds within a layer follow each other's rounding: more than halving it takes."""
+
+
+@njit(cache=True, inline="always")
+def _best_of_layers(
+    pick: Any, past: Any, indptr: Array, kinds: Array, nodes: Array, data: Array,
+    begin: Array, charge: Array, slot: Array, growth: Array, factor: float, owed: Array,
+    values: Array, tied: float,
+) -> tuple[float, Any]:  # fmt: skip
+    """The least value of some pairs of a layer, and the first of them that is tied with it."""
+    least, below = np.inf, np.inf
+    for pair in range(pick, past):
+        total = 0.0
+        for k in range(indptr[pair], indptr[pair + 1]):
+            total += data[k] * values[begin[kinds[k]] + nodes[k]]
+        stage = charge[slot[pair]] + owed[pair]
+        if factor != 0.0:
+            stage += factor * growth[pair]
+        total = stage + total
+        if total < least:
+            least = total
+            if total < below:
+                below, pick = total - tied * abs(total), pair
+    return least, pick
+
+
+@njit(cache=True)
+def back_up_layers(
+    order: Array, most: int, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
+    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array, first: int, end: int,
+    owed: Array, gain: Array, failure: Array, survival: float, accuracy: float, tied: float,
+    values: Array, measured: Array, position: Array, keeps: bool,
+) -> None:  # fmt: skip
+    """All layers of a process in one pass, the last of them first.
+
+    Where free steps go round, a layer is gone over again, forwards and backwards, until values and
+    measures stay as they are (Gauss-Seidel).
+
+    Args:
+        order: nodes, each after those that its free steps lead to, as far as may be, [nodes].
+        most: turns over a layer; 1: free steps do not go round.
+        offsets: pairs of each node, [nodes + 1].
+        indptr: [pairs + 1].
+        kinds: which kind of step an entry is; 0: a free one, within the layer, [entries].
+        nodes: to where it leads, [entries].
+        data: [entries].
+        leads: layer that each kind of step leads to, [layers, kinds]; or how many ahead of any,
+            [1, kinds].
+        paid: total of each layer, [layers].
+        charge: of arriving, [layers or 1, slots].
+        slot: of each pair among them, [pairs].
+        growth: what a unit of the total adds to it, [pairs] or empty.
+        first: layer with which to end.
+        end: the layer after the one to begin with; all from there on are known.
+        owed: what a pair costs besides, [pairs].
+        gain: [pairs].
+        failure: [pairs].
+        survival: the discount.
+        accuracy: relative change at which a layer is left.
+        tied: relative distance to the least value at which the first pair is taken.
+        values: of all layers, those beyond the cap given, [all layers * nodes].
+        measured: charge, failure and goal, likewise, [all layers * nodes, 3].
+        position: the choice among each node's pairs, [layers, nodes].
+        keeps: whether the choice is given, rather than written; then values do not matter.
+    """
+    n, rows = offsets.size - 1, measured.shape[0] // (offsets.size - 1)
+    begin = np.empty(leads.shape[1], dtype=np.int64)
+    for layer in range(end - 1, first - 1, -1):
+        begin[:] = (leads[0] + layer if leads.shape[0] == 1 else leads[layer]) * n
+        charged = charge[layer if charge.shape[0] > 1 else 0]
+        factor = paid[layer] if growth.size > 0 else 0.0
+        row, later = layer * n, (layer + 1) % rows * n
+        if most > 1:
+            values[row : row + n] = values[later : later + n]
+            measured[row : row + n] = 0.0  # they grow, and what is never met stays nothing
+        is_greedy = True  # then the choice is followed until nothing changes, and made anew
+        for turn in range(most):
+            change, scale = 0.0, 0.0
+            for i in range(n):
+                s = order[i] if turn % 2 == 0 else order[n - 1 - i]
+                here, begins = row + s, np.uint64(offsets[s])
+                pick = begins + np.uint64(position[layer, s])
+                if not keeps:
+                    least, pick = _best_of_layers(
+                        begins if is_greedy else pick,
+                        np.uint64(offsets[s + 1]) if is_greedy else pick + np.uint64(1),
+                        indptr, kinds, nodes, data,
+                        begin, charged, slot, growth, factor, owed, values,
+                        tied if most == 1 else 0.0,
+                    )  # fmt: skip
+                    change, scale = max(change, abs(least - values[here])), max(scale, abs(least))
+                    values[here], position[layer, s] = least, pick - begins
+                paying, failed, reached = 0.0, 0.0, 0.0
+                for k in range(indptr[pick], indptr[pick + 1]):
+                    place = begin[kinds[k]] + nodes[k]
+                    paying += data[k] * measured[place, 0]
+                    failed += data[k] * measured[place, 1]
+                    reached += data[k] * measured[place, 2]
+                if factor != 0.0:
+                    paying += factor * growth[pick]
+                paying += charged[slot[pick]]
+                failed += failure[pick]
+                reached += survival * gain[pick]
+                was = measured[here]
+                if most > 1 and (
+                    abs(paying - was[0]) > accuracy * abs(paying)
+                    or abs(failed - was[1]) > accuracy * failed
+                    or abs(reached - was[2]) > accuracy * reached
+                ):
+                    change = np.inf
+                measured[here, 0], measured[here, 1], measured[here, 2] = paying, failed, reached
+            is_same = change <= accuracy * scale
+            if is_same and (is_greedy or keeps):
+                break
+            is_greedy = is_same
+
+
+@njit(cache=True)
+def back_up_layers_safely(
+    order: Array, most: int, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
+    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array, first: int, end: int,
+    owed: Array, saved: Array, epsilon: float, accuracy: float, within: Array, given: Array,
+    values: Array,
+) -> None:  # fmt: skip
+    """Lower bounds of the least values of all layers; rounding counts against every pair.
+
+    Where free steps go round, values are lowered to their backups, each by its own rounding. What
+    they exceed these by after some turns, times the steps that any policy takes within a layer, is
+    taken off all of them: then they are a sub-solution.
+
+    Args:
+        order: as in ``back_up_layers``, like all that is not listed here.
+        saved: what a pair earns, [pairs].
+        epsilon: of the machine.
+        within: at least one more than after the free steps of any pair, [nodes].
+        given: values that are not to be exceeded, [layers, nodes].
+        values: of all layers, those beyond the cap given, [all layers * nodes].
+    """
+    n, rows = offsets.size - 1, values.size // (offsets.size - 1)
+    begin = np.empty(leads.shape[1], dtype=np.int64)
+    picks, due = np.empty(n, dtype=np.uint64), owed - saved
+    for layer in range(end - 1, first - 1, -1):
+        begin[:] = (leads[0] + layer if leads.shape[0] == 1 else leads[layer]) * n
+        charged = charge[layer if charge.shape[0] > 1 else 0]
+        factor = paid[layer] if growth.size > 0 else 0.0
+        row, later = layer * n, (layer + 1) % rows * n
+        if most > 1:
+            values[row : row + n] = values[later : later + n]
+            is_greedy = True
+            for turn in range(most):
+                change, scale = 0.0, 0.0
+                for i in range(n):
+                    s = order[i] if turn % 2 == 0 else order[n - 1 - i]
+                    least, picks[s] = _best_of_layers(
+                        np.uint64(offsets[s]) if is_greedy else picks[s],
+                        np.uint64(offsets[s + 1]) if is_greedy else picks[s] + np.uint64(1),
+                        indptr, kinds, nodes, data,
+                        begin, charged, slot, growth, factor, due, values, 0.0,
+                    )  # fmt: skip
+                    change = max(change, abs(least - values[row + s]))
+                    scale = max(scale, abs(least))
+                    values[row + s] = least
+                is_same = change <= accuracy * scale
+                if is_same and is_greedy:
+                    break
+                is_greedy = is_same
+            for s in range(n):
+                values[row + s] = min(values[row + s], given[layer, s])
+        excess, size_of_all = 0.0, 0.0
+        for turn in range(_LOWERINGS + 1 if most > 1 else 1):
+            excess = 0.0
+            for i in range(n):
+                s = order[i]
+                least = np.inf
+                for pair in range(offsets[s], offsets[s + 1]):
+                    total, size = 0.0, 0.0
+                    for k in range(indptr[pair], indptr[pair + 1]):
+                        term = data[k] * values[begin[kinds[k]] + nodes[k]]
+                        total += term
+                        size += abs(term)
+                    stage = charged[slot[pair]] + owed[pair] - saved[pair]
+                    whole = abs(charged[slot[pair]]) + owed[pair] + saved[pair]
+                    if factor != 0.0:
+                        stage += factor * growth[pair]
+                        whole += factor * growth[pair]
+                    total, size = stage + total, whole + size
+                    if size != owed[pair]:
+                        terms = float(indptr[pair + 1] - indptr[pair]) + 4.0
+                        total -= (terms * epsilon) * size
+                    least = min(least, total)
+                if most > 1:
+                    excess = max(excess, values[row + s] - least)
+                    if turn < _LOWERINGS:
+                        values[row + s] = min(values[row + s], least)
+                    size_of_all = max(size_of_all, abs(values[row + s]))
+                else:
+                    values[row + s] = min(least, given[layer, s])
+            if excess == 0.0:
+                break
+        if excess > 0.0:
+            excess += 8.0 * epsilon * (size_of_all + excess)
+            for s in range(n):
+                values[row + s] -= excess * within[s] * (1.0 + 4.0 * epsilon)
+
+
+@njit(cache=True)
+def stream_mass(
+    mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
+    classes: Array, slots: Array, waiting: Array,
+) -> None:  # fmt: skip
+    """Send the mass of a layer on to later ones, in place; one core: the sums keep their order.
+
+    Args:
+        mass: [states].
+        pairs: of each state, negative where none is taken, [states].
+        offsets: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
+        waiting: written, [slots, states].
+    """
+    for s in range(pairs.size):
+        if pairs[s] >= 0 and mass[s] > 0.0:
+            for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
+                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                if slots[kind] >= 0:
+                    waiting[slots[kind], successors[outcome]] += mass[s] * probabilities[outcome]
+
+
+@njit(cache=True)
+def stream_layers(
+    waiting: Array, heads: Array, links: Array,
+    indptr: Array, indices: Array, data: Array, first: int, arrived: Array,
+) -> int:  # fmt: skip
+    """Settle layers of a ring one after the other: send their mass on, and say what arrives.
+
+    Only where mass waits is looked at: lists say so, of each layer of the ring.
+
+    Args:
+        waiting: mass, whose last node is the goal, [layers of the ring * nodes]; written.
+        heads: a place of each layer where mass waits, -1: none; written.
+        links: another place of the same layer, -1: none, like ``waiting``; written.
+        indptr: moves of each node but the goal, [nodes].
+        indices: to where they lead, counted from the node's own layer, [moves].
+        data: [moves].
+        first: the first layer.
+        arrived: written, [layers to settle].
+
+    Returns:
+        Moves followed.
+    """
+    size, followed = indptr.size, 0
+    for ahead in range(arrived.size):
+        row = (first + ahead) % heads.size
+        while heads[row] >= 0:
+            here = heads[row]
+            heads[row], mass, node = links[here], waiting[here], here - row * size
+            waiting[here] = 0.0
+            if node == size - 1:
+                arrived[ahead] += mass
+                continue
+            followed += indptr[node + 1] - indptr[node]
+            for k in range(indptr[node], indptr[node + 1]):
+                to = row * size + indices[k]
+                to = to if to < waiting.size else to - waiting.size
+                share = data[k] * mass
+                if waiting[to] == 0.0 and share > 0.0:  # what is too small for a number is nothing
+                    links[to], heads[to // size] = heads[to // size], to
+                waiting[to] += share
+    return followed
+
+
+@njit(cache=True)
+def follow_layer(
+    mass: Array, position: Array,
+    offsets: Array, indptr: Array, begins: Array, indices: Array, data: Array,
+    charge: Array, growth: Array, layer: float, gain: Array, failure: Array, survival: float,
+    onward: Array, sums: Array,
+) -> None:  # fmt: skip
+    """Send the mass of a layer on by a choice, and add up what it is charged, fails and arrives.
+
+    Args:
+        mass: [nodes].
+        position: of the chosen pair among those of each node, [nodes].
+        offsets: pairs of each node, [nodes + 1].
+        indptr: where the columns of each pair begin, [pairs + 1].
+        begins: and where its numbers do, [pairs].
+        indices: columns.
+        data: numbers.
+        charge: of arriving, [pairs].
+        growth: what a unit of the total adds to it, [pairs] or empty.
+        layer: the total paid.
+        gain: [pairs].
+        failure: [pairs].
+        survival: the discount.
+        onward: mass of what the columns stand for, added to, [columns].
+        sums: charge, failure and goal, and what was rounded off them, [3, 2], added to.
+    """
+    terms = np.zeros(3)
+    for s in range(mass.size):
+        if mass[s] <= 0.0:
+            continue
+        pair = offsets[s] + np.uint64(position[s])
+        stage = charge[pair]
+        if layer != 0.0:
+            stage += layer * growth[pair]
+        terms[0], terms[1], terms[2] = stage, failure[pair], survival * gain[pair]
+        for j in range(3):  # what a sum loses is kept beside it
+            term = mass[s] * terms[j]
+            whole = sums[j, 0] + term
+            if abs(sums[j, 0]) >= abs(term):
+                sums[j, 1] += (sums[j, 0] - whole) + term
+            else:
+                sums[j, 1] += (term - whole) + sums[j, 0]
+            sums[j, 0] = whole
+        first, begin = indptr[pair], begins[pair]
+        for k in range(indptr[pair + np.uint64(1)] - first):
+            onward[indices[first + k]] += mass[s] * data[begin + k]
+
+
+@njit(cache=True)
+def stream_arrivals(
+    pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
+    slots: Array, arriving: Array,
+) -> None:  # fmt: skip
+    """Mark where the moves of a layer to later ones may arrive, in place.
+
+    Args:
+        pairs: of each state that is left, negative where none is taken, [k].
+        offsets: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
+        arriving: marked, [slots, states].
+    """
+    for s in range(pairs.size):
+        if pairs[s] >= 0:
+            for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
+                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                if slots[kind] >= 0 and probabilities[outcome] > 0.0:
+                    arriving[slots[kind], successors[outcome]] = True
+
+
+@one_or_all_cores
+def stream_hope(
+    decision: Array, acting: Array, pair_offsets: Array,
+    offsets: Array, successors: Array, probabilities: Array, classes: Array,
+    leads: Array, order: Array, hopeful: Array,
+) -> None:  # fmt: skip
+    """Mark where decisions may lead to what is marked, from the last layer on.
+
+    Where free steps go round, a layer is gone over until nothing is marked any more.
+
+    Args:
+        decision: position in the state's pairs, negative where none is taken, [layers, states].
+        acting: states at which episodes go on, [states].
+        pair_offsets: [states + 1].
+        offsets: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        leads: layers that each class of steps passes, [classes].
+        order: states, each after those that its free steps lead to, as far as may be, [states].
+        hopeful: written, [layers and those behind them, states].
+    """
+    n_layers, n = decision.shape
+    stays = leads.min() == 0
+    for back in range(n_layers):
+        layer, marked = n_layers - 1 - back, 1
+        while marked > 0:
+            marked = 0
+            for i in prange(n):
+                s = order[i]
+                if decision[layer, s] >= 0 and acting[s] and not hopeful[layer, s]:
+                    pair = pair_offsets[s] + decision[layer, s]
+                    for outcome in range(offsets[pair], offsets[pair + 1]):
+                        kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                        later = layer + leads[kind]
+                        if probabilities[outcome] > 0.0 and hopeful[later, successors[outcome]]:
+                            hopeful[layer, s] = True
+                            marked += 1
+                            break
+            if not stays:
+                break
+
+
+@one_or_all_cores
+def stream_totals(
+    pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
+    slots: Array, costs: Array, worth: Array, marks: Array, priced: Array,
+    sums: Array, found: Array,
+) -> None:  # fmt: skip
+    """Expected totals after moves to later layers, and the marks that may be met there.
+
+    Args:
+        pairs: of each state that is asked for, negative where none is taken, [k].
+        offsets: outcomes of each pair, [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
+        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
+        costs: [totals that are priced, classes].
+        worth: totals from there on, [slots, states, columns].
+        marks: bits, [slots, states].
+        priced: columns (from, to): the worth in one, times the cost, counts in the other, [.., 2].
+        sums: written, [k, columns].
+        found: written, [k].
+    """
+    n_columns = sums.shape[1]
+    for s in prange(pairs.size):
+        found[s] = 0
+        for k in range(n_columns):
+            sums[s, k] = 0.0
+        if pairs[s] < 0:
+            continue
+        begin, end = offsets[pairs[s]], offsets[pairs[s] + 1]
+        for first in range(0, n_columns, 4):  # four at a time, in registers
+            last = n_columns - 1
+            second, third, fourth = min(first + 1, last), min(first + 2, last), min(first + 3, last)
+            one, two, three, four = 0.0, 0.0, 0.0, 0.0
+            for outcome in range(begin, end):
+                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                slot, share = slots[kind], probabilities[outcome]
+                if slot < 0 or share <= 0.0:
+                    continue
+                to = successors[outcome]
+                if first == 0:
+                    found[s] |= marks[slot, to]
+                one += share * worth[slot, to, first]
+                two += share * worth[slot, to, second]
+                three += share * worth[slot, to, third]
+                four += share * worth[slot, to, fourth]
+            sums[s, first], sums[s, second] = one, two
+            sums[s, third], sums[s, fourth] = three, four
+        for j in range(priced.shape[0]):
+            paid = 0.0
+            for outcome in range(begin, end):
+                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                slot, share = slots[kind], probabilities[outcome]
+                if slot >= 0 and share > 0.0:
+                    paid += share * costs[j, kind] * worth[slot, successors[outcome], priced[j, 0]]
+            sums[s, priced[j, 1]] += paid

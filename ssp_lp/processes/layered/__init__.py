@@ -1,1 +1,0 @@
-"""Processes over states and accumulated cost, one layer per total."""
