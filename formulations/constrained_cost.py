@@ -60,7 +60,7 @@ class ConstrainedCost(Formulation):
     Returns:
         the problem. Solved: the least cost as ``objective``, a certified ``lower_bound``, the
         ``prices`` and ``secondary_costs`` by name, and a lottery over at most (active rows + 1)
-        policies. ``InfeasibleError.conflicting_rows`` names a smallest conflict.
+        policies. ``InfeasibleError.conflicting_rows`` names a conflict none of whose rows can go.
 
     Raises:
         ModelError: a budget or a discount out of range, an unknown start or ``give_up``, a limit

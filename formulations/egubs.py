@@ -8,7 +8,6 @@ from math import isfinite
 
 from ssp_lp.formulation import (
     SSP,
-    CompiledArrivalCost,
     ExponentialUtility,
     FailureSemantics,
     Formulation,
@@ -88,8 +87,7 @@ class EGUBS(Formulation):
     @property
     def cost_horizon(self) -> float:
         """Accumulated cost from which a stationary policy is optimal (C_max)."""
-        compiled = self.compile()
-        return compiled.cost_horizon if isinstance(compiled, CompiledArrivalCost) else 0.0
+        return self.compile().cost_horizon
 
     @cached_property
     def semantics(self) -> FailureSemantics:

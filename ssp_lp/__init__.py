@@ -34,6 +34,7 @@ from ssp_lp.processes.failure_semantics import GiveUp
 from ssp_lp.processes.quantities.quantity import (
     Constraint,
     Quantity,
+    arrival_cost,
     end_probability,
     expected_cost,
     failure_probability,
@@ -101,6 +102,7 @@ __all__ = [
     "Status",
     "StochasticPolicy",
     "TimedPolicy",
+    "arrival_cost",
     "certify",
     "end_probability",
     "evaluate",

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, Self, cast
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import (
-    TOTAL_COST,
     CostQuantileOf,
     ExpectedUtility,
     ExponentialUtility,
@@ -28,8 +27,7 @@ from ssp_lp.accumulated_cost.charges import (
 from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
-    CompiledArrivalCost,
-    CompiledFailureLabel,
+    CompiledExplicit,
     CompiledProblem,
 )
 from ssp_lp.errors import (
@@ -47,10 +45,12 @@ from ssp_lp.problem import (
     BUDGET_OR_SHARE,
     FailureBudget,
     Problem,
+    TotalScale,
     as_float,
     as_stated,
-    by_sums,
     check_numbers,
+    compiled_totals,
+    requirements,
     stated_budget,
 )
 from ssp_lp.processes.failure_semantics import (
@@ -64,10 +64,11 @@ from ssp_lp.processes.failure_semantics import (
     start_distribution,
 )
 from ssp_lp.processes.quantities.conditions import Condition
-from ssp_lp.processes.quantities.lookup import conditions, objective_of
+from ssp_lp.processes.quantities.lookup import arrival_measure, conditions, objective_of
 from ssp_lp.processes.quantities.quantity import (
     Constraint,
     Quantity,
+    arrival_cost,
     end_probability,
     expected_cost,
     failure_probability,
@@ -84,7 +85,6 @@ __all__ = [
     "BUDGET_OR_SHARE",
     "SSP",
     "Aim",
-    "CompiledArrivalCost",
     "Constraint",
     "CostLimit",
     "CostQuantileOf",
@@ -102,6 +102,7 @@ __all__ = [
     "TailMeanOf",
     "Utility",
     "WithinBound",
+    "arrival_cost",
     "as_percentage",
     "attention_labels",
     "check_numbers",
@@ -264,7 +265,7 @@ class Formulation(_Inherited):
     @cached_property
     def objective_condition(self) -> Condition | None:
         """What is minimised in place of the cost, looked up in the model; None: the cost."""
-        if self.quantity is None:
+        if self.quantity is None or self.semantics.measure is not None:
             return None
         if self.horizon is not None:
             return cast("Formulation", self.unrolled).objective_condition
@@ -285,8 +286,17 @@ class Formulation(_Inherited):
 
     @cached_property
     def semantics(self) -> FailureSemantics:
-        """Failing is free but for a step that is charged, and happens where one may give up."""
-        return FailureSemantics(GiveUp(str(self.give_up)), bool(self.charge_failing_step))
+        """Failing is free but for a step that is charged, and happens where one may give up.
+
+        Raises:
+            ModelError: an arrival cost is not counted given success, or is discounted.
+        """
+        measure = arrival_measure(self.quantity)
+        if measure is not None and (self.discount is not None or not self.ratio):
+            told = "has no discount" if self.ratio else "is counted given success: say ratio = True"
+            raise ModelError(f"{type(self).__name__}: an arrival cost {told}")
+        give_up, charged = GiveUp(str(self.give_up)), bool(self.charge_failing_step)
+        return FailureSemantics(give_up, charged, measure=measure)
 
     @cached_property
     def _begun(self) -> FloatArray:
@@ -310,14 +320,12 @@ class Formulation(_Inherited):
             return self.unrolled.compile()
         model, start, semantics = self._asked.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
-        sums = by_sums(self._asked)
-        if semantics.measure is not None or sums:
-            charge = TOTAL_COST if semantics.measure is None else semantics.measure.charge
-            return CompiledArrivalCost(model, start, charge, self.ratio, by_sums=sums)
+        if semantics.measure is not None or requirements(self._asked).totals is TotalScale.SUMS:
+            return compiled_totals(self._asked)
         if self.ratio:
             cap = self.cost_cap
             return CompiledAccumulatedCost(model, start, self.discount, fixed_cap=cap)
-        return CompiledFailureLabel(model, start, semantics, self.discount)
+        return CompiledExplicit(model, start, semantics, self.discount)
 
     def program(self) -> OccupationProgram:
         """The linear program over expected visits whose optimum is the problem's.

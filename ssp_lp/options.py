@@ -127,6 +127,7 @@ class SolveOptions:
     deadline: float = float("inf")  # on the clock of time.perf_counter
     progress: Progress | None = None
     program: LinearProgramming | None = None  # solve the full linear program first
+    deterministic: bool = False  # no lottery will do
 
     @property
     def method(self) -> str:
@@ -169,9 +170,10 @@ def options_of(
         raise ModelError(f"progress must be a function or None, not {progress!r}; verbose=True "
                          "shows how far work has come")  # fmt: skip
     deadline = deadline_of(time_limit, began)
-    asked = method.relaxation if isinstance(method, DeterministicPolicies) else method
-    program = asked if isinstance(asked, LinearProgramming) else None
-    return SolveOptions(float(tolerance), deadline, _logged_progress(progress), program)
+    single = isinstance(method, DeterministicPolicies)
+    relaxation = method.relaxation if isinstance(method, DeterministicPolicies) else method
+    program = relaxation if isinstance(relaxation, LinearProgramming) else None
+    return SolveOptions(float(tolerance), deadline, _logged_progress(progress), program, single)
 
 
 def deadline_of(time_limit: float | None, began: float) -> float:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Any, Protocol, cast, overload
 
-from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility, Measure
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
-    CompiledConstrained,
+    CompiledExplicit,
     CompiledProblem,
 )
 from ssp_lp.compiled.deadline import READING, is_within_call, limited
@@ -21,7 +22,7 @@ from ssp_lp.model.product import check_product
 from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import on_original
-from ssp_lp.processes.failure_semantics import FailureSemantics, start_distribution
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_from
 from ssp_lp.processes.in_product import on_product
 from ssp_lp.processes.quantities.conditions import Condition
@@ -123,25 +124,64 @@ def _has_few_sums(problem: Problem, most: int) -> bool:
     return bool(known[key])
 
 
-def by_sums(problem: Problem) -> bool:
-    """Whether a problem's totals are the sums that can occur, each a layer of backward sweeps."""
-    is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
-    if has_rows(problem) or (is_cut and problem.semantics.measure is None):
-        return False
-    return (resolution := resolution_of(problem)) is not None and resolution.most == MOST_SUMS
+class TotalScale(StrEnum):
+    """How the totals of a cost are told apart."""
+
+    NONE = "no total is counted"
+    UNITS = "multiples of a unit"
+    SUMS = "the sums that can occur, each a layer of backward sweeps"
+    GRID = "levels of a grid"
 
 
-def by_rows(problem: Problem) -> bool:
-    """Whether the methods for several rows solve a problem."""
-    return has_rows(problem) or (resolution_of(problem) is not None and not by_sums(problem))
+@dataclass(frozen=True)
+class Requirements:
+    """What a problem asks of a method, whatever its criterion is called."""
+
+    measure: Measure | None  # of the law of the total cost; None: its mean, or the goal
+    aim: Aim
+    ratio: bool  # given success
+    rows: bool  # limits beside the failure budget, or a quantity of its own as the objective
+    totals: TotalScale
+    least_failure: bool  # no budget: as low as possible
+
+    @property
+    def several_rows(self) -> bool:
+        """Whether only a process that is written out, with its rows, answers it."""
+        return self.rows or self.totals is TotalScale.GRID
+
+    @property
+    def counts_totals(self) -> bool:
+        """Whether what is asked depends on the total cost of a run that succeeds."""
+        return self.totals is not TotalScale.NONE
+
+    @property
+    def is_risk(self) -> bool:
+        """Whether no single program answers it: a quantile or a tail mean."""
+        return self.measure is not None and not self.measure.is_expectation
 
 
-def compiled_constrained(problem: Problem) -> CompiledConstrained:
+def requirements(problem: Problem) -> Requirements:
+    """What a problem asks of a method."""
+    semantics, rows = problem.semantics, has_rows(problem)
+    measure, totals = semantics.measure, TotalScale.NONE
+    if measure is not None or problem.ratio:
+        is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
+        resolution, totals = resolution_of(problem), TotalScale.UNITS
+        if resolution is not None:
+            told_apart = (
+                not rows and not (is_cut and measure is None) and resolution.most == MOST_SUMS
+            )
+            totals = TotalScale.SUMS if told_apart else TotalScale.GRID
+    least = problem.failure_budget is None
+    return Requirements(measure, semantics.aim, problem.ratio, rows, totals, least)
+
+
+def compiled_constrained(problem: Problem) -> CompiledExplicit:
     """The process of a problem with constraints, and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
     measure, objective = problem.semantics.measure, objective_of(problem)
     charge = TOTAL_COST if problem.ratio else None
-    return CompiledConstrained(
+    return CompiledExplicit(
         model=problem.model,
         start=start_distribution(problem.model, problem.start),
         semantics=problem.semantics,
@@ -154,6 +194,14 @@ def compiled_constrained(problem: Problem) -> CompiledConstrained:
         objective=None if objective is None else objective.minimised(),
         resolution=resolution_of(problem),
     )
+
+
+def compiled_totals(problem: Problem) -> CompiledArrivalCost:
+    """The process of a problem that counts totals, failure alone being limited."""
+    start, measure = start_distribution(problem.model, problem.start), problem.semantics.measure
+    charge, totals = TOTAL_COST if measure is None else measure.charge, requirements(problem).totals
+    by_sums = totals is TotalScale.SUMS
+    return CompiledArrivalCost(problem.model, start, charge, problem.ratio, by_sums=by_sums)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,21 +9,12 @@ from math import isfinite
 
 from ssp_lp.accumulated_cost.policy_layers import stopping_where_lost
 from ssp_lp.arrays import LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.compiled.deadline import STOPS, Deadline, Stop, closing, heed, until
-from ssp_lp.errors import Argument, ModelError, OutOfTimeError, SolverError
-from ssp_lp.methods.columns import (
-    best_within_budget,
-    cheapest_at_least_failure,
-    extreme_goal,
-    solve_by_game,
-    solve_for_worth,
-)
+from ssp_lp.compiled.deadline import Deadline, Stop, WithIncumbent, closing, until
+from ssp_lp.errors import OutOfTimeError, SolverError
+from ssp_lp.methods.approaches import Case, approach_to, refusal
+from ssp_lp.methods.columns import solve_by_game
 from ssp_lp.methods.incumbent import Incumbent
-from ssp_lp.methods.risk import least_risk
-from ssp_lp.methods.rounding import solve_on_rounded_costs, solve_on_split_costs, span_to_split
-from ssp_lp.methods.rows import solve_constrained
 from ssp_lp.options import (
-    ColumnGeneration,
     DeterministicPolicies,
     Game,
     Method,
@@ -34,17 +25,8 @@ from ssp_lp.options import (
     parse_method,
     progress_shown,
 )
-from ssp_lp.problem import (
-    Problem,
-    by_rows,
-    by_sums,
-    check_problem,
-    conditions_of,
-    has_rows,
-    pulled_back,
-    unrolled,
-)
-from ssp_lp.processes.failure_semantics import Aim, GiveUp
+from ssp_lp.problem import Problem, check_problem, has_rows, pulled_back, unrolled
+from ssp_lp.processes.failure_semantics import GiveUp
 from ssp_lp.solution import Solution
 
 _ROUNDING = 1e-12  # of sums of probabilities
@@ -89,7 +71,8 @@ def solve(
     check_problem(problem, "solve")
     began, chosen = time.perf_counter(), parse_method(method)
     options = options_of(chosen, tolerance, began, time_limit, progress)
-    _check_method(problem, chosen)
+    if (refused := refusal(problem, chosen)) is not None:
+        raise refused
     with progress_shown(verbose):
         solution, status = _solved_with_proof(problem, chosen, options)
     note, reason = solution.note, solution.run.reason
@@ -116,20 +99,20 @@ def _solved_with_proof(
     solution: Solution | None = None
     incumbent = Incumbent(problem, deterministic=isinstance(method, DeterministicPolicies))
     with until(options.deadline, prepare=incumbent.find) as deadline:
-        try:
-            solution = _solved_by_driver(unrolled(problem), method, options)
-        except STOPS as stop:
-            heed(stop)
+        with WithIncumbent() as search:
+            inner, left = unrolled(problem), options.deadline - time.perf_counter()
+            case = Case(inner, left, options.program is not None)
+            by = solve_by_game if isinstance(method, Game) else approach_to(case).solve
+            solution = by(inner, options)
+        if solution is None:
             with closing():
                 incumbent.find()
             solution = incumbent.solution
-            if solution is None:
-                raise _unsolved(problem, deadline, stop) from None
+        if solution is None:
+            raise _unsolved(problem, deadline, search.stop) from None
         if not has_rows(problem) and problem.semantics.give_up is not GiveUp.DEAD_ENDS:
-            try:
+            with WithIncumbent():
                 solution = replace(solution, policy=stopping_where_lost(solution.policy))
-            except STOPS as stop:
-                heed(stop)
     if deadline.was_met:
         solution = incumbent.improving(solution)
     _check_solution(solution)
@@ -140,7 +123,7 @@ def _solved_with_proof(
     return solution, deadline.status(solution.gap, options.tolerance)
 
 
-def _unsolved(problem: Problem, deadline: Deadline, stop: BaseException) -> BaseException:
+def _unsolved(problem: Problem, deadline: Deadline, stop: BaseException | None) -> BaseException:
     """What to raise where the time ended before there was an answer."""
     told = stop.told if isinstance(stop, Stop) else ""
     if deadline.is_interrupted:
@@ -151,49 +134,6 @@ def _unsolved(problem: Problem, deadline: Deadline, stop: BaseException) -> Base
         f"the time limit of {max(deadline.at - deadline.began, 0.0):.3g} s ended before a policy "
         f"that keeps to all limits was found ({known}; {size}): allow more time"
     )
-
-
-def _solved_by_driver(problem: Problem, method: Method, options: SolveOptions) -> Solution:
-    """Solve a problem by the driver that knows it."""
-    measure = problem.semantics.measure
-    if isinstance(method, Game):
-        return solve_by_game(problem, options)
-    on_rows = by_rows(problem)
-    if on_rows and measure is not None and not has_rows(problem) and not options.program:
-        return solve_on_rounded_costs(problem, options)
-    left = options.deadline - time.perf_counter()
-    if not options.program and (span := span_to_split(problem, left)) is not None:
-        return solve_on_split_costs(problem, span, options)
-    if on_rows and (measure is None or measure.maximised):
-        return solve_constrained(problem, options)
-    if problem.semantics.maximises:
-        return solve_for_worth(problem, problem.compile(), options)
-    if measure is not None:
-        return least_risk(problem, options)
-    if problem.semantics.aim is not Aim.LEAST_COST:
-        return extreme_goal(problem, options)
-    if problem.failure_budget is None:
-        return cheapest_at_least_failure(problem)
-    deterministic = isinstance(method, DeterministicPolicies)
-    return best_within_budget(problem, options, deterministic=deterministic)
-
-
-def _check_method(problem: Problem, method: Method) -> None:
-    """Check that the method that solves a problem knows it.
-
-    Raises:
-        ModelError: it does not.
-    """
-    if isinstance(method, ColumnGeneration):
-        return
-    asked = Argument("method", method.name)
-    name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
-    if isinstance(method, DeterministicPolicies) and (
-        by_rows(problem) or by_sums(problem) or problem.semantics.measure is not None
-    ):
-        raise ModelError(asked, f" is not available for {name}")
-    if isinstance(method, Game) and has_rows(problem):
-        raise ModelError(asked, f" knows one row only, not {name}: take 'columns' or 'lp'")
 
 
 def _check_solution(solution: Solution) -> None:

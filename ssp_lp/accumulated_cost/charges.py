@@ -26,8 +26,8 @@ Utility = Callable[[FloatArray], FloatArray]
 """A non-increasing function of the total cost, on arrays."""
 
 
-def utilities(utility: Utility, costs: FloatArray) -> FloatArray:
-    """The utility of each cost, like ``costs``.
+def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> FloatArray:
+    """The utility of each cost, like ``costs``; errors say what it is called.
 
     Raises:
         ModelError: the function does not take an array, or does not return as many finite numbers.
@@ -35,9 +35,9 @@ def utilities(utility: Utility, costs: FloatArray) -> FloatArray:
     try:
         worth = np.asarray(utility(costs), dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ModelError(f"utility must take an array of costs: {error}") from error
+        raise ModelError(f"{name} must take an array of costs: {error}") from error
     if worth.shape != costs.shape or not np.isfinite(worth).all():
-        raise ModelError("utility must map an array of costs to as many finite numbers")
+        raise ModelError(f"{name} must map an array of costs to as many finite numbers")
     return worth
 
 
@@ -220,6 +220,10 @@ class Law(Protocol):
         """E[exp(rate * C); goal], rate < 0."""
         ...
 
+    def upto(self, bound: float | Fraction) -> tuple[FloatArray, FloatArray]:
+        """The totals up to a bound, and how likely each is together with success."""
+        ...
+
     def expectation(self, utility: Utility, at_infinity: float) -> float:
         """E[utility(C); goal], where the utility falls to ``at_infinity``."""
         ...
@@ -231,6 +235,11 @@ class Measure(Protocol):
     @property
     def maximised(self) -> bool:
         """Whether more is better."""
+        return False
+
+    @property
+    def is_expectation(self) -> bool:
+        """Whether one program answers it; else many trials have to be searched."""
         return False
 
     @property
@@ -258,6 +267,11 @@ class Reward(Charge, Measure):
 
     @property
     def maximised(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def is_expectation(self) -> bool:
         """True."""
         return True
 
@@ -396,6 +410,77 @@ class ExponentialUtility(Reward):
     def of(self, law: Law) -> float:
         """The expected utility."""
         return law.exponential(self.rate) + self.bonus * law.goal
+
+
+@dataclass(frozen=True)
+class ExpectedArrivalCost(Charge, Measure):
+    """E[f(total cost) | goal], to be small: f at least 0, non-decreasing, and a line in the end."""
+
+    function: Utility
+    affine_from: float = 0.0
+
+    @property
+    def is_expectation(self) -> bool:
+        """True."""
+        return True
+
+    @property
+    def charge(self) -> Charge:
+        """Itself."""
+        return self
+
+    @property
+    def words(self) -> str:
+        """What is asked."""
+        return "arrival cost given success"
+
+    @property
+    def is_concave(self) -> bool:
+        """Whether it is a line from no cost on."""
+        return self.affine_from == 0.0
+
+    @property
+    def slope(self) -> float:
+        """The slope of the line."""
+        first, last = self.at(self.affine_from + np.array([0.0, max(self.affine_from, 1.0)]))
+        return float(last - first) / max(self.affine_from, 1.0)
+
+    @property
+    def offset(self) -> float:
+        """Where the line meets cost 0."""
+        return float(self.at(np.array([self.affine_from]))[0]) - self.slope * self.affine_from
+
+    def at(self, totals: FloatArray) -> FloatArray:
+        """The function.
+
+        Raises:
+            ModelError: it does not take an array, falls as the cost grows, or is below 0.
+        """
+        cost, back = np.unique(totals, return_inverse=True)
+        charge = utilities(self.function, cost, "an arrival cost")
+        wrong = (charge < 0.0) | np.append(np.diff(charge) < 0.0, False)
+        if wrong.any():
+            where = float(cost[int(np.argmax(wrong))])
+            raise ModelError(
+                f"an arrival cost must be at least 0 and not fall as the total cost grows: it does "
+                f"at cost {where:g}"
+            )
+        return charge[back].reshape(np.shape(totals))
+
+    @property
+    def settled(self) -> float:
+        """Where the line begins."""
+        return self.affine_from
+
+    def of(self, law: Law) -> float:
+        """The mean of what arrivals cost; nan if none succeeds."""
+        if law.goal == 0.0:
+            return float("nan")
+        line = self.affine_from
+        totals, probabilities = law.upto(line)
+        late = float(self.at(np.array([line]))[0]) * (law.goal - law.within(line))
+        late += self.slope * law.excess(line)
+        return (float(probabilities @ self.at(totals)) + late) / law.goal
 
 
 @dataclass(frozen=True)

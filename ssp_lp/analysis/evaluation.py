@@ -65,6 +65,12 @@ class Evaluation:
         default_factory=dict
     )  # each constrained quantity, by name; as ``objective``
 
+    @property
+    def limited_failure(self) -> float:
+        """The failure that a budget limits: discounted under a discount, else the real one."""
+        surrogate = self.discounted_failure
+        return self.failure_probability if surrogate is None else surrogate
+
     def __post_init__(self) -> None:
         for name in ("ends", "secondary_costs"):
             object.__setattr__(self, name, ByName(getattr(self, name)))

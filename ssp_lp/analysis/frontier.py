@@ -14,12 +14,9 @@ import numpy as np
 
 from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP, FloatArray
 from ssp_lp.column_generation.column import Column, FailureRow, PricingProblem, Proof, least_of
-from ssp_lp.column_generation.compiled_problem import (
-    CompiledProblem,
-    checked_least_failure,
-)
+from ssp_lp.column_generation.compiled_problem import CompiledProblem, checked_least_failure
 from ssp_lp.column_generation.search import Secant, generate
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late, until
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late, until
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import (
     Argument,
@@ -38,11 +35,10 @@ from ssp_lp.options import SolveOptions, Status, deadline_of, progress_shown
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.problem import (
     Problem,
-    by_rows,
     check_numbers,
     check_problem,
-    has_rows,
     pulled_back,
+    requirements,
     unrolled,
 )
 from ssp_lp.processes.failure_semantics import Aim, as_percentage
@@ -386,11 +382,12 @@ def _traceable(problem: Problem) -> Problem:
     name = type(problem).__name__
     if problem.semantics.aim is not Aim.LEAST_COST or problem.semantics.forbids_failing:
         raise ModelError(f"{name} has no failure budget to trace: trace MCMP's")
-    if problem.semantics.measure is not None:
+    asked = requirements(problem)
+    if asked.measure is not None:
         raise ModelError(f"{name} is no mean of costs to trace: trace S3P's")
-    if has_rows(problem):
+    if asked.rows:
         raise ModelError(f"{name} has limits besides its failure budget: trace it without them")
-    if by_rows(problem):
+    if asked.several_rows:
         raise ModelError(
             f"{name}'s costs have no common unit and too many sums to tell apart: round them, or "
             "trace MCMP's frontier"
@@ -410,12 +407,11 @@ def _traced_and_refined(compiled: CompiledProblem, limits: _Limits) -> Frontier:
         compiled = compiled.refined(limits.steepest_price) or compiled
     calls, work, known, begun, steep_only = 0, Work(), None, None, compiled.ratio
     for _ in range(2 * _REFINEMENTS):
-        try:
+        with WithIncumbent() as search:
             traced = _traced(compiled, limits, begun, steep_only=steep_only)
-        except STOPS as stop:
-            heed(stop)
+        if search.stop:
             if known is None:
-                raise Stop from stop
+                raise Stop from search.stop
             return known
         lost = _share_lost_in_tracing(compiled, traced)
         calls, work = calls + traced.pricing_calls, work + traced.work
@@ -462,12 +458,9 @@ def _share_lost_in_tracing(compiled: CompiledProblem, traced: Frontier) -> float
     """How far below the traced frontier policies may lie that the cap on the cost hides."""
     if len(traced.price) == 0:
         return 0.0
-    try:
-        with closing():
-            lost = max(compiled.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
-    except STOPS as stop:
-        heed(stop)
-        return np.inf
+    lost = np.inf
+    with WithIncumbent(), closing():
+        lost = max(compiled.tail_loss(float(p)) for p in (traced.price[0], traced.price[-1]))
     return lost / max(float(traced.cost.min()), 1e-300) if lost > 0.0 else 0.0
 
 
@@ -560,13 +553,12 @@ class _WaitingSegments:
         if price == 0.0 or at_most <= self._limits.gap:
             self.below[inside.failure] = 0.0 if price == 0.0 else at_most
             return
-        try:
+        with WithIncumbent() as search:
             found = self.priced.get(price)
             if found is None:
                 found = replace(self._pricing.minimise(price, outside), found_at=price)
                 self.calls, self.work = self.calls + 1, self.work + found.work
-        except STOPS as stop:
-            heed(stop)
+        if search.stop or found is None:
             self.below[inside.failure] = at_most
             return
         below = self.below[inside.failure] = _share_below_segment(inside, outside, found, price)
@@ -574,11 +566,9 @@ class _WaitingSegments:
             urgency = -below if self._limits.may_stop else -float(self.calls)
             heappush(self.found, (urgency, self.calls, (inside, found, outside)))
         _LOG.debug("%d pricing calls, %d turning points", self.calls, points)
-        try:
+        with WithIncumbent():
             if self._limits.progress is not None:
                 self._limits.progress(self.calls, points)
-        except STOPS as stop:
-            heed(stop)
 
 
 def _share_below_segment(inside: Column, outside: Column, found: Column, price: float) -> float:

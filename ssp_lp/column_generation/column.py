@@ -202,6 +202,11 @@ def relative_gap(objective: float, lower_bound: float) -> float:
     return 0.0 if difference == 0.0 else difference / max(abs(objective), 1e-300)
 
 
+def two_sided_gap(one: float, other: float) -> float:
+    """The relative gap between what is attained and a bound, on whichever side that lies."""
+    return relative_gap(max(one, other), min(one, other))
+
+
 CONTRADICTION = 1e-9
 """Relative excess of a lower bound over a value that no rounding explains."""
 

@@ -1,22 +1,22 @@
 """Compiled problems: an augmented process with everything that methods ask of it.
 
-Where failure alone is limited: case M on the failure label (:class:`CompiledFailureLabel`), case S
-on the accumulated cost (:class:`CompiledAccumulatedCost`), any charge of the total cost
-(:class:`CompiledArrivalCost`). With further rows, of either kind, :class:`CompiledConstrained`: the
-process written out, and what each row takes of its pairs.
+:class:`CompiledExplicit` is written out, with any number of rows: case M, which counts no total, on
+the failure label; every charge of the total cost in layers. Where failure alone is limited, layers
+need not be written out: case S (:class:`CompiledAccumulatedCost`), and any charge of the total cost
+(:class:`CompiledArrivalCost`).
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import ClassVar, Protocol, Self
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import Charge, ExponentialUtility, TailValues
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExponentialUtility, TailValues
 from ssp_lp.accumulated_cost.exponential_utility import MomentReach, cost_horizon, greatest_moment
 from ssp_lp.accumulated_cost.process import (
     AccumulatedCost,
@@ -55,12 +55,7 @@ from ssp_lp.policies.stationary import DeterministicPolicy
 from ssp_lp.processes.expectations import uniform_cost
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
-from ssp_lp.processes.failure_semantics import (
-    Aim,
-    FailureSemantics,
-    ObjectiveSense,
-    survival_of,
-)
+from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, ObjectiveSense, survival_of
 from ssp_lp.processes.goal_reach import (
     GoalReach,
     ReachPolicy,
@@ -115,6 +110,35 @@ class CompiledProblem(Protocol):
         """Whether this is only to learn the price, from which its size will follow."""
         ...
 
+    @property
+    def is_long_shot(self) -> bool:
+        """Whether no policy at hand tells of a first size: case M tells of it."""
+        ...
+
+    @property
+    def charge(self) -> Charge | None:
+        """What arriving is charged for the total cost; None: no total is counted (case M)."""
+        ...
+
+    @property
+    def layers(self) -> int:
+        """How many totals are told apart; 1 where none is counted."""
+        ...
+
+    @property
+    def cost_horizon(self) -> float:
+        """Total from which a stationary policy is known to be optimal; 0: none is."""
+        ...
+
+    @property
+    def n_columns(self) -> int:
+        """Columns of the linear program of the process as it stands."""
+        ...
+
+    def capped_at(self, cost: float) -> Self:
+        """The same with totals told apart up to about this one, where they are."""
+        ...
+
     def least_failure(self) -> LeastFailure:
         """The first column: feasibility is decided by it, never by the status of an LP."""
         ...
@@ -123,7 +147,7 @@ class CompiledProblem(Protocol):
         """The pricing problem of the process as it stands."""
         ...
 
-    def for_program(self) -> CompiledProblem:
+    def for_program(self) -> Self:
         """The one whose written-out process has the optimum of the problem, up to its size."""
         ...
 
@@ -139,7 +163,7 @@ class CompiledProblem(Protocol):
         """
         ...
 
-    def refined(self, price: float) -> CompiledProblem | None:
+    def refined(self, price: float) -> Self | None:
         """A larger one with a smaller truncation error, or None where there is none.
 
         Args:
@@ -147,7 +171,7 @@ class CompiledProblem(Protocol):
         """
         ...
 
-    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledProblem:
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> Self:
         """The one whose value functions have the shape of this one.
 
         Args:
@@ -269,6 +293,16 @@ class CompiledLayered(ABC):
         vars(other).update((name, vars(self)[name]) for name in names if name in vars(self))
         return other
 
+    @property
+    def layers(self) -> int:
+        """Layers below the cap."""
+        return self.process.cap
+
+    @property
+    def n_columns(self) -> int:
+        """Pairs of all layers."""
+        return self.process.cap * len(self.process.base.quotient.pair_at)
+
     def pricing(self) -> LayeredPricing:
         """One backward sweep over the layers."""
         return LayeredPricing(self.process)
@@ -288,122 +322,6 @@ class CompiledLayered(ABC):
 
 _UNPROVED = 1e-10
 """Relative gap at least failure from which pairs are compared in twice the working precision."""
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledFailureLabel:
-    """Minimise E[cost until failure is declared], failure limited (paper, section 3.1.2)."""
-
-    model: SSP
-    start: FloatArray  # [states]
-    semantics: FailureSemantics
-    discount: float | None = None
-    ratio: bool = False
-    is_trial: bool = False
-    lowest: float = 0.0
-    precise: bool = False  # compare pairs in twice the working precision
-
-    @cached_property
-    def labelled(self) -> FailureLabelled:
-        """The process; InfeasibleError where failing is forbidden and cannot be avoided."""
-        return self._labelled(None)
-
-    @cached_property
-    def _safest(self) -> GoalReach:
-        """The greatest goal probability from the start, and the pairs that attain it."""
-        return greatest_goal_reach(self.model, survival_of(self.discount), self.start)
-
-    @property
-    def second_stage(self) -> FailureLabelled:
-        """The process over the pairs that attain the greatest goal probability."""
-        return self._labelled(self._safest.usable)
-
-    def _labelled(self, usable: BoolArray | None) -> FailureLabelled:
-        """The process of all pairs (None) or, without giving up, of some, [model pairs]."""
-        if self.semantics.forbids_failing:
-            self.check_sure()
-        return label_failure(self.model, self.start, self.semantics, self.discount, usable)
-
-    @cached_property
-    def _pricing(self) -> ExplicitPricing:
-        """The pricing problem of the labelled process."""
-        return ExplicitPricing(self.labelled, self.precise)
-
-    def check_sure(self) -> None:
-        """Check that the goal can be reached surely, as must be where failing is forbidden.
-
-        Raises:
-            InfeasibleError: it cannot.
-        """
-        sure, _, _ = surely_reaching(self.model)
-        unsure = np.flatnonzero(~sure & (self.start > 0.0))
-        if not unsure.size:
-            return
-        raise InfeasibleError(
-            f"no policy reaches the goal surely from state {self.model.states[unsure[0]]!r}: the "
-            "cost is infinite; MCMP asks for the cheapest of the policies that fail least",
-            failure_budget=0.0,
-            least_failure=self._least_failure_alone,
-        )
-
-    def _least_failure_alone(self) -> float:
-        """The least failure probability, whatever it costs."""
-        with limited(READING, "the least failure probability was worked out"):
-            return max(1.0 - greatest_from(self.model, self.start), 0.0)
-
-    def pricing(self) -> ExplicitPricing:
-        """Policy iteration on the labelled process.
-
-        Raises:
-            InfeasibleError: failing is forbidden and cannot be avoided.
-        """
-        return self._pricing
-
-    def least_failure(self) -> LeastFailure:
-        """Greatest goal probability first, then the least cost among its actions."""
-        stage = self.second_stage
-        begun_from = stage.placed(self._safest.decision)
-        second = ExplicitPricing(stage, self.precise, begun_from=begun_from)
-        column = second.minimise(0.0)
-        bound = second.prove(0.0, column).bound
-        if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:
-            second = replace(second, precise=True)
-            column = second.minimise(0.0, column)
-            bound = second.prove(0.0, column).bound
-        policy = second.policy(column)
-        foreign = replace(column, choice=None, found_at=None, policy=policy)
-        return LeastFailure(policy, foreign, bound)
-
-    def explicit(self) -> ExplicitProcess:
-        """The labelled process."""
-        return self.labelled.process
-
-    def explicit_choice(self, column: Column) -> IntArray:
-        """The column's own choice."""
-        return required(column.choice)
-
-    def refined(self, price: float) -> CompiledFailureLabel | None:
-        """Nothing is truncated: what can be refined is the precision that pairs are compared in."""
-        if self.precise:
-            return None
-        finer = replace(self, precise=True)
-        finer.__dict__["labelled"] = self.labelled
-        return finer
-
-    def matching(
-        self, values: FloatArray, levels: FloatArray | None = None
-    ) -> CompiledFailureLabel:
-        """Itself: all its value functions have one shape."""
-        return self
-
-    def for_program(self) -> CompiledFailureLabel:
-        """Itself: nothing in it is truncated."""
-        return self
-
-    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
-        """Nothing is truncated: 0."""
-        return 0.0
-
 
 _FIRST_LAYERS = 2.5
 """Layers of the first attempt, as a multiple of the first tail policy's conditional cost."""
@@ -439,7 +357,10 @@ class CompiledAccumulatedCost(CompiledLayered):
     cap: int | None = None  # layers
     exact_tails: bool = False  # beyond the cap: the least failure, or any way to the goal
     is_for_bounds: bool = False  # nothing is followed: no way to the goal is looked for
-    ratio: bool = field(default=True, init=False)
+
+    ratio: ClassVar[bool] = True
+    charge: ClassVar[Charge] = TOTAL_COST
+    cost_horizon: ClassVar[float] = 0.0
 
     @cached_property
     def lowest(self) -> float:
@@ -648,6 +569,12 @@ class CompiledArrivalCost(CompiledLayered):
     cap: float | None = None  # total at which the table ends, in units; None: as the charge asks
     by_sums: bool = False  # totals are the sums of steps that can occur, and a unit is 1
     discount: None = None
+
+    is_long_shot: ClassVar[bool] = False
+
+    def capped_at(self, cost: float) -> CompiledArrivalCost:
+        """The same with a table that ends at this cost."""
+        return self.charging(self.charge, self._units(cost))
 
     @property
     def is_trial(self) -> bool:
@@ -869,11 +796,11 @@ _MOST_PAIRS = 20_000_000
 """Pairs of a process that is written out."""
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
-_OWN = {"augmented", "pricing", "totals", "layers"}  # what depends on charge, cap or resolution
+_OWN = {"augmented", "_pricing", "totals", "layers"}  # what depends on charge, cap or resolution
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledConstrained:
+class CompiledExplicit:
     """Minimise a cost, failure and other quantities limited; a budget of None: at least failure.
 
     Without a charge this is case M (paper, section 3.1.2), nothing truncated. With one, arriving is
@@ -883,9 +810,9 @@ class CompiledConstrained:
     model: SSP
     start: FloatArray  # [states]
     semantics: FailureSemantics
-    discount: float | None
-    side: tuple[UpperRow, ...]
-    budget: float | None
+    discount: float | None = None
+    side: tuple[UpperRow, ...] = ()
+    budget: float | None = 1.0
     precise: bool = False  # compare pairs in twice the working precision
     charge: Charge | None = None
     ratio: bool = False
@@ -893,6 +820,11 @@ class CompiledConstrained:
     fixed_cap: float | None = None  # the user's cap on accumulated cost
     objective: UpperRow | None = None  # minimised in place of the cost; no charge then
     resolution: Resolution | None = None  # totals that are no multiples of a unit
+
+    is_trial: ClassVar[bool] = False
+    is_long_shot: ClassVar[bool] = False
+    lowest: ClassVar[float] = 0.0
+    cost_horizon: ClassVar[float] = 0.0
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -932,14 +864,49 @@ class CompiledConstrained:
     @cached_property
     def least(self) -> LeastFailure:
         """The cheapest policy of least failure; InfeasibleError where the budget is below it."""
-        return checked_least_failure(self._labelled, self.budget)
+        return checked_least_failure(self, self.budget)
 
-    @property
-    def _labelled(self) -> CompiledFailureLabel:
-        """The compiled problem without constraints, with a label for failing."""
-        return CompiledFailureLabel(self.model, self.start, self.semantics, self.discount)
+    def least_failure(self) -> LeastFailure:
+        """Greatest goal probability first, then the least cost among its actions."""
+        how = self.model, self.start, self.semantics, self.discount
+        if self.semantics.forbids_failing:
+            self.check_sure()
+        stage = label_failure(*how, self.greatest.usable)
+        begun_from = stage.placed(self.greatest.decision)
+        second = ExplicitPricing(stage, self.precise, begun_from=begun_from)
+        column = second.minimise(0.0)
+        bound = second.prove(0.0, column).bound
+        if relative_gap(column.cost, bound) > _UNPROVED and not self.precise:
+            second = replace(second, precise=True)
+            column = second.minimise(0.0, column)
+            bound = second.prove(0.0, column).bound
+        policy = second.policy(column)
+        foreign = replace(column, choice=None, found_at=None, policy=policy)
+        return LeastFailure(policy, foreign, bound)
 
-    def settled(self) -> CompiledConstrained:
+    def check_sure(self) -> None:
+        """Check that the goal can be reached surely, as must be where failing is forbidden.
+
+        Raises:
+            InfeasibleError: it cannot.
+        """
+        sure, _, _ = surely_reaching(self.model)
+        unsure = np.flatnonzero(~sure & (self.start > 0.0))
+        if not unsure.size:
+            return
+        raise InfeasibleError(
+            f"no policy reaches the goal surely from state {self.model.states[unsure[0]]!r}: the "
+            "cost is infinite; MCMP asks for the cheapest of the policies that fail least",
+            failure_budget=0.0,
+            least_failure=self._least_failure_alone,
+        )
+
+    def _least_failure_alone(self) -> float:
+        """The least failure probability, whatever it costs."""
+        with limited(READING, "the least failure probability was worked out"):
+            return max(1.0 - greatest_from(self.model, self.start), 0.0)
+
+    def settled(self) -> CompiledExplicit:
         """The same at least failure, where the budget does not exceed that.
 
         Raises:
@@ -947,7 +914,7 @@ class CompiledConstrained:
                 and the goal cannot be reached; or failing is forbidden and cannot be avoided.
         """
         if self.semantics.forbids_failing:
-            self._labelled.check_sure()
+            self.check_sure()
         if self.ratio and self.greatest_goal <= 0.0:
             raise InfeasibleError(
                 "the goal cannot be reached from the start: no cost given success exists",
@@ -992,6 +959,8 @@ class CompiledConstrained:
     def augmented(self) -> FailureLabelled | OpenEnded:
         """The process, in which only what is free in everything counted is collapsed."""
         if self.charge is None:
+            if self.semantics.forbids_failing:
+                self.check_sure()
             setting = self.start, self.semantics, self.discount, self._usable
             return label_failure(self.model, *setting, self.side, self.objective)
         layers = self.layers  # checks that there is room
@@ -1016,9 +985,17 @@ class CompiledConstrained:
         """How many levels of the total a constrained problem has room for."""
         return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
-    @cached_property
     def pricing(self) -> ExplicitPricing:
-        """Policy iteration on the process with a price for each row."""
+        """Policy iteration on the process with a price for each row.
+
+        Raises:
+            InfeasibleError: failing is forbidden and cannot be avoided.
+        """
+        return self._pricing
+
+    @cached_property
+    def _pricing(self) -> ExplicitPricing:
+        """The pricing problem, made once."""
         counted = None
         if self.objective is not None:
             (counted,) = self.row_coefficients((self.objective,))
@@ -1064,7 +1041,9 @@ class CompiledConstrained:
 
     @cached_property
     def layers(self) -> int:
-        """Layers of accumulated cost that are told apart; ModelError: too many to write out."""
+        """Totals that are told apart; 1: none is counted. ModelError: too many to write out."""
+        if self.charge is None:
+            return 1
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
             layers = first_cap(self.base, self.charge, self.typical_cost, self.fixed_cap)
@@ -1076,36 +1055,46 @@ class CompiledConstrained:
             )
         return layers
 
-    def refined(self, price: float) -> CompiledConstrained | None:
-        """More layers; None where nothing is truncated or no more can be written out.
+    def refined(self, price: float) -> CompiledExplicit | None:
+        """More layers, or more digits in comparing pairs where no total is counted; None: no more.
 
         Args:
             price: what failing is worth, from which accumulated cost on it is best to fail.
         """
-        if self.charge is None or self.fixed_cap is not None:
+        if self.charge is None:
+            if self.precise:
+                return None
+            precise = replace(self, precise=True)
+            vars(precise)["augmented"] = self.augmented
+            return precise
+        if self.fixed_cap is not None:
             return None
         end = self.layers * self.base.unit if self.totals is None else float(self.totals.values[-1])
         cut = truncates(self.charge, end)
         if self.resolution is not None and self.totals is not None:
             enough = self.charge.lossless(price) if cut else None
-            finer = self.resolution.finer(self.totals, enough, self._room)
-            return None if finer is None else self._handing_on(replace(self, resolution=finer))
+            resolution = self.resolution.finer(self.totals, enough, self._room)
+            return (
+                None
+                if resolution is None
+                else self._handing_on(replace(self, resolution=resolution))
+            )
         wanted = 2 * self.layers
         if not cut or (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
             return None
         return self.with_layers(wanted)
 
-    def up_to(self, price: float) -> CompiledConstrained:
+    def up_to(self, price: float) -> CompiledExplicit:
         """The same with totals up to where failing is best, at a price that is about right."""
         if self.resolution is None or self.charge is None:
             return self
         return replace(self, resolution=self.resolution.up_to(self.charge.lossless(price)))
 
-    def with_layers(self, cap: int) -> CompiledConstrained:
+    def with_layers(self, cap: int) -> CompiledExplicit:
         """The same with another cap."""
         return self._handing_on(replace(self, cap=cap))
 
-    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledConstrained:
+    def matching(self, values: FloatArray, levels: FloatArray | None = None) -> CompiledExplicit:
         """The same with as many layers as a value function has, [process states]; or ModelError."""
         if self.charge is None or self.resolution is not None:
             return self
@@ -1115,12 +1104,37 @@ class CompiledConstrained:
             raise ModelError("a value function of [(layers + 1) x nodes + 1] is needed")
         return self.with_layers(layers - 1)
 
-    def charging(self, charge: Charge) -> CompiledConstrained:
+    def charging(self, charge: Charge) -> CompiledExplicit:
         """The same with another charge, if its arrivals lie on the lattice of costs."""
         return self._handing_on(replace(self, charge=charge, cap=None))
 
-    def _handing_on(self, other: CompiledConstrained) -> CompiledConstrained:
+    def _handing_on(self, other: CompiledExplicit) -> CompiledExplicit:
         """Hand what depends on neither charge nor cap to a copy."""
         shared = vars(self).keys() - vars(other).keys() - _OWN
         vars(other).update((name, vars(self)[name]) for name in shared)
         return other
+
+    @property
+    def n_columns(self) -> int:
+        """Pairs of the process."""
+        return self.augmented.process.n_pairs
+
+    def capped_at(self, cost: float) -> CompiledExplicit:
+        """Itself: how many totals are told apart follows from the charge."""
+        return self
+
+    def for_program(self) -> CompiledExplicit:
+        """Itself: it is written out already."""
+        return self
+
+    def explicit(self) -> ExplicitProcess:
+        """The process."""
+        return self.augmented.process
+
+    def explicit_choice(self, column: Column) -> IntArray:
+        """The column's own choice."""
+        return required(column.choice)
+
+    def tail_loss(self, price: float, *, slack: bool = False, proof: Proof | None = None) -> float:
+        """What is lost beyond a cap is seen by policies' own values: 0."""
+        return 0.0

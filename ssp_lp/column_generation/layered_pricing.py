@@ -26,7 +26,7 @@ from ssp_lp.accumulated_cost.sweep import (
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed
+from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent
 from ssp_lp.dynamic_programming.bellman import Work, safe_minima
 from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.errors import ModelError
@@ -116,7 +116,7 @@ class LayeredPricing:
                 reached, totals = layer, found
             return self._followed(choice, price) if measured is None else base.start @ totals
         except STOPS as stop:
-            heed(stop)
+            end_with_incumbent(stop)
             raise Stop(partial(self._cut_short, totals, choice, price, reached)) from stop
 
     def _cut_short(

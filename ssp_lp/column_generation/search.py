@@ -52,19 +52,15 @@ from ssp_lp.column_generation.column import (
     least_of,
     required,
 )
-from ssp_lp.column_generation.compiled_problem import (
-    CompiledProblem,
-    LeastFailure,
-)
+from ssp_lp.column_generation.compiled_problem import CompiledProblem, LeastFailure
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
 from ssp_lp.compiled.deadline import (
-    STOPS,
     Stop,
+    WithIncumbent,
     closing,
     has_answer,
     has_time_for,
-    heed,
     is_late,
     is_limited,
 )
@@ -128,7 +124,7 @@ def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generate
         options: tolerance, deadline, and who is told after each pricing call.
     """
     begun, finished = rule.calls, False
-    try:
+    with WithIncumbent():
         for _ in range(rule.most_rounds):
             if rule.calls > begun and is_late():
                 break
@@ -139,8 +135,6 @@ def generate(rule: Secant | StabilisedMaster, options: SolveOptions) -> Generate
                 options.progress(rule.calls, *told)
             if finished:
                 break
-    except STOPS as stop:
-        heed(stop)
     return rule.concluded(options.tolerance, finished=finished)
 
 
@@ -279,12 +273,10 @@ class Secant:
         now = time.perf_counter()
         if not is_limited() or now - began < _LONG or self._spent > _SHARE * (now - self._since):
             return
-        try:
+        with WithIncumbent():
             found, bound = self.pricing.prove(price, best), self.row.lower_bound
             if self.proof is None or bound(found) > bound(self.proof):
                 self.proof = found
-        except STOPS as stop:
-            heed(stop)
         self._spent += time.perf_counter() - now
 
     def _proved(self, price: float, best: Column, *, slack: bool) -> Proof:
@@ -292,12 +284,10 @@ class Secant:
 
         The values of a trivial bound ask a certificate for the best that can be had.
         """
-        try:
+        with WithIncumbent():
             if has_time_for(self.took):
                 with closing():
                     return self.pricing.prove(price, best, slack=slack)
-        except STOPS as stop:
-            heed(stop)
         anything = np.broadcast_to(np.inf, self.pricing.value_shape)
         return self.proof or Proof(price, price, -np.inf, anything)
 
@@ -305,15 +295,11 @@ class Secant:
         """Let both columns fix what a price fixes by the same one, if they still bracket."""
         if self.outside is None or not has_time_for(self.took):
             return
-        try:
-            with closing():
-                inside = self.pricing.aligned(self.inside, price)
-                outside = self.pricing.aligned(self.outside, price)
-        except STOPS as stop:
-            heed(stop)
-            return
-        if self.row.breaks(outside) and not self.row.breaks(inside):
-            self.inside, self.outside = inside, outside
+        with WithIncumbent(), closing():
+            inside = self.pricing.aligned(self.inside, price)
+            outside = self.pricing.aligned(self.outside, price)
+            if self.row.breaks(outside) and not self.row.breaks(inside):
+                self.inside, self.outside = inside, outside
 
 
 _STEEP = 5.0  # first price of failure, in costs of a policy that goes for the goal
@@ -365,7 +351,7 @@ def columns_by_pricing(
     inside: Column | None = None
     outside: Column | None = None
     work, calls, began, took = Work(), 0, time.perf_counter(), 0.0
-    try:
+    with WithIncumbent() as search:
         for step in (*steps, None):
             began = time.perf_counter()
             last, calls = pricing.minimise(price, last, inside, outside), calls + 1
@@ -384,10 +370,9 @@ def columns_by_pricing(
             price = _initial_price(
                 price, step, last.failure, row.budget, is_hinted=guess is not None
             )
-    except STOPS as stop:
-        heed(stop)
+    if search.stop:
         took = max(took, time.perf_counter() - began)
-        inside = last = _initial_column_within(pricing, row, stop, inside, last)
+        inside = last = _initial_column_within(pricing, row, search.stop, inside, last)
     if inside is None or last is None:
         return None
     return Secant(pricing, row, inside, outside, last, calls, work, took=took)
@@ -402,13 +387,11 @@ def _begun_with_columns(
         Stop: the time ended before they were known.
     """
     doing = "the process was still being built"
-    try:
+    with WithIncumbent() as search:
         pricing = compiled.pricing()
         doing = "the totals of a first policy were being worked out"
         return pricing, *_initial_policy(pricing, row, guess)
-    except STOPS as stop:
-        heed(stop)
-        raise Stop(told=doing) from stop
+    raise Stop(told=doing) from search.stop
 
 
 def _initial_column_within(
@@ -426,13 +409,10 @@ def _initial_column_within(
         Stop: none of them keeps to the budget.
     """
     columns = _measured_columns(known)
-    try:
-        with closing():
-            if not _columns_within(row, columns):
-                reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
-                columns += _measured_columns([pricing.first() if reached is None else reached])
-    except STOPS as again:
-        heed(again)
+    with WithIncumbent(), closing():
+        if not _columns_within(row, columns):
+            reached = pricing.incumbent(stop.choice) if isinstance(stop, Stop) else None
+            columns += _measured_columns([pricing.first() if reached is None else reached])
     kept = _columns_within(row, columns)
     if not kept:
         least = min((column.failure for column in columns), default=1.0)

@@ -1,8 +1,8 @@
 """The end of the time that a call was given, looked at inside its loops; Ctrl-C ends them alike.
 
 The deadline belongs to the call: ``until`` sets it for all that runs within, on the same thread,
-and every pass over a process, compiled or not, looks at it. Loops that have an answer catch
-``STOPS`` and hand that on; where nobody has one, the stop reaches the caller.
+and every pass over a process, compiled or not, looks at it. Loops that have an answer hand that
+on (``WithIncumbent``); where nobody has one, the stop reaches the caller.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Deadline:
         with until(now + _PREPARING * (self.at - now)) as within:
             self.prepared = prepare()
         if within.is_interrupted:
-            heed(KeyboardInterrupt())
+            end_with_incumbent(KeyboardInterrupt())
 
     def look(self) -> None:
         """End the loop that asks, if it is time; before that see to it that there is an answer.
@@ -237,7 +237,7 @@ def seconds_left() -> float:
     return float("inf") if deadline is None else deadline.at - time.perf_counter()
 
 
-def heed(stop: BaseException) -> None:
+def end_with_incumbent(stop: BaseException) -> None:
     """Say that a stop was caught by someone who has an answer: all other loops are to end, too.
 
     Raises:
@@ -251,6 +251,30 @@ def heed(stop: BaseException) -> None:
         deadline.closes = now + max(_CLOSING, _CLOSING_SHARE * (now - deadline.began))
     if deadline is not None:
         deadline.was_met = True
+
+
+class WithIncumbent:
+    """Within it a stop, or Ctrl-C, ends the block and no more: there is an answer to go on with.
+
+    with WithIncumbent() as search:
+        column = pricing.minimise(price)
+    if search.stop: ...
+    """
+
+    stop: BaseException | None = None
+    """What ended the block, if anything did."""
+
+    def __enter__(self) -> WithIncumbent:
+        """The block begins."""
+        return self
+
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
+        """Keep what ended it, if that was a stop."""
+        if not isinstance(error, STOPS):
+            return False
+        end_with_incumbent(error)
+        self.stop = error
+        return True
 
 
 def pieces(length: int, entries: int) -> Iterable[slice]:

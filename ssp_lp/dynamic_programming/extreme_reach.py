@@ -25,7 +25,7 @@ from ssp_lp.arrays import (
     IntArray,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import STOPS, closing, heed, pieces
+from ssp_lp.compiled.deadline import STOPS, closing, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import best_pairs
 from ssp_lp.dynamic_programming.dual_bound import dual_bound
 from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving
@@ -107,7 +107,7 @@ def extreme_reach(
         except STOPS as stop:
             if last_digits:
                 raise
-            heed(stop)
+            end_with_incumbent(stop)
         if not low[asked].all():
             with closing():
                 low = np.clip(evaluate_policy(dynamics, choice, both).values[:, 0], 0.0, 1.0)
@@ -242,7 +242,7 @@ def _swept_towards(
     except STOPS as stop:
         if last_digits or not low[asked].all():
             raise
-        heed(stop)
+        end_with_incumbent(stop)
     return choice, low, None
 
 

@@ -34,7 +34,7 @@ from ssp_lp.arrays import (
     weighted,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import STOPS, Stop, check_time, heed, pieces
+from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import Backup, Work, best_pairs
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_chain
 from ssp_lp.dynamic_programming.equations import (
@@ -150,7 +150,7 @@ def iterate_policy(
             totals = evaluate_chain(system, rewards[choice], solved)
             work = work + Work(0, system.products)
     except STOPS as stop:
-        heed(stop)
+        end_with_incumbent(stop)
         raise Stop(latest[0]) from stop
     except SolverError:
         return improve_precisely(dynamics, rewards, weights, choice, work, floor)

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET
-from ssp_lp.compiled.deadline import STOPS, closing, heed, is_late
+from ssp_lp.compiled.deadline import WithIncumbent, closing, is_late
 from ssp_lp.errors import SolverError
 from ssp_lp.game.best_response import BestResponse, Player, RatioPlayer
 from ssp_lp.game.setting import infeasible
@@ -128,11 +128,9 @@ def _slack_bound_of_optimum(
         below = ratio * (1.0 - share * tolerance)
         if below <= 0.0:
             break
-        try:
-            with closing():
-                surplus = player.surplus(below, 0.1 * tolerance)
-        except STOPS as stop:
-            heed(stop)
+        with WithIncumbent() as search, closing():
+            surplus = player.surplus(below, 0.1 * tolerance)
+        if search.stop:
             break
         if surplus >= 0.0:
             return max(best, below)
@@ -167,10 +165,9 @@ def _least_ratio(
         c = _ratio_at_optimum(best)
         if is_late():
             break
-        try:
+        with WithIncumbent() as search:
             response = player.response(1.0, c, 0.1 * tolerance)
-        except STOPS as stop:
-            heed(stop)
+        if search.stop:
             break
         if not _is_hopeful_response(response) or _ratio_at_optimum(response) >= c * (1.0 - 1e-15):
             return best, tuple(responses), True

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, FloatArray
-from ssp_lp.compiled.deadline import STOPS, closing, heed
+from ssp_lp.compiled.deadline import WithIncumbent, closing
 from ssp_lp.errors import ModelError, check_between_0_and_1
 from ssp_lp.game.best_response import BestResponse, Player
 from ssp_lp.game.cost_player import CostPlayer
@@ -68,17 +68,15 @@ def value_function(solution: GameSolution) -> FloatArray:
         ModelError: not a solution of ``stationary_game``.
     """
     player, price = solution.player, solution.price
-    try:
-        with closing():
-            if isinstance(player, LabelPlayer):
-                return player.values(player.response(1.0, price, _TIGHT))
-            if isinstance(player, CostPlayer) and player.base.by_steps:
-                return np.array([np.inf])
-            if isinstance(player, CostPlayer):
-                best = player.response(1.0, price, _LESS_TIGHT)
-                return np.broadcast_to(np.inf, best.strategy.choice.shape)
-    except STOPS as stop:
-        heed(stop)
+    with WithIncumbent() as search, closing():
+        if isinstance(player, LabelPlayer):
+            return player.values(player.response(1.0, price, _TIGHT))
+        if isinstance(player, CostPlayer) and player.base.by_steps:
+            return np.array([np.inf])
+        if isinstance(player, CostPlayer):
+            best = player.response(1.0, price, _LESS_TIGHT)
+            return np.broadcast_to(np.inf, best.strategy.choice.shape)
+    if search.stop:
         return np.broadcast_to(np.inf, _stationary_shape(player, solution.threshold))
     raise ModelError("only the stationary game has a value function of the state")
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON
-from ssp_lp.compiled.deadline import STOPS, heed, is_late
+from ssp_lp.compiled.deadline import WithIncumbent, is_late
 from ssp_lp.game.best_response import BestResponse, Player
 from ssp_lp.game.equilibrium import Equilibrium, Game, play, unplayed_game
 from ssp_lp.options import Progress
@@ -126,32 +126,26 @@ def find_threshold(
 
 def _tell_threshold(progress: Progress | None, found: Threshold) -> None:
     """Report what is known; a stop that is asked for there ends the search."""
-    try:
+    with WithIncumbent():
         if progress is not None:
             progress(len(found.responses), found.failure_price, found.high)
-    except STOPS as stop:
-        heed(stop)
 
 
 def _played_at_threshold(
     player: Player, game: Game, responses: Sequence[BestResponse], accuracy: float
 ) -> Equilibrium:
     """The game at a threshold, or what is known of it where the time runs out."""
-    try:
+    with WithIncumbent():
         return play(player, game, responses, accuracy=accuracy)
-    except STOPS as stop:
-        heed(stop)
-        return unplayed_game(game, responses)
+    return unplayed_game(game, responses)
 
 
 def extremes(player: Player, accuracy: float) -> tuple[BestResponse, ...]:
     """The policies between which a threshold is sought: the one that fails least, the cheapest."""
     safest = player.response(0.0, 1.0, min(accuracy, _LEAST_ACCURACY))
-    try:
+    with WithIncumbent():
         return safest, player.response(1.0, 0.0, accuracy)
-    except STOPS as stop:
-        heed(stop)
-        return safest, safest
+    return safest, safest
 
 
 def _attainable_threshold(responses: Sequence[BestResponse], room: float) -> float:
@@ -173,10 +167,9 @@ def _near_least(
         return
     worth = safest.objective / max(safest.success, 0.0 if safest.origin else _LEAST_SUCCESS)
     for price in _STEEP:
-        try:
+        with WithIncumbent() as search:
             response = player.response(1.0, price * (worth or 1.0), accuracy)
-        except STOPS as stop:
-            heed(stop)
+        if search.stop:
             return
         yield response
         if response.failing <= safest.failing:

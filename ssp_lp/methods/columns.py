@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.analysis.evaluation import Evaluation
+from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP
 from ssp_lp.column_generation.column import FailureRow, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
-    CompiledAccumulatedCost,
-    CompiledArrivalCost,
-    CompiledFailureLabel,
+    CompiledExplicit,
     CompiledProblem,
     LeastFailure,
     checked_least_failure,
@@ -23,15 +23,24 @@ from ssp_lp.column_generation.search import (
     columns_by_pricing,
     generate,
 )
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, has_answer, heed, is_late, prepared
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, has_answer, is_late, prepared
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import Argument, ModelError
+from ssp_lp.errors import ModelError
 from ssp_lp.methods.full_program import check_agreement, solve_program
+from ssp_lp.methods.refinement import Proved, refine
+from ssp_lp.methods.rows import lagrange_bound
 from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
+from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem
-from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, ObjectiveSense
+from ssp_lp.processes.failure_semantics import (
+    Aim,
+    FailureSemantics,
+    ObjectiveSense,
+    start_distribution,
+)
 from ssp_lp.processes.goal_reach import extreme_goal_reach
+from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Found, Run, Solution, assembled, remarks
 
 _REASONS = {
@@ -48,8 +57,9 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     objective, bound = float(compiled.start @ reach.goal), float(compiled.start @ reach.bound)
     greatest, reason, program = aim is Aim.GREATEST_GOAL, "one stage: policy iteration", ""
     if options.program is not None:
-        row = FailureRow(1.0, ratio=False)
-        optimum = solve_program(compiled, row, options.program.backend, options.deadline)
+        process = compiled.explicit()
+        limits = {FAILURE_ROW: (process.failure, 1.0)}
+        optimum = solve_program(process, limits, options, ratio=False)
         check_agreement(optimum, 1.0 - objective if greatest else objective)
         reason, program = "the full linear program agrees with policy iteration", optimum.report
     policy = DeterministicPolicy(problem.model, reach.decision)
@@ -59,45 +69,62 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     return assembled(problem, found, run, ObjectiveSense(0.0 if greatest else None))
 
 
-def cheapest_at_least_failure(problem: Problem) -> Solution:
-    """The cheapest of the policies that fail least, by two stages.
+def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Solution:
+    """The best of the policies that fail least, by two stages.
 
     Raises:
         InfeasibleError: case S, and the goal cannot be reached.
     """
+    del options  # nothing is searched
     least = checked_least_failure(problem.compile(), None)
     row = FailureRow(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
-    reason = "two stages: greatest goal probability, then least cost"
+    then = "greatest worth" if problem.semantics.maximises else "least cost"
+    reason = f"two stages: greatest goal probability, then {then}"
     found = Found(least.policy, objective, least.objective_bound, least.column.failure)
-    return assembled(problem, found, Run("columns", reason, 2, 0.0))
+    return assembled(problem, found, Run("columns", reason, 2, 0.0), problem.semantics.sense)
 
 
-def best_within_budget(
-    problem: Problem, options: SolveOptions, *, deterministic: bool = False
-) -> Solution:
+_LEAST_TOLERANCE = 1e-15
+_UNSETTLED = "the utility has not come near its limit within the table of costs: a gap is left"
+
+
+def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     """The best lottery within the budget, or the best single policy.
 
     Args:
         problem: the problem.
-        options: tolerance and limits.
-        deterministic: no lotteries.
+        options: tolerance and limits, and whether no lottery will do.
 
     Raises:
         InfeasibleError: no policy keeps to the budget.
         SolverError: the linear program's answer fails its check.
     """
-    budget = problem.failure_budget
-    outcome = refined_optimum(problem.compile(), 1.0 if budget is None else budget, options)
+    budget, sense = problem.failure_budget, problem.semantics.sense
+    budget = 1.0 if budget is None else budget
+    outcome = refined_optimum(problem.compile(), budget, options)
     found = outcome.found
+    worth, bound = sense.worth(found.objective), sense.worth(found.lower_bound)
+    is_met = relative_gap(bound, worth) <= options.tolerance
+    if sense.constant and 0.0 < abs(worth) < -found.objective and not is_met:  # a small difference
+        finer = max(options.tolerance * abs(worth) / -found.objective, _LEAST_TOLERANCE)
+        exactly = replace(options, tolerance=finer)
+        outcome = outcome.followed_by(refined_optimum(outcome.compiled, budget, exactly))
+        found = outcome.found
     price = max(found.price - found.objective, 0.0) if outcome.row.ratio else found.price
-    unlimited = options.program is None and not problem.ratio and outcome.row.budget >= 1.0
-    reason = (
-        f"{_REASONS['unlimited' if unlimited else options.method]}, {outcome.calls} pricing calls"
-    )
-    answer = outcome.answer(price, remarks(problem, outcome.row.budget, found.finished))
-    solution = assembled(problem, answer, outcome.run(options, reason))
-    if not deterministic:
+    compiled, unlimited = outcome.compiled, not problem.ratio and outcome.row.budget >= 1.0
+    reason = _REASONS["unlimited" if unlimited and options.program is None else options.method]
+    if sense.constant is not None:
+        reason = f"backward sweeps over {compiled.layers:,} layers of accumulated cost"
+        if compiled.cost_horizon > 0.0:
+            reason = f"{reason}, exact from cost {compiled.cost_horizon:.6g} on"
+    reason = f"{reason}, {outcome.calls} pricing calls"
+    notes = [remarks(problem, outcome.row.budget, found.finished)]
+    if compiled.charge is not None and compiled.charge.settled is None:
+        notes += [_UNSETTLED] * (outcome.gap > options.tolerance)
+    answer = outcome.answer(price, "; ".join(note for note in notes if note))
+    solution = assembled(problem, answer, outcome.run(options, reason), sense)
+    if not options.deterministic:
         return solution
     from ssp_lp.methods.deterministic import best_deterministic
 
@@ -106,81 +133,114 @@ def best_within_budget(
     return replace(single, run=replace(single.run, reason=reason))
 
 
-_LEAST_TOLERANCE = 1e-15
-_UNSETTLED = "the utility has not come near its limit within the table of costs: a gap is left"
+def prove_goal(solution: Solution, found: Evaluation, attained: float) -> Proved:
+    """A checked bound of the goal probability that can be had, above or below."""
+    del attained
+    problem = solution.problem
+    start = start_distribution(problem.model, problem.start)
+    reach = extreme_goal_reach(problem.model, problem.semantics.aim, start)
+    return Proved(found.objective, float(start @ reach.bound), 1.0)
 
 
-def solve_for_worth(problem: Problem, compiled: CompiledProblem, options: SolveOptions) -> Solution:
-    """Maximise what arriving is worth beyond failing.
+_STEEP_PRICES = (1e1, 1e3, 1e5)
+"""Prices of failure, in values of the policy, at which least failure is proved best."""
+
+_LITTLE = 1e-13  # of the bound: less than this is not looked for beyond the cap
+_SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
+
+
+def prove_least_failure(solution: Solution, found: Evaluation, attained: float) -> Proved:
+    """At least failure: a bound at finite prices of failure, which holds for every policy.
+
+    Where rounding at such prices leaves a gap, the bound is that of the second stage over the pairs
+    that were decided to maximise.
+    """
+    del attained
+    compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
+    least = compiled.least_failure()
+    allowed, bound = least.column.failure, least.objective_bound
+    if compiled.charge is None and np.isfinite(found.objective):
+        pricing, column = compiled.pricing(), None
+        for steps in _STEEP_PRICES:
+            price = steps * max(found.objective, 1.0)
+            column = pricing.minimise(price, column)
+            priced = lagrange_bound(
+                pricing.prove(price, column).bound, np.array([price]), np.array([allowed])
+            )
+            if relative_gap(found.objective, priced) <= RELATIVE_GAP:
+                bound = priced
+                break
+    return _proved_as_asked(sense, found, bound, allowed)
+
+
+def _proved_as_asked(
+    sense: ObjectiveSense, found: Evaluation, bound: float, allowed: float, tail: float = 0.0
+) -> Proved:
+    """What a bound of what is minimised says of what is asked; rounding apart, it is attained."""
+    value = found.objective if sense.constant is None else sense.constant - found.objective
+    if sense.constant is not None and sense.settled_bound(value, bound) == value:
+        return Proved(found.objective, found.objective, allowed)
+    return Proved(found.objective, sense.worth(bound), allowed, tail=tail)
+
+
+def prove_within_budget(solution: Solution, found: Evaluation, attained: float) -> Proved:
+    """The bound that the price of the budget proves.
 
     Args:
-        problem: its measure is an expectation that is to be large.
-        compiled: charges minus what an arrival is worth beyond failing.
-        options: method, tolerance and limits.
+        solution: what is certified.
+        found: what its policy attains.
+        attained: the failure of some policy, the least that is known.
 
     Raises:
-        InfeasibleError: the budget is below the least failure probability.
-        SolverError: the linear program's answer fails its check.
+        ModelError: the solution carries no price and value function, or one that does not fit.
     """
-    if problem.failure_budget is None:
-        least = checked_least_failure(compiled, None)
-        found = Found(least.policy, least.column.cost, least.objective_bound, least.column.failure)
-        run = Run("columns", "two stages: greatest goal probability, then greatest worth", 2, 0.0)
-        return assembled(problem, found, run, ObjectiveSense(problem.semantics.failing_worth))
-    failing = problem.semantics.failing_worth
-    outcome = refined_optimum(compiled, problem.failure_budget, options)
-    gained, worth = -outcome.found.objective, failing - outcome.found.objective
-    if (
-        failing != 0.0
-        and 0.0 < abs(worth) < gained
-        and not _is_met_by_row(outcome, failing, options)
-    ):
-        finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
-        outcome = outcome.followed_by(
-            refined_optimum(
-                outcome.compiled, problem.failure_budget, replace(options, tolerance=finer)
-            )
-        )
-    answer = outcome.answer(outcome.found.price, _note_on_row(problem, outcome, options))
-    return assembled(
-        problem, answer, outcome.run(options, _reason_of_row(outcome)), ObjectiveSense(failing)
-    )
+    problem, budget = solution.problem, max(solution.problem.failure_budget or 0.0, 0.0)
+    sense, price, values = problem.semantics.sense, solution.failure_price, solution.value_function
+    if price is None or values is None:
+        raise ModelError("a certificate needs the failure price and its value function")
+    penalty = problem.semantics.penalty  # part of the cost: the price beyond it is what limits
+    price = 0.0 if price == penalty else price - penalty
+    if not (np.isfinite(price) and price >= 0.0):
+        reason = f"the price is not a number >= {penalty:g}"
+        return Proved(found.objective, sense.worth(0.0), budget, reason)
+    kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
+    levels = levels_of(solution.policy.policies, len(values))
+    compiled, least = problem.compile().matching(np.asarray(values), levels), None
+    row = FailureRow(budget, problem.ratio, compiled.lowest)
+    if attained >= budget * _SURELY:
+        least = compiled.least_failure()
+        failure = min(least.column.failure, budget + LEAST_BUDGET)
+        row = replace(row, budget=max(budget, failure))  # above it by rounding only
+    bound, tail = _bound_by_values(compiled, row, kappa, price == 0.0, solution)
+    if tail > _LITTLE and (exact := compiled.for_program()) is not compiled:
+        # it may be less beyond the cap with better policies there
+        bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
+    if least is not None and row.leaves_only(least.column) and least.column.failure < 1.0:
+        kept = found.limited_failure <= budget  # to the last digit, which tells it from others
+        value = found.objective if sense.constant is None else sense.constant - found.objective
+        if not (kept and value < least.objective_bound):
+            bound = max(bound, least.objective_bound)
+    return _proved_as_asked(sense, found, bound, row.budget, tail)
 
 
-def _is_met_by_row(outcome: RefinedOutcome, failing: float, options: SolveOptions) -> bool:
-    """Whether one row's outcome meets the tolerance."""
-    worth, bound = failing - outcome.found.objective, failing - outcome.found.lower_bound
-    return relative_gap(bound, worth) <= options.tolerance
-
-
-def _reason_of_row(outcome: RefinedOutcome) -> str:
-    """Why the search on one row ended, in words."""
-    layers = ""
-    if isinstance(outcome.compiled, CompiledArrivalCost):
-        process, horizon = outcome.compiled.process, outcome.compiled.cost_horizon
-        layers = f"{process.cap:,} layers of accumulated cost"
-        layers += f", exact from cost {horizon:.6g} on" if horizon > 0.0 else ""
-    return f"backward sweeps over {layers}, {outcome.calls} pricing calls"
-
-
-def _note_on_row(problem: Problem, outcome: RefinedOutcome, options: SolveOptions) -> str:
-    """What a reader should know of an answer with one row."""
-    found, here = outcome.found, outcome.compiled
-    told = remarks(problem, outcome.row.budget, found.finished)
-    unsettled = isinstance(here, CompiledArrivalCost) and here.charge.settled is None
-    if unsettled and relative_gap(found.objective, found.lower_bound) > options.tolerance:
-        told = f"{told}; {_UNSETTLED}" if told else _UNSETTLED
-    return told
+def _bound_by_values(
+    compiled: CompiledProblem, row: FailureRow, price: float, slack: bool, solution: Solution
+) -> tuple[float, float]:
+    """Lower bound of the objective, and the relative gap that truncation leaves in it."""
+    slack = slack and row.ratio
+    price = price * BELOW_RATIO if slack else price
+    proof = compiled.pricing().check(price, np.asarray(solution.value_function), slack=slack)
+    bound = row.lower_bound(proof)
+    lost = compiled.tail_loss(price, slack=slack, proof=proof)
+    if lost == 0.0:
+        return bound, 0.0
+    return bound, relative_gap(row.lower_bound(replace(proof, bound=proof.bound + lost)), bound)
 
 
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     """The paper's own construction, which knows neither columns nor programs."""
     from ssp_lp.game.stationary import stationary_game, value_function
 
-    compiled = problem.compile()
-    if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
-        asked, cap = Argument("method", "game"), Argument("cost_cap")
-        raise ModelError(asked, " chooses its own cap M: leave ", cap, " out")
     found = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
     replies = found.threshold.responses
     reason = f"the paper's game, {found.threshold.games} values of c"
@@ -271,33 +331,31 @@ def refined_optimum(
         SolverError: the linear program's answer fails its check.
         Stop: the time ended before a policy that keeps to the budget was found.
     """
-    gaps: list[float] = []
     compiled = compiled if options.program is None else compiled.for_program()
     row = FailureRow(budget, compiled.ratio)
-    try:
+    with WithIncumbent() as search:
         row = replace(row, lowest=compiled.lowest)
         if guess is None and options.program is None:
             compiled, guess = _begun_by_label(compiled, budget)
         outcome = _refined_attempt(compiled, row, None, options, guess)
-    except STOPS as stop:
-        heed(stop)
-        return _safest_refined(compiled, row, stop)
+    if search.stop:
+        return _safest_refined(compiled, row, search.stop)
+    best = refine(_finer_outcomes(outcome, options), options.tolerance)
+    if not is_late():
+        return best
+    return replace(best, found=replace(best.found, finished=best.gap <= options.tolerance))
+
+
+def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[RefinedOutcome]:
+    """An outcome, and those of finer problems; of the least failure, where that becomes known."""
+    gaps: list[float] = []
     while True:
+        yield outcome
         gaps.append(outcome.gap)
-        if gaps[-1] <= options.tolerance:
-            return outcome
-        try:
-            refined = outcome if is_late() else _refined_outcome(outcome, gaps, options)
-        except STOPS as stop:
-            heed(stop)
-            refined = outcome
-        if is_late():
-            best = refined if refined.gap <= outcome.gap else outcome
-            met = best.gap <= options.tolerance
-            return replace(best, found=replace(best.found, finished=met))
-        if refined.found is outcome.found:
-            return refined
-        outcome = refined
+        before, outcome = outcome, _refined_outcome(outcome, gaps, options)
+        if outcome.found is before.found:
+            yield outcome
+            return
 
 
 def _begun_by_label(
@@ -307,13 +365,13 @@ def _begun_by_label(
 
     Its process has one layer, and failing early saves about as much in both.
     """
-    if not (isinstance(compiled, CompiledAccumulatedCost) and compiled.is_long_shot):
+    if not compiled.is_long_shot:
         return compiled, None
     has_answer()
     outcome, semantics = prepared(), FailureSemantics(charge_failing_step=False)
     if not isinstance(outcome, RefinedOutcome):
         model, start, discount = compiled.model, compiled.start, compiled.discount
-        label = CompiledFailureLabel(model, start, semantics, discount)
+        label = CompiledExplicit(model, start, semantics, discount)
         outcome = refined_optimum(label, budget, SolveOptions(_TRIAL_TOLERANCE))
     price = max(outcome.found.price, outcome.found.ratio)
     if not np.isfinite(price):
@@ -354,16 +412,13 @@ def _safest_refined(
     """
     if prepared() is not None:  # there is a better one already
         raise Stop from stop
-    try:
-        with closing():
-            least = checked_least_failure(compiled, row.budget)
-            rule = columns_at(compiled.pricing(), least, row)
-            found = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
-    except STOPS as again:
-        heed(again)
-        told = stop.told if isinstance(stop, Stop) else ""
-        raise Stop(told=told or "no policy was measured by then") from stop
-    return RefinedOutcome(replace(found, finished=False), compiled, rule.row, least)
+    with WithIncumbent(), closing():
+        least = checked_least_failure(compiled, row.budget)
+        rule = columns_at(compiled.pricing(), least, row)
+        found = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
+        return RefinedOutcome(replace(found, finished=False), compiled, rule.row, least)
+    told = stop.told if isinstance(stop, Stop) else ""
+    raise Stop(told=told or "no policy was measured by then") from stop
 
 
 def _refined_at_the_edge(outcome: RefinedOutcome, options: SolveOptions) -> RefinedOutcome:
@@ -393,8 +448,10 @@ def _refined_attempt(
         least = checked_least_failure(compiled, row.budget) if least is None else least
         row = replace(row, budget=max(row.budget, least.column.failure))
         if row.budget > least.column.failure + LEAST_BUDGET:
-            optimum = solve_program(compiled, row, options.program.backend, options.deadline)
-            guess = DualGuess(optimum.price, _SPREAD)
+            process = compiled.explicit()
+            limits = {FAILURE_ROW: (process.failure, row.budget)}
+            optimum = solve_program(process, limits, options, ratio=row.ratio)
+            guess = DualGuess(optimum.kappa, _SPREAD)
     if guess is None and row.budget >= 1.0 and not row.ratio:
         guess = DualGuess(0.0, _SPREAD, slack=True)  # nothing is limited: no price has to be found
     rule = None

@@ -33,6 +33,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import cast
 
 import highspy
 import numpy as np
@@ -44,17 +45,18 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.column_generation.column import Column, FailureRow, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
-    CompiledFailureLabel,
+    CompiledExplicit,
     CompiledProblem,
 )
 from ssp_lp.column_generation.search import Generated
-from ssp_lp.compiled.deadline import STOPS, heed, is_late
+from ssp_lp.compiled.deadline import WithIncumbent, is_late
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.methods.columns import RefinedOutcome
 from ssp_lp.policies.mixed import as_lottery
 from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.failure_label import FailureLabelled
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.program_rows import rows_program
@@ -113,9 +115,9 @@ _REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
 
 @dataclass(eq=False)
 class _PolicySearch:
-    """The best policy so far, and the view that it is measured on."""
+    """The best policy so far, and the process that it is measured on."""
 
-    view: ProcessView
+    relaxation: DeterministicRelaxation
     row: FailureRow
     best: Found  # its bound holds of every policy
     tolerance: float  # relative
@@ -133,21 +135,21 @@ class _PolicySearch:
         if whole is None:
             return False
         kept = False
-        for column in self.view.measure(whole):
+        for column in self.relaxation.measure(whole):
             if column.failure > _allowed_in_search(self.row):
                 continue
             kept, value = True, self.row.objective(column.cost, column.goal)
             if value <= self.best.value:
                 self.choice = whole
             if value < self.best.value:
-                policy = self.view.compiled.pricing().policy(column)
+                policy = self.relaxation.compiled.pricing().policy(column)
                 better = Found(policy, value, self.best.bound, column.failure)
                 self.best = better
         return kept
 
     def completed(self, choice: IntArray) -> tuple[IntArray | None, BoolArray]:
         """The choice where it leads, a safe one elsewhere; None if it holds mass for ever."""
-        process = self.view.process
+        process = self.relaxation.process
         chain = sp.csr_array(process.transitions[choice])
         chain.eliminate_zeros()
         reached = within_reach(chain, process.start > 0)
@@ -155,7 +157,7 @@ class _PolicySearch:
         leaves = within_reach(sp.csr_array(chain.T), leaks)
         if (reached & ~leaves).any():
             return None, reached
-        return np.where(reached, choice, self.view.safe), reached
+        return np.where(reached, choice, self.relaxation.fallback), reached
 
 
 def best_single_policy(
@@ -184,28 +186,23 @@ def best_single_policy(
     start = Found(pricing.policy(first), value, found.lower_bound, first.failure)
     if len(found.columns) == 1 or is_late():
         return start, len(found.columns) == 1 and found.finished
-    try:
-        view = process_view(outcome.compiled, found.price)
-    except STOPS as stop:
-        heed(stop)
-        return start, False
-    search = _PolicySearch(view, row, start, tolerance, deadline)
-    try:
+    search: _PolicySearch | None = None
+    with WithIncumbent():
+        relaxation = deterministic_relaxation(outcome.compiled, found.price)
+        search = _PolicySearch(relaxation, row, start, tolerance, deadline)
         return _searched_policy(search, found)
-    except STOPS as stop:
-        heed(stop)
-        return search.best, False
+    return start if search is None else search.best, False
 
 
 def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
     """Walk between two policies, then solve the programs; the search keeps the best policy."""
-    view, tolerance = search.view, search.tolerance
+    relaxation, tolerance = search.relaxation, search.tolerance
     _search_between(search, found.price)
     if relative_gap(search.best.value, found.lower_bound) <= tolerance:
         return search.best, True
-    bound, finished = _minimised_in_search(search, view.process, is_outer=False)
-    if view.free.any():
-        bound, finished = _minimised_in_search(search, view.outer, is_outer=True)
+    bound, finished = _minimised_in_search(search, relaxation.process, is_relaxed=False)
+    if relaxation.may_randomise.any():
+        bound, finished = _minimised_in_search(search, relaxation.relaxed, is_relaxed=True)
     best = search.best
     return replace(best, bound=min(max(bound, found.lower_bound), best.value)), finished
 
@@ -222,7 +219,7 @@ def _search_between(search: _PolicySearch, price: float) -> None:
     every policy that follows the one in some states and the other elsewhere: of these, the one that
     fails most within the budget is cheapest. Farther prices differ in more states.
     """
-    compiled = search.view.compiled
+    compiled = search.relaxation.compiled
     for spread in _SPREADS:
         if is_late():
             return
@@ -258,7 +255,7 @@ def _search_walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: 
 
 
 def _minimised_in_search(
-    search: _PolicySearch, process: ExplicitProcess, *, is_outer: bool
+    search: _PolicySearch, process: ExplicitProcess, *, is_relaxed: bool
 ) -> tuple[float, bool]:
     """A lower bound of what policies of a process attain, and whether the search was finished.
 
@@ -268,14 +265,14 @@ def _minimised_in_search(
     Args:
         search: keeps the policies that are found.
         process: the process.
-        is_outer: whether free states may randomise, so that answers are no policies.
+        is_relaxed: whether free states may randomise, so that answers are no policies.
     """
     row, known = search.row, search.best.value
     limits = (0.0, known) if row.ratio else (known, 0.0)
     visits = most_visits(process, row.budget, *limits, search.deadline)
     if visits is None:
         return 0.0, False
-    free = search.view.free if is_outer else np.zeros_like(search.view.free)
+    free = search.relaxation.may_randomise & is_relaxed
     program = IntegerProgram(process, _allowed_in_search(row), visits, free)
     if not row.ratio:
         program.stop_at(search.tolerance)
@@ -285,7 +282,7 @@ def _minimised_in_search(
     for _ in range(_RATIOS):
         cost = process.cost - ratio * process.goal
         _begin_policy_search(search, program, cost)
-        answer = _searched_program(search, program, cost, is_outer=is_outer)
+        answer = _searched_program(search, program, cost, is_relaxed=is_relaxed)
         bound = max(bound, min(_bound_of_search(row, ratio, answer.bound), known))
         if not answer.finished:
             return bound, False
@@ -312,12 +309,12 @@ def _begin_policy_search(search: _PolicySearch, program: IntegerProgram, cost: F
 
 
 def _searched_program(
-    search: _PolicySearch, program: IntegerProgram, cost: FloatArray, *, is_outer: bool
+    search: _PolicySearch, program: IntegerProgram, cost: FloatArray, *, is_relaxed: bool
 ) -> IntegerAnswer:
     """Solve, and solve again without each policy that breaks the budget when it is measured."""
     while True:
         answer = program.solve(cost, search.deadline)
-        if search.take(answer) or answer.choice is None or is_outer:
+        if search.take(answer) or answer.choice is None or is_relaxed:
             return answer
         if search.refused == _REFUSED:
             return replace(answer, finished=False)
@@ -350,24 +347,24 @@ _ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, by which no
 
 
 @dataclass(frozen=True, eq=False)
-class ProcessView:
+class DeterministicRelaxation:
     """The process that policies live on, and one of which they are special cases.
 
     A deterministic policy may leave a collapsed component by a way that depends on where it came
-    in, and may go on beyond the cap of case S by other policies than the tails. In ``outer`` this
-    is allowed for: states that are ``free`` randomise, and beyond the cap success costs no more
-    than what had been paid at its border, with any probability that some policy attains.
+    in, and may go on beyond the cap of case S by other policies than the tails. In ``relaxed`` this
+    is allowed for: some states ``may_randomise``, and beyond the cap success costs no more than
+    what had been paid at its border, with any probability that some policy attains.
     """
 
     compiled: CompiledProblem
     process: ExplicitProcess
-    outer: ExplicitProcess
-    free: BoolArray  # [states] those within reach of the start
-    safe: IntArray  # [states] pairs of a policy that leaves from every state
+    relaxed: ExplicitProcess
+    may_randomise: BoolArray  # [states] those within reach of the start
+    fallback: IntArray  # [states] pairs of a policy that leaves from every state
     measure: Callable[[IntArray], list[Column]]  # a choice to policies, each measured exactly
 
 
-def process_view(compiled: CompiledProblem, price: float) -> ProcessView:
+def deterministic_relaxation(compiled: CompiledProblem, price: float) -> DeterministicRelaxation:
     """Write a process out.
 
     Args:
@@ -375,40 +372,38 @@ def process_view(compiled: CompiledProblem, price: float) -> ProcessView:
         price: of failure at the best lottery.
 
     Raises:
-        ModelError: a problem of another kind, or one with too many pairs.
+        ModelError: there are too many pairs.
     """
-    here = compiled.for_program()
-    if isinstance(here, CompiledFailureLabel):
-        return _view_of_case_m(here, price)
-    if isinstance(here, CompiledAccumulatedCost):
-        return _view_of_case_s(here, price)
-    raise ModelError(_METHOD, f" does not know {type(compiled).__name__}")
+    exact = compiled.for_program()
+    if exact.charge is None:
+        return _labelled_relaxation(cast("CompiledExplicit", exact), price)
+    return _layered_relaxation(cast("CompiledAccumulatedCost", exact), price)
 
 
-def _view_of_case_m(compiled: CompiledFailureLabel, price: float) -> ProcessView:
-    """The view of a process in case M."""
+def _labelled_relaxation(compiled: CompiledExplicit, price: float) -> DeterministicRelaxation:
+    """The process of case M, in which merged nodes may randomise."""
     pricing = compiled.pricing()
     process = pricing.process
-    _check_view_size(process.n_pairs)
+    _check_pairs(process.n_pairs)
     best = pricing.minimise(price)
     free = np.zeros(process.n_states, dtype=np.bool_)
-    merged = _merged_nodes(compiled.labelled.quotient)
+    merged = _merged_nodes(cast("FailureLabelled", compiled.augmented).quotient)
     free[: len(merged)] = merged
-    return ProcessView(
+    return DeterministicRelaxation(
         compiled=compiled,
         process=process,
-        outer=process,
-        free=free & within_reach(steps_between(process), process.start > 0),
-        safe=compiled.explicit_choice(best),
+        relaxed=process,
+        may_randomise=free & within_reach(steps_between(process), process.start > 0),
+        fallback=compiled.explicit_choice(best),
         measure=lambda choice: [pricing.measure(choice.astype(np.int32))],
     )
 
 
-def _view_of_case_s(compiled: CompiledAccumulatedCost, price: float) -> ProcessView:
-    """The view of a process in case S, layer by layer."""
+def _layered_relaxation(compiled: CompiledAccumulatedCost, price: float) -> DeterministicRelaxation:
+    """The process of case S, layer by layer, with loose tails."""
     layered, pricing = compiled.process, compiled.pricing()
     base, cap = layered.base, layered.cap
-    _check_view_size(cap * len(base.gain))
+    _check_pairs(cap * len(base.gain))
     process = compiled.explicit()
     beyond = np.arange((base.width - 1) * base.n_nodes) + cap * base.n_nodes
     free = np.zeros(process.n_states, dtype=np.bool_)
@@ -422,17 +417,17 @@ def _view_of_case_s(compiled: CompiledAccumulatedCost, price: float) -> ProcessV
         shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
         return [pricing.measure((within - shift).astype(np.int32), tail) for tail in prices]
 
-    return ProcessView(
+    return DeterministicRelaxation(
         compiled=compiled,
         process=process,
-        outer=_view_with_loose_tails(process, layered, beyond),
-        free=free & within_reach(steps_between(process), process.start > 0),
-        safe=compiled.explicit_choice(pricing.minimise(price)),
+        relaxed=_with_loose_tails(process, layered, beyond),
+        may_randomise=free & within_reach(steps_between(process), process.start > 0),
+        fallback=compiled.explicit_choice(pricing.minimise(price)),
         measure=measure,
     )
 
 
-def _view_with_loose_tails(
+def _with_loose_tails(
     process: ExplicitProcess, layered: LayeredProcess, beyond: IntArray
 ) -> ExplicitProcess:
     """Replace the tails by the greatest and the least success, which cost what has been paid.
@@ -453,13 +448,13 @@ def _view_with_loose_tails(
 
 
 def _merged_nodes(quotient: Quotient) -> BoolArray:
-    """Nodes of the process viewed that stand for a component of several states, [nodes]."""
+    """Nodes of a quotient that stand for a component of several states, [nodes]."""
     members = np.bincount(quotient.node_of[quotient.merged], minlength=quotient.n_nodes)
     return np.asarray(members > 1)
 
 
-def _check_view_size(n_pairs: int) -> None:
-    """Raise :class:`ModelError` where the view of a process is too large for an integer program."""
+def _check_pairs(n_pairs: int) -> None:
+    """Raise :class:`ModelError` where a process is too large for an integer program."""
     if n_pairs > _MOST_PAIRS:
         raise ModelError(
             _METHOD,
@@ -471,7 +466,7 @@ def _check_view_size(n_pairs: int) -> None:
 
 
 def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
-    """States of a process viewed to which a path leads, the first ones included, [states]."""
+    """States to which a path leads, the first ones included, [states]."""
     n = len(start)
     first = sp.csr_array(start.astype(np.float64)[None, :])
     below = sp.vstack([steps, first])
@@ -483,7 +478,7 @@ def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
 
 
 def steps_between(process: ExplicitProcess) -> sp.csr_array:
-    """Steps between states of a process viewed, by whatever pair, [states, states]."""
+    """Steps between states of a process, by whatever pair, [states, states]."""
     of_state = sp.csr_array(
         (np.ones(process.n_pairs), np.arange(process.n_pairs), process.pair_offsets),
         shape=(process.n_states, process.n_pairs),

@@ -8,6 +8,7 @@ on accumulated costs may not come to its first policy in minutes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,19 +21,19 @@ from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.column_generation.compiled_problem import (
     ATTAINABLE,
-    CompiledConstrained,
-    CompiledFailureLabel,
+    CompiledExplicit,
     checked_least_failure,
 )
-from ssp_lp.compiled.deadline import STOPS, heed
+from ssp_lp.compiled.deadline import WithIncumbent
 from ssp_lp.errors import SSPError
 from ssp_lp.methods.columns import RefinedOutcome, refined_optimum
+from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.chain import policy_chain
 from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.problem import Problem, Restated, conditions_of, unrolled
+from ssp_lp.problem import Problem, Restated, conditions_of, requirements, unrolled
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
@@ -60,11 +61,11 @@ class Incumbent:
         Returns:
             Case M's outcome where it was solved for its policy, else what is in hand.
         """
-        if self.solution is not None or not has_totals(self.stated):
+        if self.solution is not None or not requirements(self.stated).counts_totals:
             return self.solution
         problem = unrolled(self.stated)
         for at_least_failure in (False, True):  # the cheapest policy may be one that only fails
-            try:
+            with WithIncumbent(), suppress(SSPError):  # what the search itself will find, and name
                 if at_least_failure not in self.policies:
                     policy = self._cheapest_policy(problem, at_least_failure=at_least_failure)
                     self.policies[at_least_failure] = policy
@@ -74,10 +75,6 @@ class Incumbent:
                     if problem.semantics.measure is not None:  # while its law is not known
                         self.solution = _judged(problem, policy, room, by_moments)
                     self.solution = _judged(problem, policy, room)
-            except STOPS as stop:
-                heed(stop)
-            except SSPError:  # what the search itself will find, and name
-                pass
             if self.solution is not None:
                 break
         return self.solution and (self.outcome or self.solution)
@@ -87,7 +84,7 @@ class Incumbent:
 
         What proves the search's bound, its prices and values, goes with it.
         """
-        if not has_totals(self.stated):
+        if not requirements(self.stated).counts_totals:
             return other
         best, bound, above = self.solution or other, worth_bound(unrolled(self.stated)), 1.0
         if other.upper_bound is not None:
@@ -116,10 +113,9 @@ class Incumbent:
         semantics = replace(problem.semantics, measure=None)
         budget = None if at_least_failure else budget
         side = tuple(row for condition in conditions_of(problem) for row in condition.rows)
+        compiled = CompiledExplicit(model, start, semantics, problem.discount, side, budget)
         if side:
-            rows = CompiledConstrained(model, start, semantics, problem.discount, side, budget)
-            return rows_optimum(rows, _ROUGH).policy
-        compiled = CompiledFailureLabel(model, start, semantics, problem.discount)
+            return rows_optimum(compiled, _ROUGH).policy
         if budget is None:
             return as_lottery(checked_least_failure(compiled, problem.failure_budget).policy)
         if budget >= 1.0:
@@ -190,17 +186,23 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
     match measure:
         case CostQuantileOf(level) | TailMeanOf(level):
             return replace(found, objective=mean + spread * np.sqrt(level / (1.0 - level)))
+    charge = measure.charge
+    if charge.slope > 0.0:  # at most what the line's beginning costs, and what lies beyond it
+        line = charge.settled or 0.0
+        beyond = 0.5 * (np.hypot(spread, line - mean) - (line - mean))
+        first = float(charge.at(np.array([line]))[0])
+        return replace(found, objective=first + charge.slope * beyond)
     away = spread * np.append(0.0, np.geomspace(1e-2, 1e4, 601))
-    if measure.charge.settled is not None:
-        away = np.append(away, max(measure.charge.settled - mean, 0.0))
+    if charge.settled is not None:
+        away = np.append(away, max(charge.settled - mean, 0.0))
     in_time = away**2 / np.maximum(spread**2 + away**2, 1e-300)
-    charge = in_time * measure.charge.at(mean + away) + (1.0 - in_time) * measure.charge.offset
-    return replace(found, objective=semantics.failing_worth - goal * float(charge.min()))
+    charged = in_time * charge.at(mean + away) + (1.0 - in_time) * charge.offset
+    return replace(found, objective=semantics.failing_worth - goal * float(charged.min()))
 
 
-def has_totals(problem: Problem) -> bool:
-    """Whether totals are told apart, so that the least of them bounds what is asked."""
-    return problem.ratio or problem.semantics.measure is not None
+def prove_by_cheapest_way(problem: Problem, found: Evaluation) -> Proved:
+    """The bound that needs no search: ``worth_bound``."""
+    return Proved(found.objective, worth_bound(problem), problem.failure_budget or 0.0)
 
 
 def broken_limit(problem: Problem, found: Evaluation, room: float = 2.0 * ATTAINABLE) -> str:

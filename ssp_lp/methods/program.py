@@ -11,7 +11,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf, TotalCostCharge
 from ssp_lp.accumulated_cost.written_out import OpenEnded
-from ssp_lp.column_generation.compiled_problem import CompiledConstrained
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.rows import rows_optimum, truth_of
 from ssp_lp.options import CERTIFYING
@@ -98,24 +98,24 @@ def program_of(
     ).spread_out()
 
 
-def _bounded(compiled: CompiledConstrained, bounds: Mapping[str, float]) -> CompiledConstrained:
+def _bounded(compiled: CompiledExplicit, bounds: Mapping[str, float]) -> CompiledExplicit:
     """The compiled problem with other bounds, by name of the row."""
     budget = min(bounds[FAILURE_ROW], 1.0) if FAILURE_ROW in bounds else compiled.budget
     side = tuple(replace(row, bound=bounds.get(row.name, row.bound)) for row in compiled.side)
     return replace(compiled, budget=budget, side=side)
 
 
-def _augmented(compiled: CompiledConstrained) -> Augmented:
+def _augmented(compiled: CompiledExplicit) -> Augmented:
     """The process of the compiled problem, with what is minimised as its cost."""
     found = compiled.augmented
     if isinstance(found, OpenEnded):
         return LayeredModel(found, compiled.start)
-    cost = np.ascontiguousarray(compiled.pricing.rewards[:, 0])
+    cost = np.ascontiguousarray(compiled.pricing().rewards[:, 0])
     labelled = replace(found, process=replace(found.process, cost=cost))
     return LabelledModel(labelled, compiled.start, compiled.semantics, compiled.discount)
 
 
-def _cost_given_success(compiled: CompiledConstrained) -> LabelledModel:
+def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
     """At least failure: each step costs by the probability of succeeding from where it leads.
 
     All policies have the greatest one there, so that no total needs to be remembered.
@@ -130,7 +130,7 @@ def _cost_given_success(compiled: CompiledConstrained) -> LabelledModel:
     return LabelledModel(labelled, start, compiled.semantics, compiled.discount)
 
 
-def _objective_of_program(problem: Problem, compiled: CompiledConstrained) -> str:
+def _objective_of_program(problem: Problem, compiled: CompiledExplicit) -> str:
     """What the program minimises, in a word."""
     semantics = problem.semantics
     if compiled.objective is not None:

@@ -52,24 +52,25 @@ from ssp_lp.accumulated_cost.charges import (
 )
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
 from ssp_lp.analysis.cost_law import CostLaw, success_costs
-from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.column_generation.column import FailureRow, Proof, required
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
-    CompiledConstrained,
+    CompiledExplicit,
     checked_least_failure,
 )
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import STOPS, Stop, has_answer, heed, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, has_answer, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
+from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.rows import Truth, bound_at, least_goal_within, rows_optimum, taken_by_lottery
 from ssp_lp.model import SSP
-from ssp_lp.options import SolveOptions
+from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, by_rows, compiled_constrained
+from ssp_lp.problem import Problem, compiled_constrained, compiled_totals, requirements
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
@@ -102,24 +103,25 @@ def least_risk(
     raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
 
 
-def risk_bound(problem: Problem, attained: float, options: SolveOptions) -> tuple[float, float]:
-    """Prove a lower bound of the least risk afresh, from the model alone.
+def prove_risk(solution: Solution, found: Evaluation, attained: float) -> Proved:
+    """A lower bound of the least risk, proved afresh, from the model alone.
 
     Args:
-        problem: the problem.
-        attained: the risk of the policy in question.
-        options: tolerance and limits.
-
-    Returns:
-        The bound, and the failure that is allowed.
+        solution: of the problem.
+        found: what its policy attains.
+        attained: the least failure of a member.
     """
+    del attained
+    problem, value = solution.problem, found.objective
     question = question_of(problem)
     match problem.semantics.measure:
         case CostQuantileOf(level):
-            return quantile_bound(question, level, attained, options), question.allowed
+            bound = quantile_bound(question, level, value, CERTIFYING)
         case TailMeanOf(level):
-            return tail_mean_bound(problem, question, level, options), question.allowed
-    raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
+            bound = tail_mean_bound(problem, question, level, CERTIFYING)
+        case measure:
+            raise ModelError(f"{measure!r} is no measure of risk")
+    return Proved(value, bound, question.allowed)
 
 
 @dataclass(frozen=True)
@@ -328,7 +330,7 @@ class _QuestionWithinRows:
     """Other quantities are limited, too."""
 
     problem: Problem
-    compiled: CompiledConstrained  # of the total cost
+    compiled: CompiledExplicit  # of the total cost
 
     @cached_property
     def thresholds(self) -> Thresholds:
@@ -447,14 +449,10 @@ def question_of(problem: Problem) -> Question:
 
     Raises:
         InfeasibleError: the budget is below the least failure, or the goal is out of reach.
-        ModelError: the problem is not compiled to accumulated costs.
     """
-    if by_rows(problem):
+    if requirements(problem).several_rows:
         return _QuestionWithinRows(problem, compiled_constrained(problem).settled())
-    compiled = problem.compile()
-    if not isinstance(compiled, CompiledArrivalCost):
-        raise ModelError(f"{type(problem).__name__}: risk needs the accumulated-cost process")
-    return question_of_compiled(compiled, problem.failure_budget)
+    return question_of_compiled(compiled_totals(problem), problem.failure_budget)
 
 
 def question_of_compiled(compiled: CompiledArrivalCost, budget: float | None) -> Question:
@@ -513,7 +511,7 @@ def least_quantile(
     low, refuted, high, tried = -1, -1, 0, 0  # too low, proved so; kept to; and bounds tried
     number = places.number(question.typical if near is None else near.total)
     rough = replace(options, tolerance=max(options.tolerance, _ROUGH))
-    try:
+    with WithIncumbent():
         while kept is None or (high - low > 1 and not is_late()):
             trial = question.attempt(LateCharge(places.total(number)), rough, kappa)
             calls, kappa, tried = calls + trial.calls, trial.kappa, tried + 1
@@ -534,8 +532,6 @@ def least_quantile(
         if kept is not None and not is_late():  # of all that keep to the bound: most often
             best = question.attempt(LateCharge(places.total(high)), options, kappa)
             calls, kept = calls + best.calls, min(kept, best, key=lambda trial: trial.value)
-    except STOPS as stop:
-        heed(stop)
     if kept is None:
         below = _beyond_refuted(question, refuted)
         raise Stop(told=f"no policy's quantile lies below {below:g}")
@@ -775,11 +771,9 @@ def _proved_tail_mean(
         return best, max(whole, 0.0)  # the whole mean: the least threshold is best
     if near is not None:
         search.kappas.setdefault(places.number(near.total), near.kappa)
-    try:
+    with WithIncumbent():
         while best.threshold not in search.tried and search.in_time:
             best = search.attempt(best.threshold)
-    except STOPS as stop:
-        heed(stop)
     last = places.number(best.value) + 1
     least = whole * (1.0 - search.level)  # no tail's mean is below its share of the whole's
     bounds = [trial.lower_bound for trial in search.tried.values()]
@@ -791,10 +785,8 @@ def _proved_tail_mean(
         if before - after > between
     ]
     while weakest and search.in_time and weakest[0][0] < search.target:
-        try:
+        with WithIncumbent():
             _split_thresholds(search, weakest, bounds)
-        except STOPS as stop:
-            heed(stop)
     best = search.best or best
     return best, max(min([*bounds, *(part[0] for part in weakest), best.value]), 0.0)
 

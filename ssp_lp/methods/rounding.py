@@ -26,32 +26,49 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from typing import cast
 
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf, WithinBound
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, step_costs, sums_in, totals_of
 from ssp_lp.analysis.cost_law import costs_as_counted
-from ssp_lp.analysis.evaluation import evaluate
+from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
-from ssp_lp.column_generation.column import Column, FailureRow, excess_failure, relative_gap
-from ssp_lp.column_generation.compiled_problem import (
-    CompiledAccumulatedCost,
+from ssp_lp.column_generation.column import (
+    Column,
+    FailureRow,
+    excess_failure,
+    relative_gap,
+    two_sided_gap,
 )
+from ssp_lp.column_generation.compiled_problem import CompiledAccumulatedCost
 from ssp_lp.column_generation.search import DualGuess
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, has_answer, heed, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, has_answer, is_late
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import ModelError, SolverError
-from ssp_lp.methods.columns import RefinedOutcome, refined_optimum, solve_for_worth
+from ssp_lp.errors import ModelError
+from ssp_lp.methods.columns import (
+    RefinedOutcome,
+    best_within_budget,
+    cheapest_at_least_failure,
+    refined_optimum,
+)
 from ssp_lp.methods.incumbent import Incumbent
+from ssp_lp.methods.refinement import Proved, refine
 from ssp_lp.methods.risk import Near, least_risk, question_of_compiled
 from ssp_lp.model import SSP
 from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.options import SolveOptions
+from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
-from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, Restated, by_rows, by_sums, compiled_constrained, has_rows
+from ssp_lp.problem import (
+    Problem,
+    Requirements,
+    Restated,
+    TotalScale,
+    compiled_constrained,
+    requirements,
+)
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
@@ -87,21 +104,28 @@ class _Split:
         return relative_gap(self.value, self.bound) if np.isfinite(self.value) else np.inf
 
 
-def solve_on_split_costs(problem: Problem, span: float, options: SolveOptions) -> Solution:
+def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
     """The best lottery and the best lower bound that finer and finer units give.
 
     Args:
         problem: of case S, failure alone limited.
-        span: the totals that matter, ``span_to_split``.
         options: tolerance and limits.
 
     Raises:
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    best, guess = _begun_with_incumbent(problem), None
+    best = refine(_split_attempts(problem, options), options.tolerance)
+    return _concluded_on_split(problem, best, options)
+
+
+def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Split]:
+    """The best that is known after each unit."""
+    best, guess, span = _begun_with_incumbent(problem), None, span_of_steps(problem)
     asked: int | None = getattr(problem, "cost_levels", None)
     reach, units = _REACH * span, list(split_units(problem, span))
+    if best.lottery is not None:
+        yield best
     for unit in units:
         is_first = best.lottery is not None and unit != units[-1] and parts_of(problem, unit) > 2
         enough = max(_ROUGH, _ENOUGH * options.tolerance)
@@ -111,20 +135,16 @@ def solve_on_split_costs(problem: Problem, span: float, options: SolveOptions) -
             outcome = split_optimum(problem, unit, finer, guess, asked, reach)
             best = _bounded_by_split(best, outcome)
             if not is_first:
-                with closing():
+                with WithIncumbent() as improving, closing():
                     best = _improved_split(problem, best, outcome)
-        except STOPS as stop:
-            if best.lottery is None:
-                raise
-            heed(stop)
+                if improving.stop and best.lottery is None:
+                    raise improving.stop
         except ModelError:  # a table of so many layers is too large
             if best.lottery is None:
                 raise
-            break
-        if is_late() or best.gap <= options.tolerance:
-            break
+            return
+        yield best
         guess, reach = DualGuess(outcome.found.price, _SPREAD), outcome.found.price
-    return _concluded_on_split(problem, best, options)
 
 
 def _begun_with_incumbent(problem: Problem) -> _Split:
@@ -139,9 +159,7 @@ def _begun_with_incumbent(problem: Problem) -> _Split:
     return _Split(lottery, known.objective, known.budget_used, known.lower_bound)
 
 
-def proved_on_split_costs(
-    solution: Solution, span: float, attained: float, options: SolveOptions
-) -> tuple[float, float]:
+def prove_on_split_costs(solution: Solution, found: Evaluation, attained: float) -> Proved:
     """A bound worked out afresh, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that,
@@ -149,28 +167,34 @@ def proved_on_split_costs(
 
     Args:
         solution: of a problem with split costs.
-        span: the totals that matter.
-        attained: what its policy attains.
-        options: tolerance and limits.
+        found: what its policy attains.
+        attained: the least failure of a member.
     """
-    problem, bound, guess = solution.problem, 0.0, None
-    rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
-    enough = max(options.tolerance, (1.0 + _SHARE) * solution.gap)
-    allowed, before = problem.failure_budget or 0.0, -np.inf
-    for unit in split_units(problem, span, finest=True):
+    del attained
+    rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
+    enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
+    return refine(_split_proofs(solution.problem, found.objective, enough, rough), enough)
+
+
+def _split_proofs(
+    problem: Problem, attained: float, enough: float, rough: SolveOptions
+) -> Iterator[Proved]:
+    """The best bound that units prove, until a finer one adds next to nothing to it."""
+    guess, proved, before = None, Proved(attained, 0.0, problem.failure_budget or 0.0), -np.inf
+    for unit in split_units(problem, span_of_steps(problem), finest=True):
         try:
             outcome = split_optimum(problem, unit, rough, guess)
         except ModelError:  # a table of so many layers is too large
             if guess is None:
                 raise
-            break
-        bound, allowed = max(bound, outcome.found.lower_bound), max(allowed, outcome.row.budget)
+            return
+        bound = max(proved.bound, outcome.found.lower_bound)
+        proved = Proved(attained, bound, max(proved.allowed, outcome.row.budget))
+        yield proved
         guess = DualGuess(outcome.found.price, _SPREAD)
-        missing = (1.0 - enough) * attained - bound
-        if missing <= 0.0 or bound - before < _SHARE * missing:
-            break
+        if bound - before < _SHARE * ((1.0 - enough) * attained - bound):
+            return
         before = bound
-    return bound, allowed
 
 
 def _bounded_by_split(best: _Split, outcome: RefinedOutcome) -> _Split:
@@ -220,7 +244,7 @@ def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
     pricing, one_sided = compiled.pricing(), len(outcome.found.columns) == 1
     points: list[Column] = []
     last = found.columns[0]
-    try:
+    with WithIncumbent() as search:
         for column in found.columns:
             points.append(_true_point(problem, outcome, pricing.policy(column)))
         for factor in _BESIDE:
@@ -230,10 +254,8 @@ def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
             price = found.price * factor if not any(within) else found.price / factor
             last = pricing.minimise(price, last)
             points.append(_true_point(problem, outcome, pricing.policy(last)))
-    except STOPS as stop:
-        if not any(_keeps_to_budget(point, outcome.row) for point in points):
-            raise
-        heed(stop)
+    if search.stop and not any(_keeps_to_budget(point, outcome.row) for point in points):
+        raise search.stop
     return points
 
 
@@ -321,38 +343,34 @@ _MARGIN = 1.25  # beyond a price from a coarser unit: what is paid there still c
 _TRIES = 6  # units, until levels are as few as is asked for
 
 
-def span_to_split(problem: Problem, seconds: float = np.inf) -> float | None:
-    """The totals that matter where the costs of a problem are to be split; None: they are not.
+def is_split(problem: Problem, asked: Requirements, seconds: float = np.inf) -> bool:
+    """Whether the costs of a problem are to be split.
 
     They are in case S where the sums of costs are too many to be told apart, or, where these are
-    known to be told apart, if that hardly ends in the time that is left.
+    known to be told apart, if that hardly ends in the time that is left; where failure alone is
+    limited, and no step is far dearer than others.
 
     Args:
         problem: the problem.
+        asked: what it asks.
         seconds: that are left.
     """
-    if not _may_be_split(problem):
-        return None
-    on_grid = by_rows(problem)
-    if not on_grid and not (np.isfinite(seconds) and by_sums(problem)):
-        return None
-    asked: int | None = getattr(problem, "cost_levels", None) if on_grid else MOST_SUMS
-    span, most = span_of_steps(problem), _FEW_SUMS if asked is None else int(asked)
-    sums = sums_in(problem.model, span, most)
-    if on_grid:
-        return span if sums is None else None
-    many = most if sums is None else len(sums)
-    return span if _SECONDS * many * problem.model.n_outcomes > seconds else None
-
-
-def _may_be_split(problem: Problem) -> bool:
-    """Whether costs may be split: case S, failure alone limited, no step far dearer than others."""
-    if not problem.ratio or has_rows(problem) or problem.failure_budget is None:
+    on_grid = asked.totals is TotalScale.GRID
+    is_mean = asked.ratio and asked.measure is None and not (asked.rows or asked.least_failure)
+    if not is_mean or getattr(problem, "cost_cap", None) is not None:
         return False
-    if problem.semantics.measure is not None or getattr(problem, "cost_cap", None) is not None:
+    if not on_grid and not (np.isfinite(seconds) and asked.totals is TotalScale.SUMS):
         return False
     steps = step_costs(problem.model)[1]
-    return len(steps) > 1 and bool(steps[-1] <= _WIDEST * steps[1])
+    if len(steps) <= 1 or steps[-1] > _WIDEST * steps[1]:
+        return False
+    levels: int | None = getattr(problem, "cost_levels", None) if on_grid else MOST_SUMS
+    most = _FEW_SUMS if levels is None else int(levels)
+    sums = sums_in(problem.model, span_of_steps(problem), most)
+    if on_grid:
+        return sums is None
+    many = most if sums is None else len(sums)
+    return _SECONDS * many * problem.model.n_outcomes > seconds
 
 
 def with_split_costs(model: SSP, unit: Fraction) -> SSP:
@@ -444,17 +462,16 @@ def split_optimum(
 
 def layers_of_split(outcome: RefinedOutcome) -> CompiledAccumulatedCost:
     """The process that a search on split costs ended with."""
-    if not isinstance(outcome.compiled, CompiledAccumulatedCost):
-        raise ModelError("split costs need the accumulated-cost process")
-    return outcome.compiled
+    return cast("CompiledAccumulatedCost", outcome.compiled)  # as it was handed to the search
 
 
 def _solved_on_lattice(
     problem: Restated, options: SolveOptions, near: Near | None = None
 ) -> Solution:
     """The solution of a problem of rounded costs, exact but for these."""
-    if problem.semantics.maximises:
-        return solve_for_worth(problem, problem.compile(), options)
+    if not requirements(problem).is_risk:
+        solved = cheapest_at_least_failure if problem.failure_budget is None else best_within_budget
+        return solved(problem, options)
     question = question_of_compiled(problem.compile(), problem.failure_budget)
     return least_risk(problem, options, question, near)
 
@@ -470,11 +487,32 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         InfeasibleError: no policy keeps to the budget.
         Stop: the time ended before one that does was found.
     """
-    best: Solution | None = None
+    best = refine(_rounded_attempts(problem, options), options.tolerance)
+    return _concluded_on_rounded(problem, best, options)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rounded:
+    """The best policy that is known, by costs rounded up, and a bound of all others."""
+
+    solution: Solution
+    bound: float
+    unit: Fraction
+
+    @property
+    def gap(self) -> float:
+        """Relative gap between what costs rounded up and down say."""
+        return two_sided_gap(self.solution.objective, self.bound)
+
+
+def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Rounded]:
+    """The best policy, and the best bound, that are known after each unit."""
+    attempt: _Rounded | None = None
     sign = -1.0 if problem.semantics.maximises else 1.0
     bound, span = _no_worse(problem), span_of_totals(problem)
     for unit in rounding_units(problem, span):
-        rough = float(unit) / span if best is None else _SHARE * _rounded_gap(best.objective, bound)
+        best = None if attempt is None else attempt.solution
+        rough = float(unit) / span if attempt is None else _SHARE * attempt.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
             near = None if best is None else _near_on_rounded_costs(problem, best)
@@ -486,39 +524,36 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
             )
             if best is None or sign * found.objective < sign * best.objective:
                 best = found
-            proved = lattice_bound(problem, unit, finer, near)[0]
-            bound = sign * max(sign * bound, sign * proved)
-        except STOPS as stop:
-            if best is None:
-                raise
-            heed(stop)
+            with WithIncumbent():
+                proved = lattice_bound(problem, unit, finer, near)[0]
+                bound = sign * max(sign * bound, sign * proved)
         except ModelError:  # a table of so many layers is too large
             if best is None:
                 raise
-            break
-        if is_late() or _rounded_gap(best.objective, bound) <= options.tolerance:
-            break
-    if best is None:
-        raise SolverError("no unit was tried")
-    return _concluded_on_rounded(problem, best, bound, options, unit)
+            return
+        attempt = _Rounded(best, bound, unit)
+        yield attempt
 
 
-def proved_on_rounded_costs(
-    solution: Solution, attained: float, options: SolveOptions
-) -> tuple[float, float]:
+def prove_on_rounded_costs(solution: Solution, found: Evaluation, attained: float) -> Proved:
     """A bound worked out afresh, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that.
 
     Args:
         solution: of ``solve_on_rounded_costs``.
-        attained: what its policy attains.
-        options: tolerance and limits.
+        found: what its policy attains.
+        attained: the least failure of a member.
     """
-    problem = solution.problem
+    del attained
+    rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
+    enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
+    return refine(_rounded_proofs(solution.problem, found.objective, rough), enough)
+
+
+def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
+    """The best bound that is known after each unit."""
     sign = -1.0 if problem.semantics.maximises else 1.0
-    rough = replace(options, tolerance=max(options.tolerance, _SHARE * solution.gap))
-    enough = max(options.tolerance, (1.0 + _SHARE) * solution.gap)
     bound, allowed = _no_worse(problem), np.inf
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         try:
@@ -526,11 +561,9 @@ def proved_on_rounded_costs(
         except ModelError:  # a table of so many layers is too large
             if np.isinf(allowed):
                 raise
-            break
+            return
         bound = sign * max(sign * bound, sign * proved)
-        if _rounded_gap(attained, bound) <= enough:
-            break
-    return bound, allowed
+        yield Proved(attained, bound, allowed)
 
 
 def lattice_bound(
@@ -548,12 +581,6 @@ def lattice_bound(
     bound = found.lower_bound if found.upper_bound is None else found.upper_bound
     budget = problem.failure_budget
     return bound, found.budget_used if budget is None else max(budget, found.budget_used)
-
-
-def is_on_rounded_costs(solution: Solution) -> bool:
-    """Whether rounded costs gave a solution, or would: no constraint, and no levels of a grid."""
-    problem, levels = solution.problem, levels_of(solution.policy.policies)
-    return not has_rows(problem) and levels is None and problem.semantics.measure is not None
 
 
 def _near_on_rounded_costs(problem: Problem, best: Solution) -> Near | None:
@@ -607,28 +634,20 @@ def _no_worse(problem: Problem) -> float:
     return problem.semantics.failing_worth - measure.charge.lowest
 
 
-def _rounded_gap(attained: float, bound: float) -> float:
-    """The relative gap between what costs rounded up and down say."""
-    return relative_gap(max(attained, bound), min(attained, bound))
-
-
-def _concluded_on_rounded(
-    problem: Problem, best: Solution, bound: float, options: SolveOptions, unit: Fraction
-) -> Solution:
+def _concluded_on_rounded(problem: Problem, attempt: _Rounded, options: SolveOptions) -> Solution:
     """The best policy with the best bound, and what a reader should know."""
+    best, bound = attempt.solution, attempt.bound
     maximised, attained = problem.semantics.maximises, best.objective
     measure = problem.semantics.measure
     if measure is not None and measure.charge.settled is None and not is_late():
-        try:
+        with WithIncumbent():
             attained = measure.of(costs_as_counted(best.policy, problem))  # beyond its table, too
-        except STOPS as stop:
-            heed(stop)
     told = best.note
-    if _rounded_gap(attained, bound) > options.tolerance and not is_late():
+    if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         more = "no room for more levels"
         if getattr(problem, "cost_levels", None) is not None:
             more = "more levels leave a smaller gap"
-        told = f"costs are rounded to multiples of {float(unit):g}: {more}"
+        told = f"costs are rounded to multiples of {float(attempt.unit):g}: {more}"
     return replace(
         best,
         problem=problem,
@@ -691,4 +710,5 @@ def span_of_totals(problem: Problem, dearest: float | None = None) -> float:
     if isinstance(measure, WithinBound) and measure.bound > 0.0:
         return float(measure.bound)
     typical = _TYPICAL * compiled_constrained(problem).typical_cost
-    return max(typical, dearest / _RARE) or 1.0
+    settled = 0.0 if measure is None else measure.charge.settled or 0.0
+    return max(typical, dearest / _RARE, settled) or 1.0

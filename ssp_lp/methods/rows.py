@@ -10,17 +10,16 @@ On a grid of totals the process bounds every policy from below. The policies tha
 the rounded total; what they cost and how they fail is evaluated with the true costs, and the
 lottery is chosen by these numbers, so that it keeps to the budget and to all limits.
 
-Phase 1 ends with a lottery that keeps to all rows, or with the smallest set of rows that none keeps
-to. That rows cannot be kept is proved by prices z >= 0 at which every policy's ``z @ activity``
-exceeds ``z @ bounds`` (Farkas), never by the status of a program. Sets of rows are tried by size;
-where there are too many, rows are taken away from a conflicting set as long as it stays one.
+Phase 1 ends with a lottery that keeps to all rows, or with a set of rows that none keeps to, none
+of which can be left out. That is proved by prices z >= 0 at which every policy's ``z @ activity``
+exceeds ``z @ bounds`` (Farkas), never by the status of a program; rows are taken away from it as
+long as it stays a conflict.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
 
 import numpy as np
 
@@ -28,7 +27,7 @@ from ssp_lp.accumulated_cost.totals import Resolution
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import BELOW_RATIO, MACHINE_EPSILON, RELATIVE_GAP, FloatArray, read_only
 from ssp_lp.column_generation.column import Proof, least_of, relative_gap
-from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledConstrained
+from ssp_lp.column_generation.compiled_problem import ATTAINABLE, CompiledExplicit
 from ssp_lp.column_generation.explicit_pricing import LARGEST
 from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.column_generation.search import (
@@ -40,12 +39,14 @@ from ssp_lp.column_generation.search import (
     violation_in_master,
     without_trifles,
 )
-from ssp_lp.compiled.deadline import STOPS, Stop, closing, heed, is_late
+from ssp_lp.compiled.deadline import Stop, WithIncumbent, closing, is_late
 from ssp_lp.dynamic_programming.bellman import Work
-from ssp_lp.errors import Argument, InfeasibleError, SolverError
-from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_rows_program
-from ssp_lp.options import CERTIFYING, LinearProgramming, SolveOptions
+from ssp_lp.errors import Argument, InfeasibleError, ModelError, SolverError
+from ssp_lp.methods.full_program import ProgramOptimum, check_agreement, solve_program
+from ssp_lp.methods.refinement import Proved, refine
+from ssp_lp.options import CERTIFYING, Game, SolveOptions
 from ssp_lp.policies import MixedPolicy
+from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, compiled_constrained
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
@@ -65,7 +66,7 @@ class RowsOptimum(Found):
     """The best lottery that was found, with its proof, and what it took."""
 
     policy: MixedPolicy
-    compiled: CompiledConstrained
+    compiled: CompiledExplicit
     calls: int
     work: Work
     program: str = ""
@@ -81,6 +82,8 @@ class RowsOptimum(Found):
         """Relative gap, of what is asked for."""
         worth = self.compiled.sense.worth
         attained, limit = worth(self.value), worth(self.bound)
+        if not np.isfinite(attained):
+            return np.inf
         return relative_gap(max(attained, limit), min(attained, limit))
 
 
@@ -92,8 +95,8 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
         options: method, tolerance and limits.
 
     Raises:
-        InfeasibleError: no policy keeps to the failure budget and the limits; names the smallest
-            conflict that was found.
+        InfeasibleError: no policy keeps to the failure budget and the limits; names a
+            conflict none of whose rows can be left out.
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
     """
@@ -111,7 +114,7 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
 
 
 def rows_optimum(
-    stated: CompiledConstrained, options: SolveOptions, truth: Truth | None = None
+    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None = None
 ) -> RowsOptimum:
     """The best lottery that keeps to all rows, refined until the gap meets the tolerance.
 
@@ -121,43 +124,46 @@ def rows_optimum(
         truth: where accumulated cost is told apart, the true value of a lottery.
 
     Raises:
-        InfeasibleError: no policy keeps to all rows; names the smallest conflict that was found.
+        InfeasibleError: no policy keeps to all rows; names some that none keeps to together.
         SolverError: the time ran out before any such policy was found, or the linear program's
             answer fails its check.
     """
-    calls, work, gaps = 0, Work(), list[float]()
-    best: RowsOptimum | None = None
     guess: RowsOptimum | None = None
     if stated.resolution is not None:
         coarse = replace(stated, resolution=Resolution(grid=_COARSE_TOTALS, most=_COARSE_TOTALS))
         guess = _rows_attempt(coarse, SolveOptions(_COARSE_GAP, options.deadline), None, None)
         stated = stated.up_to(guess.kappa)
+    best = refine(_rows_attempts(stated, options, truth, guess), options.tolerance)
+    if best.gap <= options.tolerance:
+        return best
+    note = best.note or CUT_SHORT if is_late() else best.note
+    return _optimum_with_value(replace(best, note=note))
+
+
+def _rows_attempts(
+    stated: CompiledExplicit,
+    options: SolveOptions,
+    truth: Truth | None,
+    guess: RowsOptimum | None,
+) -> Iterator[RowsOptimum]:
+    """Optima on finer and finer totals, and in the end in twice the precision."""
+    calls, work, gaps = 0, Work(), list[float]()
     while True:
         try:
             found = _rows_attempt(stated, options.after(calls), truth, guess)
-        except STOPS as stop:
-            heed(stop)
-            if best is None:
-                raise Stop from stop
-            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
         except SolverError:
-            if best is None or not is_late():
-                raise
-            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
+            if gaps and is_late():
+                return
+            raise
         calls, work = calls + found.calls, work + found.work
         gaps.append(found.gap)
-        best = found if best is None or found.gap < best.gap else best
-        best = replace(best, calls=calls, work=work)
-        if best.gap <= options.tolerance:
-            return best
-        if is_late():
-            return _optimum_with_value(replace(best, note=best.note or CUT_SHORT))
+        yield replace(found, calls=calls, work=work)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
-        finer = None if stuck else found.compiled.refined(found.kappa)
+        finer = None if stuck or stated.charge is None else found.compiled.refined(found.kappa)
         if finer is None and not (stated.precise or found.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
-            return _optimum_with_value(best)
+            return
         stated = finer
         if found.compiled.totals is not None and np.isfinite(found.value):
             guess = found
@@ -185,7 +191,7 @@ def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
 
 
 def _rows_attempt(
-    stated: CompiledConstrained,
+    stated: CompiledExplicit,
     options: SolveOptions,
     truth: Truth | None,
     guess: RowsOptimum | None,
@@ -200,14 +206,14 @@ def _rows_attempt(
     if options.program is not None:
         if compiled.ratio:  # whether any lottery within the rows succeeds is no solver's to say
             best_lottery(compiled, opened, replace(options, tolerance=_COARSE))
-        program, opened = begun_at_duals(compiled, opened, options.program, options.deadline)
+        program, opened = begun_at_duals(compiled, opened, options)
     found, ratio = best_lottery(compiled, opened, options)
     return _concluded_for_rows(compiled, stated, opened, found, ratio, truth, program)
 
 
 def _concluded_for_rows(
-    compiled: CompiledConstrained,
-    stated: CompiledConstrained,
+    compiled: CompiledExplicit,
+    stated: CompiledExplicit,
     opened: StabilisedMaster,
     found: Generated,
     ratio: float,
@@ -222,7 +228,7 @@ def _concluded_for_rows(
         check_agreement(program, value)
     prices = without_trifles(found.prices, pool.sizes(rows), cost + ratio * failure)
     bound, values = bound_in_time(compiled, rows, prices, ratio, pool)
-    policy = found.lottery(compiled.pricing)
+    policy = found.lottery(compiled.pricing())
     if truth is not None and truth.figures is not None and compiled.is_rounded:
         kept = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
         policy, failure = kept or (policy, failure)
@@ -251,7 +257,7 @@ def _concluded_for_rows(
 
 
 def _note_on_rows(
-    compiled: CompiledConstrained, stated: CompiledConstrained, rows: Rows, finished: bool
+    compiled: CompiledExplicit, stated: CompiledExplicit, rows: Rows, finished: bool
 ) -> str:
     """What a reader should know of an optimum within rows: raised bounds, a cut search."""
     remarks = []
@@ -287,7 +293,7 @@ class Truth:
 
 
 def best_lottery(
-    compiled: CompiledConstrained, opened: StabilisedMaster, options: SolveOptions
+    compiled: CompiledExplicit, opened: StabilisedMaster, options: SolveOptions
 ) -> tuple[Generated, float]:
     """The best lottery over columns, and in case S its ratio (Dinkelbach's iteration)."""
     if not compiled.ratio:
@@ -319,7 +325,7 @@ def best_lottery(
 
 
 def true_lottery(
-    compiled: CompiledConstrained,
+    compiled: CompiledExplicit,
     rows: Rows,
     pool: Pool,
     weights: FloatArray,
@@ -361,13 +367,13 @@ def true_lottery(
 
 
 def _lottery_candidates(
-    compiled: CompiledConstrained, rows: Rows, pool: Pool, weights: FloatArray
+    compiled: CompiledExplicit, rows: Rows, pool: Pool, weights: FloatArray
 ) -> list[Policy]:
     """The best policies of the search and, where something is limited, some of steeper prices.
 
     What breaks a limit by rounding needs a policy on the other side.
     """
-    pricing, order = compiled.pricing, np.argsort(weights @ pool.figures, kind="stable")
+    pricing, order = compiled.pricing(), np.argsort(weights @ pool.figures, kind="stable")
     best = pool.columns[int(order[0])]
     if not compiled.ratio and rows.index.size == 0:
         return [pricing.policy(best)]
@@ -394,7 +400,7 @@ def _ratio_of_lottery(cost: FloatArray, failure: FloatArray, weights: FloatArray
     return float(cost @ weights) / goal if goal > 0.0 else float("inf")
 
 
-def truth_of(problem: Problem, stated: CompiledConstrained) -> Truth | None:
+def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     """What the policies of a lottery are worth on the model itself, where tables truncate them."""
     if stated.charge is None:
         return None
@@ -417,14 +423,14 @@ def truth_of(problem: Problem, stated: CompiledConstrained) -> Truth | None:
     return Truth(value, figures)
 
 
-def taken_by_lottery(stated: CompiledConstrained, found: Evaluation) -> list[float]:
+def taken_by_lottery(stated: CompiledExplicit, found: Evaluation) -> list[float]:
     """What a policy of the lottery takes of each row beside failure."""
     spent = found.secondary_costs
     return [row.activity(spent[row.condition.name]) for row in stated.side]
 
 
 def phase_one_opening(
-    compiled: CompiledConstrained, stated: CompiledConstrained, options: SolveOptions
+    compiled: CompiledExplicit, stated: CompiledExplicit, options: SolveOptions
 ) -> StabilisedMaster:
     """The cheapest policy of all, and more until some lottery keeps to all rows (phase 1).
 
@@ -437,7 +443,7 @@ def phase_one_opening(
         The search for the least cost to begin with: its rows raised where they lie below what is
         attainable by rounding, and in case S with the ratio of some lottery.
     """
-    pricing = compiled.pricing
+    pricing = compiled.pricing()
     pool = Pool(pricing, [pricing.first()])
     cheapest = pool.priced(np.eye(1, pricing.rewards.shape[1])[0])
     pool.add(cheapest)
@@ -463,7 +469,7 @@ def phase_one_opening(
             "no policy within all limits was found, and it was not proved that there is none: "
             "rounding ended the search"
         )
-    conflict = _smallest_conflict(pool, rows, first, options)
+    conflict = _irreducible_conflict(pool, rows, first, options)
     raise _refusal_in_phase_one(compiled, stated, conflict, rows)
 
 
@@ -479,7 +485,7 @@ def _first_ratio(pool: Pool, ended: Generated) -> float:
 
 
 def _refusal_in_phase_one(
-    compiled: CompiledConstrained, stated: CompiledConstrained, conflict: _Conflict, rows: Rows
+    compiled: CompiledExplicit, stated: CompiledExplicit, conflict: _Conflict, rows: Rows
 ) -> InfeasibleError:
     """The conflict as an error, with the least failure of all policies."""
     at_least, budget = compiled.budget is None, stated.budget
@@ -504,13 +510,10 @@ def _refusal_in_phase_one(
     )
 
 
-def _least_failure_in_phase_one(compiled: CompiledConstrained, discount: float | None) -> float:
+def _least_failure_in_phase_one(compiled: CompiledExplicit, discount: float | None) -> float:
     """The least failure of all policies, for phase 1."""
     reach = greatest_goal_reach(compiled.model, survival_of(discount), compiled.start).goal
     return max(1.0 - float(compiled.start @ reach), 0.0)
-
-
-_MOST_SETS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -570,29 +573,6 @@ def _proved_conflict(pool: Pool, rows: Rows, found: Generated) -> _Conflict | No
     return _Conflict(kept, shares[list(kept)], least, allowed)
 
 
-def _smallest_conflict(
-    pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions
-) -> _Conflict:
-    """The smallest conflict that can be found.
-
-    Args:
-        pool: policies to begin with; what is found is added.
-        rows: all rows.
-        first: a conflict among them.
-        options: tolerance and limits.
-    """
-    tried = 0
-    for size in range(1, len(first.rows)):
-        for some in combinations(range(len(rows.index)), size):
-            tried += 1
-            if tried > _MOST_SETS:
-                return _thinned_conflict(pool, rows, first, options)
-            found = _conflict_among(pool, rows, some, options)
-            if found is not None:
-                return found
-    return first
-
-
 def _conflict_among(
     pool: Pool, rows: Rows, some: tuple[int, ...], options: SolveOptions
 ) -> _Conflict | None:
@@ -605,15 +585,22 @@ def _conflict_among(
     return _Conflict(tuple(some[k] for k in found.rows), found.shares, found.least, found.allowed)
 
 
-def _thinned_conflict(pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions) -> _Conflict:
-    """A conflict none of whose rows can be left out."""
+def _irreducible_conflict(
+    pool: Pool, rows: Rows, first: _Conflict, options: SolveOptions
+) -> _Conflict:
+    """A conflict none of whose rows can be left out, by the deletion filter (Chinneck 1991).
+
+    Args:
+        pool: policies to begin with; what is found is added.
+        rows: all rows.
+        first: a conflict among them.
+        options: tolerance and limits.
+    """
     conflict = first
     for row in first.rows:
         rest = tuple(k for k in conflict.rows if k != row)
-        found = (
-            _conflict_among(pool, rows, rest, options) if rest and row in conflict.rows else None
-        )
-        conflict = conflict if found is None else found
+        if rest and row in conflict.rows:
+            conflict = _conflict_among(pool, rows, rest, options) or conflict
     return conflict
 
 
@@ -623,7 +610,7 @@ def _kept_to(ended: Generated, rows: Rows) -> bool:
 
 
 def begun_at_guess(
-    compiled: CompiledConstrained, opened: StabilisedMaster, guess: Found
+    compiled: CompiledExplicit, opened: StabilisedMaster, guess: Found
 ) -> StabilisedMaster:
     """The same search, begun at the ratio and the prices of another one."""
     ratio = guess.value if compiled.ratio else 0.0
@@ -634,19 +621,16 @@ def begun_at_guess(
 
 
 def begun_at_duals(
-    compiled: CompiledConstrained,
-    opened: StabilisedMaster,
-    asked: LinearProgramming,
-    deadline: float,
+    compiled: CompiledExplicit, opened: StabilisedMaster, options: SolveOptions
 ) -> tuple[ProgramOptimum, StabilisedMaster]:
     """The optimum of the full linear program, and the search begun at its duals."""
-    pricing, rows = compiled.pricing, opened.rows
+    pricing, rows = compiled.pricing(), opened.rows
     limits = {
         compiled.names[index - 1]: (pricing.rewards[:, index], float(bound))
         for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
     }
     process = replace(pricing.process, cost=np.ascontiguousarray(pricing.rewards[:, 0]))
-    program = solve_rows_program(process, limits, asked.backend, deadline, ratio=compiled.ratio)
+    program = solve_program(process, limits, options, ratio=compiled.ratio)
     prices = np.array([program.prices[name] for name in limits])
     if compiled.ratio:
         rows = replace(rows, ratio=program.objective or rows.ratio)
@@ -657,7 +641,7 @@ def begun_at_duals(
     return program, replace(opened, rows=rows, prices=prices, bound=bound)
 
 
-def by_name(compiled: CompiledConstrained, rows: Rows, values: FloatArray) -> dict[str, float]:
+def by_name(compiled: CompiledExplicit, rows: Rows, values: FloatArray) -> dict[str, float]:
     """A value of phase 1 for each limited row, by its name."""
     names = [compiled.names[index - 1] for index in rows.index.tolist()]
     return dict(zip(names, values.tolist(), strict=True))
@@ -676,7 +660,7 @@ def lagrange_bound(least: float, prices: FloatArray, bounds: FloatArray) -> floa
 
 
 def bound_in_time(
-    compiled: CompiledConstrained, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
+    compiled: CompiledExplicit, rows: Rows, prices: FloatArray, ratio: float, pool: Pool
 ) -> tuple[float, FloatArray]:
     """A certified lower bound of every lottery within the rows, at prices, and its values.
 
@@ -691,17 +675,15 @@ def bound_in_time(
     """
     every, bounds = np.zeros((2, rows.n_rewards - 1))
     every[rows.index - 1], bounds[rows.index - 1] = prices, rows.bounds
-    try:
+    with WithIncumbent():
         with closing():
             bound, proof = rows_bound(compiled, every, bounds, ratio, pool.proved)
         return bound, read_only(proof.values)
-    except STOPS as stop:
-        heed(stop)
-        return 0.0, np.broadcast_to(np.inf, compiled.pricing.value_shape)
+    return 0.0, np.broadcast_to(np.inf, compiled.pricing().value_shape)
 
 
 def rows_bound(
-    compiled: CompiledConstrained,
+    compiled: CompiledExplicit,
     prices: FloatArray,
     bounds: FloatArray,
     ratio: float,
@@ -744,7 +726,7 @@ def rows_bound(
 
 
 def _beyond_paid(
-    compiled: CompiledConstrained,
+    compiled: CompiledExplicit,
     prices: FloatArray,
     bounds: FloatArray,
     ratio: float,
@@ -754,13 +736,13 @@ def _beyond_paid(
     paid, less = ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if paid > 0.0:
         weights = np.append(1.0, prices)
-        less = compiled.pricing.check_less(weights, ratio, compiled.own_cost, paid, proof.values)
+        less = compiled.pricing().check_less(weights, ratio, compiled.own_cost, paid, proof.values)
     return max(
         lagrange_bound(proof.bound, prices, bounds) - paid, lagrange_bound(less, prices, bounds)
     )
 
 
-def least_goal_within(compiled: CompiledConstrained, bounds: FloatArray) -> float:
+def least_goal_within(compiled: CompiledExplicit, bounds: FloatArray) -> float:
     """A certified goal probability that every lottery within the rows has, by a search of its own.
 
     It follows from all rows together: where "little fuel" and "seldom the pit" leave no room for
@@ -785,7 +767,7 @@ def least_goal_within(compiled: CompiledConstrained, bounds: FloatArray) -> floa
 
 
 def bound_at(
-    compiled: CompiledConstrained, prices: Mapping[str, float], ratio: float, least_goal: float
+    compiled: CompiledExplicit, prices: Mapping[str, float], ratio: float, least_goal: float
 ) -> float:
     """A proof of a lower bound of every lottery within the rows, at prices by name.
 
@@ -795,9 +777,73 @@ def bound_at(
         ratio: case S: the value that is to be proved.
         least_goal: a goal probability that all of them have.
     """
-    pool = Pool(compiled.pricing, [compiled.pricing.first()])
+    pool = Pool(compiled.pricing(), [compiled.pricing().first()])
     limited = np.isfinite(compiled.bounds)
     known = np.array([prices.get(name, 0.0) for name in compiled.names]) * limited
     bounds = np.where(limited, compiled.bounds, 0.0)
     pool.add(pool.priced(np.concatenate([[1.0, known[0] + ratio], known[1:]])))
     return rows_bound(compiled, known, bounds, ratio, pool.proved, least_goal)[0]
+
+
+def prove_limits(solution: Solution, found: Evaluation, attained: float) -> Proved:
+    """The bound that the prices of all rows prove.
+
+    Raises:
+        ModelError: the value function does not fit.
+    """
+    del attained
+    stated, values = compiled_constrained(solution.problem), solution.value_function
+    compiled = stated.settled()
+    if values is None:
+        raise ModelError("a certificate needs the prices and their value function")
+    if not np.isfinite(found.objective):
+        return Proved(found.objective, 0.0, 1.0, f"the policy's objective is {found.objective}")
+    values = np.asarray(values)
+    levels = levels_of(solution.policy.policies)
+    if levels is not None:
+        compiled = replace(compiled, resolution=Resolution(fixed=tuple(levels.tolist())))
+    compiled = compiled.matching(values)
+    least = compiled.least.column.failure if compiled.budget is None else 0.0
+    budget, spent = max(stated.budget or 0.0, least), [found.limited_failure]
+    spent += taken_by_lottery(stated, found)
+    prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
+    if not ((prices >= 0.0) & (prices <= LARGEST)).all():
+        return Proved(found.objective, 0.0, budget, "a price is not a number >= 0")
+    limited = np.isfinite(compiled.bounds)
+    bounds = np.where(limited, compiled.bounds, 0.0)
+    room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
+    raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
+    claims = found.objective, solution.lower_bound
+    known = None if solution.method == Game.name else values  # a game's are of its own layers
+    lower = _bound_by_row_values(compiled, prices * limited, raised, known, claims)
+    budget = float(raised[0]) if limited[0] else budget
+    attained = found.objective - compiled.sense.worth(0.0)
+    lower = compiled.sense.settled_bound(
+        attained if compiled.sense.constant is None else -attained,
+        lower,
+        float(prices[limited] @ np.abs(bounds[limited])),
+    )
+    return Proved(found.objective, compiled.sense.worth(lower), budget)
+
+
+def _bound_by_row_values(
+    compiled: CompiledExplicit,
+    prices: FloatArray,
+    bounds: FloatArray,
+    values: FloatArray | None,
+    claims: tuple[float, ...],
+) -> float:
+    """The lower bound that prices and values prove; in case S of ratios that are claimed.
+
+    Where the values are None, they are worked out afresh.
+    """
+    pricing = compiled.pricing()
+
+    def prove(weights: FloatArray) -> Proof:
+        """What the values prove at weights of the rewards."""
+        if values is None:
+            return pricing.prove(weights, pricing.minimise(weights))
+        return pricing.check(weights, values)
+
+    ratios = [claim for claim in claims if claim > 0.0] if compiled.ratio else [0.0]
+    return max([0.0, *(rows_bound(compiled, prices, bounds, r, prove)[0] for r in ratios)])

@@ -15,7 +15,7 @@ from ssp_lp.column_generation.column import FailureRow
 from ssp_lp.errors import ModelError, SolverError, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress_axes
-from ssp_lp.problem import Problem, by_rows
+from ssp_lp.problem import Problem, requirements
 from ssp_lp.processes.failure_semantics import Aim
 
 if TYPE_CHECKING:
@@ -229,7 +229,7 @@ def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: Look, w
 def _proved_bounds(record: BoundsRecord, problem: Problem) -> FloatArray:
     """The lower bound that each report's price proves; -inf where none is known, [reports]."""
     budget, semantics = problem.failure_budget, problem.semantics
-    if budget is None or by_rows(problem) or semantics.aim is not Aim.LEAST_COST:
+    if budget is None or requirements(problem).several_rows or semantics.aim is not Aim.LEAST_COST:
         return np.full(len(record.prices), -np.inf)
     pricing, row = problem.compile().for_program().pricing(), FailureRow(budget, problem.ratio)
     best, proved = replace(pricing.first(), totals=None), []  # else its own values are taken

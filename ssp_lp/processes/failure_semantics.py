@@ -80,6 +80,13 @@ class FailureSemantics:
         return self.measure is not None and self.measure.maximised
 
     @property
+    def sense(self) -> ObjectiveSense:
+        """How what is minimised stands for what is asked, no quantity being minimised instead."""
+        if self.aim is Aim.GREATEST_GOAL:
+            return ObjectiveSense(0.0)
+        return ObjectiveSense(self.failing_worth) if self.maximises else AS_ASKED
+
+    @property
     def counts_cost_alone(self) -> bool:
         """Whether only a budget can keep a policy from failing: no penalty, aim or measure."""
         return self.penalty == 0.0 and self.aim is Aim.LEAST_COST and self.measure is None

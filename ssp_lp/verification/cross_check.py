@@ -10,17 +10,13 @@ from itertools import combinations
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
 from ssp_lp.arrays import LEAST_BUDGET
-from ssp_lp.column_generation.compiled_problem import (
-    CompiledAccumulatedCost,
-)
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
-from ssp_lp.game.setting import checked_setting
+from ssp_lp.methods.approaches import refusal
 from ssp_lp.model.naming import Summarised, text_table
 from ssp_lp.options import LinearProgramming, parse_method, progress_shown
-from ssp_lp.problem import Problem, by_rows, check_problem
+from ssp_lp.problem import Problem, check_problem, requirements
 from ssp_lp.solution import Solution
 from ssp_lp.solve import solve
-from ssp_lp.verification.certify import failure_of
 
 METHODS = ("lp", "columns", "game")
 
@@ -116,8 +112,8 @@ def result_by(
     if name == LinearProgramming.name:
         backend, reason = _program_backend(problem, lp_backend)
         method = LinearProgramming(backend)
-    elif name == "game":
-        reason = _game_reason(problem)
+    elif (refused := refusal(problem, method)) is not None:
+        reason = str(refused)
     if reason:
         return MethodResult(name, note=f"not asked: {reason}")
     began = time.perf_counter()
@@ -138,23 +134,11 @@ def _members_of_result(solution: Solution, each: list[Evaluation]) -> tuple[Memb
     """Each member of a lottery by itself."""
     members = []
     for found, weight in zip(each, solution.policy.weights, strict=True):
-        failure, cost = failure_of(found), found.objective
+        failure, cost = found.limited_failure, found.objective
         if solution.problem.ratio:
             cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
         members.append(Member(float(weight), cost, failure))
     return tuple(members)
-
-
-def _game_reason(problem: Problem) -> str:
-    """Why the game cannot be asked; empty if it can."""
-    try:
-        checked_setting(problem)
-    except ModelError as error:
-        return str(error)
-    compiled = problem.compile()
-    if isinstance(compiled, CompiledAccumulatedCost) and compiled.fixed_cap is not None:
-        return "the game chooses its own cap M: leave cost_cap out"
-    return ""
 
 
 def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, str]:
@@ -163,18 +147,10 @@ def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, s
         return None, "at least failure there is one method, the two stages of column generation"
     if asked is not None:
         return asked, ""
-    columns = _columns_of_method(problem)
+    columns = problem.compile().for_program().n_columns
     if columns <= MOST_COLUMNS:
         return None, ""
     return None, f"{columns:,} columns are too many to solve from nothing"
-
-
-def _columns_of_method(problem: Problem) -> int:
-    """Columns of the first program that the LP method would solve."""
-    compiled = problem.compile().for_program()
-    if isinstance(compiled, CompiledAccumulatedCost):
-        return compiled.process.cap * len(compiled.base.quotient.pair_at)
-    return compiled.explicit().n_pairs
 
 
 _NOTHING = 1e-12
@@ -410,12 +386,13 @@ def cross_check(
     check_problem(problem, "cross_check")
     check_between_0_and_1("tolerance", tolerance)
     check_between_0_and_1("weight_tolerance", weight_tolerance)
-    if problem.semantics.measure is not None:
+    asked = requirements(problem)
+    if asked.measure is not None:
         raise ModelError(
             f"the game knows costs only, not {type(problem).__name__}: method='lp' compares the "
             "linear program with column generation"
         )
-    if by_rows(problem):
+    if asked.several_rows:
         raise ModelError(
             f"the comparison knows one row only, not {type(problem).__name__}: method='lp' "
             "compares the linear program with column generation"

@@ -23,7 +23,7 @@ from ssp_lp import (
     solve,
     trace_frontier,
 )
-from ssp_lp.column_generation.compiled_problem import CompiledFailureLabel
+from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.compiled.deadline import check_time, is_limited
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
@@ -134,10 +134,8 @@ class Fined:
     ratio: bool = False
     semantics: FailureSemantics = FINED
 
-    def compile(self) -> CompiledFailureLabel:
-        return CompiledFailureLabel(
-            self.model, distribution_of(self.model, self.start), self.semantics
-        )
+    def compile(self) -> CompiledExplicit:
+        return CompiledExplicit(self.model, distribution_of(self.model, self.start), self.semantics)
 
 
 def test_a_penalty_and_a_budget_go_together():

@@ -26,9 +26,27 @@ from formulations import (
     MinCost,
     MinProb,
 )
+from own_criteria import Lateness
 from small_models import FIRST
-from ssp_lp import SSP, ModelError, certify, evaluate, secondary_cost, solve, trace_frontier, visits
-from ssp_lp.formulation import ExponentialUtility, FailureSemantics, Formulation, GiveUp, Start
+from ssp_lp import (
+    SSP,
+    ModelError,
+    arrival_cost,
+    certify,
+    evaluate,
+    secondary_cost,
+    solve,
+    trace_frontier,
+    visits,
+)
+from ssp_lp.formulation import (
+    ExponentialUtility,
+    FailureSemantics,
+    Formulation,
+    GiveUp,
+    Quantity,
+    Start,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,3 +149,87 @@ def test_replace_works_on_every_formulation() -> None:
     assert shared.failure_budget == pytest.approx(1.0 - 0.96 * 0.99)
     assert replace(shared, reach_fraction=0.95).failure_budget == pytest.approx(1.0 - 0.95 * 0.99)
     assert replace(shared, reach_fraction=None, failure_budget=0.2).failure_budget == 0.2
+
+
+def waiting(first: float) -> SSP:
+    """Try for a unit of time until it succeeds, 1 in 10 being lost; or pay at once."""
+    return SSP.from_transitions(
+        {
+            "gate": {
+                "try": [(0.5, "in", first), (0.4, "gate", first), (0.1, "out", first)],
+                "pay": [(1.0, "in", 4.0 * first)],
+            },
+            "out": {},
+        },
+        goal={"in"},
+        treat_actionless_as_dead_ends=True,
+    )
+
+
+@pytest.mark.parametrize("first", [1.0, 2.0**0.5])
+def test_the_mean_lateness_given_success(first: float) -> None:
+    """Of trying, sum_k 0.5 0.4^(k - 1) max(k - 2, 0) / (5/6) = 4/15; of paying 2, at budget 0."""
+    model = waiting(first)
+    for budget, best in ((None, 2.0), (1.0, 4.0 / 15.0), (0.2, 4.0 / 15.0)):
+        problem = Lateness(model, "gate", 2.0 * first, budget)
+        solution = solve(problem)
+        assert solution.objective == pytest.approx(best * first, rel=1e-9)
+        assert certify(solution).gap < 1e-9
+    # an extreme point: try until the failure of 0.05 is used up, or pay; a lottery of both
+    problem = Lateness(model, "gate", 2.0 * first, 0.05)
+    solution, measure = solve(problem), problem.program().solve()
+    assert solve(problem, "lp").objective == pytest.approx(solution.objective, rel=1e-9)
+    assert measure.objective == pytest.approx(solution.objective, rel=1e-9)
+    assert evaluate(measure.mixed_policy(), problem).objective == pytest.approx(
+        solution.objective, rel=1e-9
+    )
+    limited = replace(problem, failure_budget=0.2, constraints={"turns": visits("gate") <= 1.0})
+    assert solve(limited).objective >= solution.objective * (1.0 - 1e-9)
+    assert certify(solve(limited)).gap < 1e-9
+    hurried = replace(problem, failure_budget=0.9, horizon=1)
+    assert solve(hurried).objective == pytest.approx(0.0, abs=1e-12)
+
+
+def test_arrival_costs_add_and_scale() -> None:
+    """Half the total cost, and the lateness beyond 1 and 3, beside what each outcome is charged."""
+
+    @dataclass(frozen=True, eq=False)
+    class Delay(Formulation):
+        model: SSP
+        start: Start
+        ratio = True
+
+        @property
+        def quantity(self) -> Quantity:
+            late = [
+                arrival_cost(lambda c, due=due: np.maximum(c - due, 0.0), affine_from=due)
+                for due in (1.0, 3.0)
+            ]
+            return 0.5 * arrival_cost() + late[0] + 2.0 * late[1] + 1.0
+
+    model = SSP.from_transitions({"a": {"go": [(0.5, "g", 2.0), (0.5, "g", 7.0)]}}, goal={"g"})
+    charged = [0.5 * c + max(c - 1.0, 0.0) + 2.0 * max(c - 3.0, 0.0) + 1.0 for c in (2.0, 7.0)]
+    assert solve(Delay(model, "a")).objective == pytest.approx(sum(charged) / 2.0, rel=1e-12)
+
+
+def test_what_an_arrival_cost_is_not() -> None:
+    with pytest.raises(ModelError, match="ratio = True"):
+        LeastQuantity(FIRST, "depot", arrival_cost())
+    with pytest.raises(ModelError, match="not limited"):
+        MCMP(FIRST, "depot", 0.1, constraints={"late": arrival_cost() <= 3.0})
+    with pytest.raises(ModelError, match="not fall"):
+        solve(Falling(FIRST, "depot"))
+    with pytest.raises(ModelError, match="function"):
+        arrival_cost(3.0)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, eq=False)
+class Falling(Formulation):
+    model: SSP
+    start: Start
+    failure_budget: float | None = 0.05
+    ratio = True
+
+    @property
+    def quantity(self) -> Quantity:
+        return arrival_cost(lambda cost: np.maximum(10.0 - cost, 0.0), affine_from=20.0)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
+from own_criteria import Lateness
 from references import combined
 from references.combined import Limit, Program, Task
 from small_models import model_of
@@ -116,6 +117,10 @@ def utility(scale: float) -> Callable[[np.ndarray], np.ndarray]:
 
 CRITERIA = {
     "CVaR": (lambda d, **k: CVaR(d.model, "s0", d.level, d.task.most_failure, **k), tail_mean),
+    "Lateness": (
+        lambda d, **k: Lateness(d.model, "s0", d.bound, d.task.most_failure, **k),
+        lambda d: d.least(lambda total: max(float(total) - d.bound, 0.0)),
+    ),
     "CostQuantile": (
         lambda d, **k: CostQuantile(d.model, "s0", d.level, d.task.most_failure, **k),
         quantile,

@@ -13,8 +13,9 @@ from examples.solver_comparison.instances import families
 from formulations import S3P, MaxProb
 from ssp_lp import SSP, CostAwarePolicy, certify, evaluate, solve
 from ssp_lp.arrays import read_only
-from ssp_lp.methods.rounding import span_to_split, with_split_costs
+from ssp_lp.methods.rounding import is_split, with_split_costs
 from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.problem import requirements
 from ssp_lp.processes.expectations import cost_means
 
 EXACT, FEW = 20_000, 300  # totals that are told apart
@@ -50,7 +51,7 @@ def test_both_sides_enclose_the_optimum(seed: int, discount: float | None) -> No
     budget = [least, least + 0.05, 0.5, 0.9][seed % 4] if discount is None else 0.7
     exact = solve(S3P(model, start, budget, discount, cost_levels=EXACT))
     problem = S3P(model, start, budget, discount, cost_levels=FEW)
-    if span_to_split(problem) is None:
+    if not is_split(problem, requirements(problem)):
         pytest.fail("this model was to be too rich for so few levels")
     found = solve(problem)
     assert found.lower_bound <= exact.objective * (1.0 + 1e-9)
@@ -105,7 +106,7 @@ def test_finer_units_bring_the_bounds_together() -> None:
 
 def test_little_time_for_many_sums_gives_a_certified_answer_on_a_grid() -> None:
     problem = S3P(*real_costs.field(24, "3 prices"), 0.3)
-    assert span_to_split(problem) is None
+    assert not is_split(problem, requirements(problem))
     found = solve(problem, time_limit=2.0)
     assert found.gap < 0.1
     proof = certify(found)
@@ -148,7 +149,7 @@ def test_rare_goals_are_measured_by_themselves(share: float) -> None:
         {**moves, "pit": {}}, goal={"s6"}, treat_actionless_as_dead_ends=True
     )
     problem = S3P(model, "s0", reach_fraction=share, cost_levels=20)
-    assert span_to_split(problem) is not None
+    assert is_split(problem, requirements(problem))
     found = solve(problem)
     played = evaluate(found.policy, problem)
     assert played.objective == pytest.approx(found.objective, rel=1e-12)

@@ -8,6 +8,7 @@ from itertools import chain
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError, did_you_mean
 from ssp_lp.model import SSP
@@ -21,6 +22,7 @@ from ssp_lp.processes.quantities.conditions import (
     Term,
 )
 from ssp_lp.processes.quantities.quantity import (
+    ArrivalCosts,
     Constraint,
     Counted,
     Ends,
@@ -78,6 +80,32 @@ def objective_of(
     return found
 
 
+def arrival_measure(quantity: Quantity | None) -> ExpectedArrivalCost | None:
+    """The measure of a quantity that is made of arrival costs; None: it is not.
+
+    Raises:
+        ModelError: other quantities are added to it, or it is to be large.
+    """
+    terms = quantity.terms if isinstance(quantity, Quantity) else ()
+    costs = [(weight, counted) for weight, counted in terms if isinstance(counted, ArrivalCosts)]
+    if quantity is None or not costs:
+        return None
+    if len(costs) < len(terms) or min(weight for weight, _ in costs) < 0.0:
+        raise ModelError(
+            "an arrival cost goes with other arrival costs, at weights >= 0: limit what is counted "
+            "on the way"
+        )
+    constant = quantity.constant
+
+    def function(totals: FloatArray) -> FloatArray:
+        """The weighted sum of all of them."""
+        charges = [weight * np.asarray(counted.function(totals)) for weight, counted in costs]
+        return np.asarray(np.sum(charges, axis=0) + constant)
+
+    line = max(counted.affine_from for _, counted in costs)
+    return ExpectedArrivalCost(function, line)
+
+
 def _looked_up_condition(
     model: SSP, start: FloatArray, name: str, constraint: Constraint
 ) -> Condition:
@@ -126,6 +154,11 @@ def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
                 return StepTerm(model)
             costs = outcome_costs(model, name, cost)
             return StepTerm(replace(model, costs=costs, exact_costs={}))
+        case ArrivalCosts():
+            raise ModelError(
+                f"limit {name!r}: an arrival cost depends on the total of a whole run; it is "
+                "minimised given success (ratio = True), not limited"
+            )
         case Visits(of):
             return ArrivalTerm(model, _looked_up_states(model, name, of))
         case Ends(ways, others):

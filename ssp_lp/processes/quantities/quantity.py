@@ -10,12 +10,14 @@ add and scale, and comparing one with a number makes a constraint:
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from math import isfinite
 
+import numpy as np
 import numpy.typing as npt
 
+from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import ModelError, in_short, is_number
 
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
@@ -56,7 +58,19 @@ class Ends:
         return f"1 - {ways}" if self.others else ways
 
 
-Counted = StageCosts | Visits | Ends
+@dataclass(frozen=True, eq=False, repr=False)
+class ArrivalCosts:
+    """What arriving at the goal costs: a function of the total cost, in the end a line."""
+
+    function: Callable[[FloatArray], FloatArray]
+    affine_from: float
+
+    def __repr__(self) -> str:
+        """What was called."""
+        return "arrival_cost(...)"
+
+
+Counted = StageCosts | Visits | Ends | ArrivalCosts
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -201,6 +215,30 @@ def goal_probability() -> Quantity:
 def failure_probability() -> Quantity:
     """The probability of never reaching the goal."""
     return Quantity(((1.0, Ends(("goal",), others=True)),))
+
+
+def arrival_cost(
+    function: Callable[[FloatArray], FloatArray] | None = None, *, affine_from: float = 0.0
+) -> Quantity:
+    """What arriving at the goal costs, a function of the total cost: minimised given success.
+
+    As the ``quantity`` of a criterion of one's own with ``ratio = True`` it is E[f(C) | goal], such
+    as the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
+    Several add and scale. What depends on the total of a whole run is no row of a program: it is
+    not limited, nor added to what is counted on the way.
+
+    Args:
+        function: f, on arrays of total costs: at least 0, and non-decreasing; None: the total cost.
+        affine_from: a total from which on f is a line.
+
+    Raises:
+        ModelError: no function, or a total that is no number >= 0.
+    """
+    if function is not None and not callable(function):
+        raise ModelError(f"arrival_cost takes a function of total costs, not {in_short(function)}")
+    if (line := _quantity_number(affine_from)) < 0.0:
+        raise ModelError(f"affine_from must be at least 0, not {line:g}")
+    return Quantity(((1.0, ArrivalCosts(np.asarray if function is None else function, line)),))
 
 
 def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:

@@ -1,0 +1,129 @@
+"""Which approach answers which problem, and how it proves its answer.
+
+A problem says what it asks (:class:`~ssp_lp.problem.Requirements`); an approach says which problems
+it answers. ``solve`` and ``certify`` look both up in one table, the first that answers being taken;
+what a method refuses, and why, is said here too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ssp_lp.analysis.evaluation import Evaluation
+from ssp_lp.errors import Argument, ModelError
+from ssp_lp.game.setting import checked_setting
+from ssp_lp.methods.columns import (
+    best_within_budget,
+    cheapest_at_least_failure,
+    extreme_goal,
+    prove_goal,
+    prove_least_failure,
+    prove_within_budget,
+)
+from ssp_lp.methods.refinement import Proved
+from ssp_lp.methods.risk import least_risk, prove_risk
+from ssp_lp.methods.rounding import (
+    is_split,
+    prove_on_rounded_costs,
+    prove_on_split_costs,
+    solve_on_rounded_costs,
+    solve_on_split_costs,
+)
+from ssp_lp.methods.rows import prove_limits, solve_constrained
+from ssp_lp.options import DeterministicPolicies, Game, Method, SolveOptions
+from ssp_lp.policies.cost_aware import levels_of
+from ssp_lp.problem import Problem, Requirements, TotalScale, conditions_of, requirements
+from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.solution import Solution
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """A problem that is to be solved, or a solution of it that is to be proved."""
+
+    problem: Problem
+    seconds: float = np.inf  # that are left
+    by_program: bool = False  # written out, for the full linear program
+    on_levels: bool = False  # the policy tells levels of a grid apart
+
+    @staticmethod
+    def of_solution(solution: Solution) -> Case:
+        """The case that a solution answers; one without values was made for want of time."""
+        seconds = 0.0 if solution.value_function is None else np.inf
+        on_levels = levels_of(solution.policy.policies) is not None
+        return Case(solution.problem, seconds, on_levels=on_levels)
+
+    @cached_property
+    def asks(self) -> Requirements:
+        """What the problem asks."""
+        return requirements(self.problem)
+
+    @property
+    def has_cheapest_way(self) -> bool:
+        """Whether the least total of a way to the goal bounds what is asked."""
+        return self.asks.counts_totals and not self.asks.least_failure
+
+
+@dataclass(frozen=True, eq=False)
+class Approach:
+    """How some problems are solved, and how an answer is proved from the model alone."""
+
+    answers: Callable[[Case], bool]
+    solve: Callable[[Problem, SolveOptions], Solution]
+    prove: Callable[[Solution, Evaluation, float], Proved]
+    """Of a solution, what its policy attains, and the least failure of its members."""
+    afresh: bool = False  # whether the proof needs nothing of what the solution claims
+
+
+def _is_on_rounded_costs(case: Case) -> bool:
+    """A criterion of the law of a cost whose sums are too many, failure alone limited."""
+    asks, on_grid = case.asks, case.asks.totals is TotalScale.GRID
+    written_out = asks.rows or case.by_program or case.on_levels
+    return asks.measure is not None and on_grid and not written_out
+
+
+def _is_split(case: Case) -> bool:
+    """Case S with costs whose sums are too many, or take too long."""
+    return not case.by_program and is_split(case.problem, case.asks, case.seconds)
+
+
+APPROACHES = (
+    Approach(_is_on_rounded_costs, solve_on_rounded_costs, prove_on_rounded_costs, afresh=True),
+    Approach(_is_split, solve_on_split_costs, prove_on_split_costs, afresh=True),
+    Approach(lambda case: case.asks.is_risk, least_risk, prove_risk, afresh=True),
+    Approach(lambda case: case.asks.several_rows, solve_constrained, prove_limits),
+    Approach(lambda case: case.asks.aim is not Aim.LEAST_COST, extreme_goal, prove_goal),
+    Approach(lambda case: case.asks.least_failure, cheapest_at_least_failure, prove_least_failure),
+    Approach(lambda case: True, best_within_budget, prove_within_budget),
+)
+"""The first that answers is taken."""
+
+
+def approach_to(case: Case) -> Approach:
+    """The approach that answers a case."""
+    return next(approach for approach in APPROACHES if approach.answers(case))
+
+
+def refusal(problem: Problem, method: Method) -> ModelError | None:
+    """Why a method does not answer a problem; None: it does."""
+    asks, asked = requirements(problem), Argument("method", method.name)
+    name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
+    if isinstance(method, DeterministicPolicies) and (
+        asks.several_rows or asks.totals is TotalScale.SUMS or asks.measure is not None
+    ):
+        return ModelError(asked, f" is not available for {name}")
+    if not isinstance(method, Game):
+        return None
+    if asks.rows:
+        return ModelError(asked, f" knows one row only, not {name}: take 'columns' or 'lp'")
+    if asks.ratio and getattr(problem, "cost_cap", None) is not None:
+        return ModelError("the game chooses its own cap M: leave ", Argument("cost_cap"), " out")
+    try:
+        checked_setting(problem)
+    except ModelError as error:
+        return error
+    return None
