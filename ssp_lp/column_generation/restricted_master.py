@@ -202,8 +202,8 @@ def _from_basis(program: _Standard, basis: IntArray) -> tuple[FloatArray, FloatA
     for _ in range(_PIVOTS):
         square = program.matrix[:, basis]
         values, dual = (
-            _solved_in_master(square, program.right),
-            _solved_in_master(square.T, program.cost[basis]),
+            _refined_solution(square, program.right),
+            _refined_solution(square.T, program.cost[basis]),
         )
         reduced = program.cost - dual @ program.matrix
         reduced[basis] = 0.0
@@ -227,7 +227,7 @@ def _dual_step(
     leaving = int(np.argmin(values + program.rounding[basis]))
     unit = np.zeros(len(basis))
     unit[leaving] = 1.0
-    among = _solved_in_master(program.matrix[:, basis].T, unit)
+    among = _refined_solution(program.matrix[:, basis].T, unit)
     row, sizes = among @ program.matrix, _PIVOT * np.abs(program.matrix) + program.noise[:, None]
     row[basis] = 0.0
     able = row < -np.abs(among) @ sizes
@@ -246,8 +246,8 @@ def _primal_step(
         return None
     square, entry = program.matrix[:, basis], program.matrix[:, entering]
     column, inverse = (
-        _solved_in_master(square, entry),
-        _solved_in_master(square, np.eye(len(basis))),
+        _refined_solution(square, entry),
+        _refined_solution(square, np.eye(len(basis))),
     )
     able = column > np.abs(inverse) @ (_PIVOT * np.abs(entry) + program.noise)
     if not able.any():
@@ -256,7 +256,7 @@ def _primal_step(
     return int(np.argmin(ratio)), entering
 
 
-def _solved_in_master(square: FloatArray, right: FloatArray) -> FloatArray:
+def _refined_solution(square: FloatArray, right: FloatArray) -> FloatArray:
     """A dense solve with one step of refinement."""
     try:
         x = np.linalg.solve(square, right)

@@ -343,7 +343,7 @@ def columns_by_pricing(
     Returns:
         None where no column that keeps to the budget was found.
     """
-    pricing, last, price = _begun_with_columns(compiled, row, guess)
+    pricing, last, price = _first_price(compiled, row, guess)
     if price is None:
         return None
     steps = _STEPS if guess is None else tuple(guess.spread * step for step in _HINTED_STEPS)
@@ -378,7 +378,7 @@ def columns_by_pricing(
     return Secant(pricing, row, inside, outside, last, calls, work, took=took)
 
 
-def _begun_with_columns(
+def _first_price(
     compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None
 ) -> tuple[PricingProblem, Column | None, float | None]:
     """The pricing problem, and a column and a price to begin with; a Stop says what was under way.

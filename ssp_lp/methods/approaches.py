@@ -34,7 +34,14 @@ from ssp_lp.methods.rounding import (
     solve_on_split_costs,
 )
 from ssp_lp.methods.rows import prove_limits, solve_constrained
-from ssp_lp.options import DeterministicPolicies, Game, Method, SolveOptions
+from ssp_lp.options import (
+    ColumnGeneration,
+    DeterministicPolicies,
+    Game,
+    LinearProgramming,
+    Method,
+    SolveOptions,
+)
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem, Requirements, TotalScale, conditions_of, requirements
 from ssp_lp.processes.failure_semantics import Aim
@@ -110,6 +117,8 @@ def approach_to(case: Case) -> Approach:
 
 def refusal(problem: Problem, method: Method) -> ModelError | None:
     """Why a method does not answer a problem; None: it does."""
+    if isinstance(method, ColumnGeneration | LinearProgramming):
+        return None  # a budget of a share is not worked out for it
     asks, asked = requirements(problem), Argument("method", method.name)
     name = f"{type(problem).__name__}{' with limits' if conditions_of(problem) else ''}"
     if isinstance(method, DeterministicPolicies) and (

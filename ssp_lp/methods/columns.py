@@ -336,10 +336,10 @@ def refined_optimum(
     with WithIncumbent() as search:
         row = replace(row, lowest=compiled.lowest)
         if guess is None and options.program is None:
-            compiled, guess = _begun_by_label(compiled, budget)
-        outcome = _refined_attempt(compiled, row, None, options, guess)
+            compiled, guess = _capped_by_case_m(compiled, budget)
+        outcome = _attempt(compiled, row, None, options, guess)
     if search.stop:
-        return _safest_refined(compiled, row, search.stop)
+        return _safest_outcome(compiled, row, search.stop)
     best = refine(_finer_outcomes(outcome, options), options.tolerance)
     if not is_late():
         return best
@@ -352,13 +352,13 @@ def _finer_outcomes(outcome: RefinedOutcome, options: SolveOptions) -> Iterator[
     while True:
         yield outcome
         gaps.append(outcome.gap)
-        before, outcome = outcome, _refined_outcome(outcome, gaps, options)
+        before, outcome = outcome, _finer_outcome(outcome, gaps, options)
         if outcome.found is before.found:
             yield outcome
             return
 
 
-def _begun_by_label(
+def _capped_by_case_m(
     compiled: CompiledProblem, budget: float
 ) -> tuple[CompiledProblem, DualGuess | None]:
     """The price, and with it the cap, of case M, where no policy at hand tells of either.
@@ -381,13 +381,13 @@ def _begun_by_label(
     )
 
 
-def _refined_outcome(
+def _finer_outcome(
     outcome: RefinedOutcome, gaps: list[float], options: SolveOptions
 ) -> RefinedOutcome:
     """A finer search's outcome; with what was found before where refining does not help."""
     found, here = outcome.found, outcome.compiled
     if outcome.least is None and found.columns[0].failure >= outcome.row.budget - _NEAR:
-        outcome = _refined_at_the_edge(outcome, options)
+        outcome = _at_least_failure(outcome, options)
         if outcome.found is not found:
             return outcome
     is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
@@ -399,10 +399,10 @@ def _refined_outcome(
     spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
     guess = DualGuess(found.price, spread, slack=len(found.columns) == 1)
     later = options.after(outcome.calls)
-    return outcome.followed_by(_refined_attempt(finer, outcome.row, outcome.least, later, guess))
+    return outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
 
 
-def _safest_refined(
+def _safest_outcome(
     compiled: CompiledProblem, row: FailureRow, stop: BaseException
 ) -> RefinedOutcome:
     """The policy of least failure, where the time ended before any other within the budget.
@@ -421,17 +421,17 @@ def _safest_refined(
     raise Stop(told=told or "no policy was measured by then") from stop
 
 
-def _refined_at_the_edge(outcome: RefinedOutcome, options: SolveOptions) -> RefinedOutcome:
+def _at_least_failure(outcome: RefinedOutcome, options: SolveOptions) -> RefinedOutcome:
     """Work out the least failure; where the budget is equal to it, its policy is the answer."""
     least = checked_least_failure(outcome.compiled, outcome.row.budget)
     if not outcome.row.leaves_only(least.column):
         return replace(outcome, least=least)
     row = replace(outcome.row, budget=least.column.failure)
     later = options.after(outcome.calls)
-    return outcome.followed_by(_refined_attempt(outcome.compiled, row, least, later, None))
+    return outcome.followed_by(_attempt(outcome.compiled, row, least, later, None))
 
 
-def _refined_attempt(
+def _attempt(
     compiled: CompiledProblem,
     row: FailureRow,
     least: LeastFailure | None,

@@ -136,7 +136,7 @@ class _PolicySearch:
             return False
         kept = False
         for column in self.relaxation.measure(whole):
-            if column.failure > _allowed_in_search(self.row):
+            if column.failure > _largest_failure(self.row):
                 continue
             kept, value = True, self.row.objective(column.cost, column.goal)
             if value <= self.best.value:
@@ -180,7 +180,7 @@ def best_single_policy(
         ModelError: the process is of no known kind, or too large.
     """
     found, row, pricing = outcome.found, outcome.row, outcome.compiled.pricing()
-    inside = [c for c in found.columns if c.failure <= _allowed_in_search(row)]
+    inside = [c for c in found.columns if c.failure <= _largest_failure(row)]
     first = min(inside, key=lambda c: row.objective(c.cost, c.goal))
     value = row.objective(first.cost, first.goal)
     start = Found(pricing.policy(first), value, found.lower_bound, first.failure)
@@ -190,29 +190,29 @@ def best_single_policy(
     with WithIncumbent():
         relaxation = deterministic_relaxation(outcome.compiled, found.price)
         search = _PolicySearch(relaxation, row, start, tolerance, deadline)
-        return _searched_policy(search, found)
+        return _searched_policies(search, found)
     return start if search is None else search.best, False
 
 
-def _searched_policy(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
+def _searched_policies(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
     """Walk between two policies, then solve the programs; the search keeps the best policy."""
     relaxation, tolerance = search.relaxation, search.tolerance
-    _search_between(search, found.price)
+    _walk_between_members(search, found.price)
     if relative_gap(search.best.value, found.lower_bound) <= tolerance:
         return search.best, True
-    bound, finished = _minimised_in_search(search, relaxation.process, is_relaxed=False)
+    bound, finished = _integer_bound(search, relaxation.process, is_relaxed=False)
     if relaxation.may_randomise.any():
-        bound, finished = _minimised_in_search(search, relaxation.relaxed, is_relaxed=True)
+        bound, finished = _integer_bound(search, relaxation.relaxed, is_relaxed=True)
     best = search.best
     return replace(best, bound=min(max(bound, found.lower_bound), best.value)), finished
 
 
-def _allowed_in_search(row: FailureRow) -> float:
+def _largest_failure(row: FailureRow) -> float:
     """The budget, with room for rounding."""
     return row.budget + min(_ROUNDING, _SMALL * row.budget)
 
 
-def _search_between(search: _PolicySearch, price: float) -> None:
+def _walk_between_members(search: _PolicySearch, price: float) -> None:
     """Begin the search with policies between two, as near to the budget as changing states allows.
 
     The two that are best at prices just beside the lottery's are both optimal at it, and so is
@@ -230,10 +230,10 @@ def _search_between(search: _PolicySearch, price: float) -> None:
         differing = np.flatnonzero(safe != risky)
         for order in (differing, differing[::-1]):
             if search.offer(safe):
-                _search_walk(search, safe, risky, order)
+                _walk(search, safe, risky, order)
 
 
-def _search_walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: IntArray) -> None:
+def _walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: IntArray) -> None:
     """Change states in order while that keeps to the budget, by bisection; skip one that does not.
 
     Args:
@@ -254,7 +254,7 @@ def _search_walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: 
             return
 
 
-def _minimised_in_search(
+def _integer_bound(
     search: _PolicySearch, process: ExplicitProcess, *, is_relaxed: bool
 ) -> tuple[float, bool]:
     """A lower bound of what policies of a process attain, and whether the search was finished.
@@ -273,7 +273,7 @@ def _minimised_in_search(
     if visits is None:
         return 0.0, False
     free = search.relaxation.may_randomise & is_relaxed
-    program = IntegerProgram(process, _allowed_in_search(row), visits, free)
+    program = IntegerProgram(process, _largest_failure(row), visits, free)
     if not row.ratio:
         program.stop_at(search.tolerance)
     if program.pairs.size == 0:
@@ -281,9 +281,9 @@ def _minimised_in_search(
     ratio, bound = known if row.ratio else 0.0, 0.0
     for _ in range(_RATIOS):
         cost = process.cost - ratio * process.goal
-        _begin_policy_search(search, program, cost)
-        answer = _searched_program(search, program, cost, is_relaxed=is_relaxed)
-        bound = max(bound, min(_bound_of_search(row, ratio, answer.bound), known))
+        _begin_at_incumbent(search, program, cost)
+        answer = _solved_without_refused(search, program, cost, is_relaxed=is_relaxed)
+        bound = max(bound, min(_bound_from_integers(row, ratio, answer.bound), known))
         if not answer.finished:
             return bound, False
         better = ratio
@@ -296,7 +296,7 @@ def _minimised_in_search(
     return bound, False
 
 
-def _begin_policy_search(search: _PolicySearch, program: IntegerProgram, cost: FloatArray) -> None:
+def _begin_at_incumbent(search: _PolicySearch, program: IntegerProgram, cost: FloatArray) -> None:
     """Begin at the best policy so far, where it is one of the process's."""
     choice = search.choice
     if choice is None:
@@ -308,7 +308,7 @@ def _begin_policy_search(search: _PolicySearch, program: IntegerProgram, cost: F
     program.start_at(x, choice)
 
 
-def _searched_program(
+def _solved_without_refused(
     search: _PolicySearch, program: IntegerProgram, cost: FloatArray, *, is_relaxed: bool
 ) -> IntegerAnswer:
     """Solve, and solve again without each policy that breaks the budget when it is measured."""
@@ -322,7 +322,7 @@ def _searched_program(
         program.forbid(answer.choice, search.completed(answer.choice)[1])
 
 
-def _bound_of_search(row: FailureRow, ratio: float, value: float) -> float:
+def _bound_from_integers(row: FailureRow, ratio: float, value: float) -> float:
     """The objective's bound from the least ``cost - ratio * goal`` of any policy."""
     if not np.isfinite(value):
         return value

@@ -86,8 +86,8 @@ def program_of(
                 rows.append(ProgramRow(name, np.ascontiguousarray(each), float(bound), told))
     within = "" if horizon is None else f", within {horizon:,} steps"
     return OccupationProgram(
-        title=_title_of_program(inner, stated.budget) + within,
-        objective=_objective_of_program(inner, compiled),
+        title=_title(inner, stated.budget) + within,
+        objective=_objective_word(inner, compiled),
         augmented=augmented,
         rows=tuple(rows),
         ratio=inner.ratio,
@@ -130,7 +130,7 @@ def _cost_given_success(compiled: CompiledExplicit) -> LabelledModel:
     return LabelledModel(labelled, start, compiled.semantics, compiled.discount)
 
 
-def _objective_of_program(problem: Problem, compiled: CompiledExplicit) -> str:
+def _objective_word(problem: Problem, compiled: CompiledExplicit) -> str:
     """What the program minimises, in a word."""
     semantics = problem.semantics
     if compiled.objective is not None:
@@ -144,7 +144,7 @@ def _objective_of_program(problem: Problem, compiled: CompiledExplicit) -> str:
     return "cost"
 
 
-def _title_of_program(problem: Problem, budget: float | None) -> str:
+def _title(problem: Problem, budget: float | None) -> str:
     """The program's title: the formulation, and what is asked about failing."""
     asked = "least failure" if budget is None else f"failure budget {budget:g}"
     discount = "" if problem.discount is None else f", discount {problem.discount:g}"

@@ -65,7 +65,7 @@ from ssp_lp.compiled.deadline import Stop, WithIncumbent, has_answer, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
 from ssp_lp.methods.refinement import Proved
-from ssp_lp.methods.rows import Truth, bound_at, least_goal_within, rows_optimum, taken_by_lottery
+from ssp_lp.methods.rows import Truth, bound_at, least_goal_within, row_activities, rows_optimum
 from ssp_lp.model import SSP
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import MixedPolicy
@@ -408,13 +408,13 @@ class _QuestionWithinRows:
         def value(policy: MixedPolicy) -> float:
             """The charge given success of a lottery."""
             law = success_costs(policy, self.problem)
-            return _expected_in_question(charge, law) / law.goal
+            return _expected_charge(charge, law) / law.goal
 
         def figures(policy: Policy) -> FloatArray:
             """Charge, failure and rows of one policy."""
             law, found = success_costs(policy, self.problem), evaluate(policy, self.problem)
-            spent = taken_by_lottery(self.compiled, found)
-            return np.array([_expected_in_question(charge, law), found.failure_probability, *spent])
+            spent = row_activities(self.compiled, found)
+            return np.array([_expected_charge(charge, law), found.failure_probability, *spent])
 
         return Truth(value, figures)
 
@@ -423,7 +423,7 @@ Question = _QuestionWithinBudget | _QuestionWithinRows
 """The policies among which the least risk is sought."""
 
 
-def _expected_in_question(charge: Charge, law: CostLaw) -> float:
+def _expected_charge(charge: Charge, law: CostLaw) -> float:
     """E[charge; goal].
 
     Raises:

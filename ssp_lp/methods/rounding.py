@@ -116,12 +116,12 @@ def solve_on_split_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best = refine(_split_attempts(problem, options), options.tolerance)
-    return _concluded_on_split(problem, best, options)
+    return _split_solution(problem, best, options)
 
 
 def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Split]:
     """The best that is known after each unit."""
-    best, guess, span = _begun_with_incumbent(problem), None, span_of_steps(problem)
+    best, guess, span = _incumbent_split(problem), None, span_of_steps(problem)
     asked: int | None = getattr(problem, "cost_levels", None)
     reach, units = _REACH * span, list(split_units(problem, span))
     if best.lottery is not None:
@@ -133,10 +133,10 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Split]
         finer = replace(options.after(best.calls), tolerance=rough)
         try:
             outcome = split_optimum(problem, unit, finer, guess, asked, reach)
-            best = _bounded_by_split(best, outcome)
+            best = _with_split_bound(best, outcome)
             if not is_first:
                 with WithIncumbent() as improving, closing():
-                    best = _improved_split(problem, best, outcome)
+                    best = _with_true_lottery(problem, best, outcome)
                 if improving.stop and best.lottery is None:
                     raise improving.stop
         except ModelError:  # a table of so many layers is too large
@@ -147,7 +147,7 @@ def _split_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Split]
         guess, reach = DualGuess(outcome.found.price, _SPREAD), outcome.found.price
 
 
-def _begun_with_incumbent(problem: Problem) -> _Split:
+def _incumbent_split(problem: Problem) -> _Split:
     """A policy of case M, with what it costs given success; nothing, where there is none."""
     incumbent = Incumbent(problem)
     incumbent.find()
@@ -197,7 +197,7 @@ def _split_proofs(
         before = bound
 
 
-def _bounded_by_split(best: _Split, outcome: RefinedOutcome) -> _Split:
+def _with_split_bound(best: _Split, outcome: RefinedOutcome) -> _Split:
     """The best that is known with the bound that one unit gives."""
     found, calls, work = outcome.found, best.calls + outcome.calls, best.work + outcome.work
     note = "" if found.finished else CUT_SHORT
@@ -206,7 +206,7 @@ def _bounded_by_split(best: _Split, outcome: RefinedOutcome) -> _Split:
     return replace(known, layers=process.cap, end=process.cap * process.base.unit)
 
 
-def _improved_split(problem: Problem, best: _Split, outcome: RefinedOutcome) -> _Split:
+def _with_true_lottery(problem: Problem, best: _Split, outcome: RefinedOutcome) -> _Split:
     """The best that is known with one unit's policies, evaluated truly."""
     least, points, chosen = outcome.least, list[Column](), None
     if least is None or outcome.row.budget > least.column.failure:
@@ -315,7 +315,7 @@ def _best_of_points(points: list[Column], row: FailureRow) -> list[tuple[int, fl
     return chosen
 
 
-def _concluded_on_split(problem: Problem, best: _Split, options: SolveOptions) -> Solution:
+def _split_solution(problem: Problem, best: _Split, options: SolveOptions) -> Solution:
     """The solution that the best that is known makes.
 
     Raises:
@@ -488,7 +488,7 @@ def solve_on_rounded_costs(problem: Problem, options: SolveOptions) -> Solution:
         Stop: the time ended before one that does was found.
     """
     best = refine(_rounded_attempts(problem, options), options.tolerance)
-    return _concluded_on_rounded(problem, best, options)
+    return _rounded_solution(problem, best, options)
 
 
 @dataclass(frozen=True, eq=False)
@@ -515,7 +515,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Roun
         rough = float(unit) / span if attempt is None else _SHARE * attempt.gap
         finer = replace(options, tolerance=max(options.tolerance, rough))
         try:
-            near = None if best is None else _near_on_rounded_costs(problem, best)
+            near = None if best is None else _starting_point(problem, best)
             # the best policy of costs rounded up, on the model itself
             found = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
             members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
@@ -583,7 +583,7 @@ def lattice_bound(
     return bound, found.budget_used if budget is None else max(budget, found.budget_used)
 
 
-def _near_on_rounded_costs(problem: Problem, best: Solution) -> Near | None:
+def _starting_point(problem: Problem, best: Solution) -> Near | None:
     """Where a risk's search may begin, from the policy of coarser costs."""
     match problem.semantics.measure:
         case CostQuantileOf(level) | TailMeanOf(level):
@@ -634,7 +634,7 @@ def _no_worse(problem: Problem) -> float:
     return problem.semantics.failing_worth - measure.charge.lowest
 
 
-def _concluded_on_rounded(problem: Problem, attempt: _Rounded, options: SolveOptions) -> Solution:
+def _rounded_solution(problem: Problem, attempt: _Rounded, options: SolveOptions) -> Solution:
     """The best policy with the best bound, and what a reader should know."""
     best, bound = attempt.solution, attempt.bound
     maximised, attained = problem.semantics.maximises, best.objective

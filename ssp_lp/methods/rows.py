@@ -137,7 +137,7 @@ def rows_optimum(
     if best.gap <= options.tolerance:
         return best
     note = best.note or CUT_SHORT if is_late() else best.note
-    return _optimum_with_value(replace(best, note=note))
+    return _with_remark(replace(best, note=note))
 
 
 def _rows_attempts(
@@ -169,7 +169,7 @@ def _rows_attempts(
             guess = found
 
 
-def _optimum_with_value(found: RowsOptimum) -> RowsOptimum:
+def _with_remark(found: RowsOptimum) -> RowsOptimum:
     """The optimum with a remark on rounded totals, if some policy keeps to the rows.
 
     Raises:
@@ -200,7 +200,7 @@ def _rows_attempt(
     finer = 1.0 if stated.sense.constant is None else _FINER
     options = replace(options, tolerance=finer * options.tolerance)
     compiled = stated.settled()
-    opened, program = phase_one_opening(compiled, stated, options), None
+    opened, program = phase_one(compiled, stated, options), None
     if guess is not None:
         opened = begun_at_guess(compiled, opened, guess)
     if options.program is not None:
@@ -208,10 +208,10 @@ def _rows_attempt(
             best_lottery(compiled, opened, replace(options, tolerance=_COARSE))
         program, opened = begun_at_duals(compiled, opened, options)
     found, ratio = best_lottery(compiled, opened, options)
-    return _concluded_for_rows(compiled, stated, opened, found, ratio, truth, program)
+    return _proved_optimum(compiled, stated, opened, found, ratio, truth, program)
 
 
-def _concluded_for_rows(
+def _proved_optimum(
     compiled: CompiledExplicit,
     stated: CompiledExplicit,
     opened: StabilisedMaster,
@@ -251,12 +251,12 @@ def _concluded_for_rows(
         values=values,
         calls=pool.calls,
         work=pool.work,
-        note=_note_on_rows(compiled, stated, rows, found.finished),
+        note=_remarks(compiled, stated, rows, found.finished),
         program="" if program is None else program.report,
     )
 
 
-def _note_on_rows(
+def _remarks(
     compiled: CompiledExplicit, stated: CompiledExplicit, rows: Rows, finished: bool
 ) -> str:
     """What a reader should know of an optimum within rows: raised bounds, a cut search."""
@@ -343,30 +343,30 @@ def true_lottery(
     Returns:
         None where none of them keeps to the rows: the grid is too coarse.
     """
-    policies = _lottery_candidates(compiled, rows, pool, weights)
+    policies = _candidates(compiled, rows, pool, weights)
     true = np.stack([figures(policy) for policy in policies], axis=1)
-    taken_by_lottery, limits = true[rows.index], (rows.bounds, rows.scales)
+    taken, limits = true[rows.index], (rows.bounds, rows.scales)
     cost, failure = true[0], true[1]
-    nearest = solve_master(cost, taken_by_lottery, *limits, elastic=True)
-    if (taken_by_lottery @ nearest.weights > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
+    nearest = solve_master(cost, taken, *limits, elastic=True)
+    if (taken @ nearest.weights > rows.bounds * (1.0 + 1e-12) + 1e-15).any():
         return None
     chosen = nearest.weights
     if not compiled.ratio:
-        chosen = solve_master(cost, taken_by_lottery, *limits, elastic=False).weights
+        chosen = solve_master(cost, taken, *limits, elastic=False).weights
         return _lottery_of(policies, chosen), float(failure @ chosen)
-    ratio = _ratio_of_lottery(cost, failure, chosen)
+    ratio = _cost_given_success(cost, failure, chosen)
     if not np.isfinite(ratio):
         ratio = float((cost / np.maximum(1.0 - failure, 1e-300)).max()) + 1.0
     for _ in range(_TRUE_RATIOS):
-        found = solve_master(cost + ratio * failure, taken_by_lottery, *limits, elastic=False)
-        attained = _ratio_of_lottery(cost, failure, found.weights)
+        found = solve_master(cost + ratio * failure, taken, *limits, elastic=False)
+        attained = _cost_given_success(cost, failure, found.weights)
         if not attained < ratio * (1.0 - _TRUE_SETTLED):
             break
         chosen, ratio = found.weights, attained
     return _lottery_of(policies, chosen), float(failure @ chosen)
 
 
-def _lottery_candidates(
+def _candidates(
     compiled: CompiledExplicit, rows: Rows, pool: Pool, weights: FloatArray
 ) -> list[Policy]:
     """The best policies of the search and, where something is limited, some of steeper prices.
@@ -394,7 +394,7 @@ def _lottery_of(policies: list[Policy], weights: FloatArray) -> MixedPolicy:
     return MixedPolicy(tuple(policies[k] for k in used.tolist()), weights[used])
 
 
-def _ratio_of_lottery(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:
+def _cost_given_success(cost: FloatArray, failure: FloatArray, weights: FloatArray) -> float:
     """The cost given success of a lottery."""
     goal = float((1.0 - failure) @ weights)
     return float(cost @ weights) / goal if goal > 0.0 else float("inf")
@@ -418,18 +418,18 @@ def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
         cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
         if not stated.ratio:
             cost = value(MixedPolicy((policy,), np.ones(1)))
-        return np.array([cost, failure, *taken_by_lottery(stated, found)])
+        return np.array([cost, failure, *row_activities(stated, found)])
 
     return Truth(value, figures)
 
 
-def taken_by_lottery(stated: CompiledExplicit, found: Evaluation) -> list[float]:
+def row_activities(stated: CompiledExplicit, found: Evaluation) -> list[float]:
     """What a policy of the lottery takes of each row beside failure."""
     spent = found.secondary_costs
     return [row.activity(spent[row.condition.name]) for row in stated.side]
 
 
-def phase_one_opening(
+def phase_one(
     compiled: CompiledExplicit, stated: CompiledExplicit, options: SolveOptions
 ) -> StabilisedMaster:
     """The cheapest policy of all, and more until some lottery keeps to all rows (phase 1).
@@ -452,14 +452,12 @@ def phase_one_opening(
     ended = generate(violation_in_master(pool, rows), options)
     if _kept_to(ended, rows):
         raised = rows.relaxed(ended.excess)
-        ratio = _first_ratio(pool, ended) if compiled.ratio else 0.0
+        ratio = _positive_ratio(pool, ended) if compiled.ratio else 0.0
         at_none = np.zeros(len(limited)), cheapest.cost
         return StabilisedMaster(pool, replace(raised, ratio=ratio), *at_none)
     if compiled.budget is None and stated.budget is not None:
         anyhow = replace(stated, budget=1.0)
-        phase_one_opening(
-            anyhow, anyhow, options
-        )  # raises where the limits contradict each other anyhow
+        phase_one(anyhow, anyhow, options)  # raises where the limits contradict each other anyhow
     with closing():
         first = _proved_conflict(pool, rows, ended)
     if first is None and not ended.finished:
@@ -470,10 +468,10 @@ def phase_one_opening(
             "rounding ended the search"
         )
     conflict = _irreducible_conflict(pool, rows, first, options)
-    raise _refusal_in_phase_one(compiled, stated, conflict, rows)
+    raise _infeasible(compiled, stated, conflict, rows)
 
 
-def _first_ratio(pool: Pool, ended: Generated) -> float:
+def _positive_ratio(pool: Pool, ended: Generated) -> float:
     """A ratio for phase 1 to begin with: that of the known lottery, or some policy's."""
     attained = ended.ratio
     if np.isfinite(attained) and attained > 0.0:
@@ -484,7 +482,7 @@ def _first_ratio(pool: Pool, ended: Generated) -> float:
     return float(known.max()) if known.size else 1.0
 
 
-def _refusal_in_phase_one(
+def _infeasible(
     compiled: CompiledExplicit, stated: CompiledExplicit, conflict: _Conflict, rows: Rows
 ) -> InfeasibleError:
     """The conflict as an error, with the least failure of all policies."""
@@ -502,15 +500,13 @@ def _refusal_in_phase_one(
     return InfeasibleError(
         told,
         failure_budget=budget,
-        least_failure=_least_failure_in_phase_one(compiled, None),
-        least_discounted_failure=None
-        if discount is None
-        else _least_failure_in_phase_one(compiled, discount),
+        least_failure=_least_failure(compiled, None),
+        least_discounted_failure=None if discount is None else _least_failure(compiled, discount),
         conflicting_rows=tuple(named),
     )
 
 
-def _least_failure_in_phase_one(compiled: CompiledExplicit, discount: float | None) -> float:
+def _least_failure(compiled: CompiledExplicit, discount: float | None) -> float:
     """The least failure of all policies, for phase 1."""
     reach = greatest_goal_reach(compiled.model, survival_of(discount), compiled.start).goal
     return max(1.0 - float(compiled.start @ reach), 0.0)
@@ -757,7 +753,7 @@ def least_goal_within(compiled: CompiledExplicit, bounds: FloatArray) -> float:
     semantics = FailureSemantics(aim=Aim.LEAST_GOAL)
     reach = replace(compiled, semantics=semantics, charge=None, ratio=False, resolution=None)
     try:
-        opened = phase_one_opening(reach, reach, CERTIFYING)
+        opened = phase_one(reach, reach, CERTIFYING)
     except InfeasibleError:
         return 0.0  # then no lottery is within the rows, and nothing is to be proved
     found, rows = generate(opened, CERTIFYING), opened.rows
@@ -805,7 +801,7 @@ def prove_limits(solution: Solution, found: Evaluation, attained: float) -> Prov
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
     budget, spent = max(stated.budget or 0.0, least), [found.limited_failure]
-    spent += taken_by_lottery(stated, found)
+    spent += row_activities(stated, found)
     prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():
         return Proved(found.objective, 0.0, budget, "a price is not a number >= 0")

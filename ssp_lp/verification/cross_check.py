@@ -92,7 +92,7 @@ def result_of(name: str, solution: Solution) -> MethodResult:
         discounted_failure=found.discounted_failure,
         expected_cost=found.expected_cost,
         conditional_cost=found.conditional_cost,
-        members=_members_of_result(solution, each),
+        members=_members(solution, each),
         seconds=solution.seconds,
     )
 
@@ -130,7 +130,7 @@ def result_by(
     return replace(result, seconds=time.perf_counter() - began)
 
 
-def _members_of_result(solution: Solution, each: list[Evaluation]) -> tuple[Member, ...]:
+def _members(solution: Solution, each: list[Evaluation]) -> tuple[Member, ...]:
     """Each member of a lottery by itself."""
     members = []
     for found, weight in zip(each, solution.policy.weights, strict=True):

@@ -32,7 +32,7 @@ from ssp_lp import (
 from ssp_lp.column_generation.restricted_master import solve_master
 from ssp_lp.column_generation.search import generate
 from ssp_lp.linear_programming.highs import solve_with_highs
-from ssp_lp.methods.rows import phase_one_opening
+from ssp_lp.methods.rows import phase_one
 from ssp_lp.options import SolveOptions
 from ssp_lp.problem import compiled_constrained
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -195,7 +195,7 @@ def test_stabilised_prices_end_at_the_same_optimum(in_between):
     limits = {"steps": CostLimit(np.ones(900), 9.0), "fuel": CostLimit(fuel, 24.0)}
     problem = ConstrainedCost(model, 0, limits, failure_budget=0.2)
     instance = compiled_constrained(problem).settled()
-    opened = phase_one_opening(instance, instance, SolveOptions(1e-9))
+    opened = phase_one(instance, instance, SolveOptions(1e-9))
     found = generate(replace(opened, in_between=in_between), SolveOptions(1e-9))
     assert found.finished
     assert found.objective == pytest.approx(solve(problem).objective, rel=1e-9)
