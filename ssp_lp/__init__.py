@@ -69,8 +69,10 @@ if TYPE_CHECKING:
         within_steps as within_steps,
     )
     from ssp_lp.policies.remembering import on_original as on_original
-    from ssp_lp.programs.duality import StateValues as StateValues
-    from ssp_lp.programs.occupation_measure import OccupationMeasure as OccupationMeasure
+    from ssp_lp.programs.occupation_measure import (
+        OccupationMeasure as OccupationMeasure,
+        StateValues as StateValues,
+    )
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
     from ssp_lp.verification.cross_check import CrossCheck as CrossCheck, cross_check as cross_check
 
@@ -125,9 +127,8 @@ _MODULES = {
     "model.discretisation.grid": "Axis Grid",
     "model.product": "HorizonSSP Memory ProductSSP product within_steps",
     "policies.remembering": "on_original",
-    "programs.occupation_measure": "OccupationMeasure",
+    "programs.occupation_measure": "OccupationMeasure StateValues",
     "programs.occupation_program": "OccupationProgram",
-    "programs.duality": "StateValues",
     "verification.cross_check": "CrossCheck cross_check",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}

@@ -20,8 +20,7 @@ from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
-from ssp_lp.programs.augmented import Augmented, LabelledModel
-from ssp_lp.programs.layered_model import LayeredModel
+from ssp_lp.programs.augmented import Augmented, LabelledModel, LayeredModel
 from ssp_lp.programs.occupation_program import OccupationProgram
 from ssp_lp.programs.program_rows import ProgramRow
 

@@ -18,11 +18,16 @@ from scipy.sparse import csgraph
 
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound
-from ssp_lp.dynamic_programming.dynamics import Dynamics
+from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound, shortfall
+from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
+from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
+from ssp_lp.errors import SolverError
 from ssp_lp.model.graph.end_components import end_components
 from ssp_lp.model.graph.reachability import nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
+
+_NOT_BEST = 1e-6  # excess, relative to the optimum, of pairs that no optimal measure uses
+_LITTLE = 1e-5  # visits of such pairs that are noise of a solver
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,3 +144,65 @@ def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:
         node_of=node_of,
         inside=inside,
     )
+
+
+@dataclass(frozen=True, eq=False)
+class PricedMinimum:
+    """The least expected total cost of a process, and a policy that attains it."""
+
+    choice: IntArray  # [states]
+    bound: float  # certified: no policy's is less
+    goal: float  # what the policy reaches the goal with
+    values: FloatArray  # [states] the least from each, the duals of balance
+    excess: FloatArray  # [pairs] reduced costs: what each costs more than the best of its state
+
+    def without_noise(self, visits: FloatArray) -> FloatArray:
+        """A solver's visits without those of pairs that are not optimal, [pairs].
+
+        An interior point gives a little to every pair.
+        """
+        scale = 1.0 + abs(self.bound)
+        noise = (self.excess > _NOT_BEST * scale) & (visits < _LITTLE)
+        return np.where(noise, 0.0, visits)
+
+
+def priced_minimum(process: ExplicitProcess, pair_cost: FloatArray) -> PricedMinimum:
+    """Minimise a cost over all policies.
+
+    Cycles that cost nothing are contracted first: rounding would find policies that stay there.
+
+    Args:
+        process: the process.
+        pair_cost: [pairs]; where it is negative though the goal is not reached, the least may be
+            unbounded, and its bound -inf.
+    """
+    reached = process.goal > 0.0
+    floor = float((pair_cost[reached] / process.goal[reached]).min(initial=0.0))
+    gainful = bool((pair_cost[~reached] < 0.0).any())  # no constant is known to be below
+    leaving = leaving_choice(process.dynamics, process.goal)
+    rewards, weights = np.stack([pair_cost, process.goal], axis=1), np.array([1.0, 0.0])
+    smaller = contract(process, pair_cost == 0.0)
+    try:
+        if smaller is None:
+            settled = iterate_policy(process.dynamics, rewards, weights, leaving)
+            choice, totals = settled.choice, settled.totals
+        else:
+            begun = smaller.begun(process, leaving)
+            settled = iterate_policy(smaller.dynamics, rewards[smaller.pairs], weights, begun)
+            choice = smaller.expanded(process, settled.choice)
+            totals = settled.totals[smaller.node_of]
+    except SolverError:
+        nothing = np.zeros(process.n_states), np.zeros(process.n_pairs)
+        return PricedMinimum(leaving, -np.inf if gainful else floor, 0.0, *nothing)
+    values, goal = totals[:, 0], float(process.start @ totals[:, 1])
+    floor = -4.0 * float(np.abs(values).max(initial=0.0)) if gainful else floor
+    below = bound_of(process, smaller, pair_cost, values, floor)
+    bound = below.at(process.start)
+    if (
+        gainful
+        and not below.low.any()
+        and shortfall(process.dynamics, pair_cost, below.values).any()
+    ):
+        bound = -np.inf
+    excess = pair_cost + process.transitions @ values - values[process.pair_state]
+    return PricedMinimum(choice, bound, goal, values, excess)

@@ -13,8 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import scipy.sparse as sp
 
+from ssp_lp.accumulated_cost.process import spread_layer
+from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
+from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP, Policy
 from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy, find_pair
 from ssp_lp.processes.explicit import ExplicitProcess
@@ -130,12 +133,14 @@ class Augmented(ABC):
             states: of the model.
             action: an action that each of them has, ``GIVE_UP``, ``STAY``, or None for all.
         """
-        quotient, model = self.quotient, self.model
-        inner = np.isin(quotient.pair_node, quotient.node_of[states][quotient.node_of[states] >= 0])
+        quotient, live = self.quotient, states[self.quotient.node_of[states] >= 0]
+        inner = np.isin(quotient.pair_node, quotient.node_of[live])
         if action is GIVE_UP or action == STAY:
             inner &= quotient.gives_up
-        elif action is not None:
-            inner &= np.isin(quotient.pair_at, [find_pair(model, s, action) for s in states])
+        elif action is not None:  # copies out of time have no actions
+            acting = live if live.size else states
+            taken = [find_pair(self.model, state, action) for state in acting]
+            inner &= np.isin(quotient.pair_at, taken)
         firsts = np.arange(self.copies)[:, None] * len(quotient.pair_at)
         return np.asarray((firsts + inner.nonzero()[0]).ravel())
 
@@ -198,12 +203,9 @@ class LabelledModel(Augmented):
     def spread(self, spread: Spread) -> LabelledModel:
         """Rows of the live states themselves; what pairs take, whenever they are taken."""
         process, single, width = self.process, spread.quotient, len(self.quotient.pair_at)
-        survival = 1.0  # a discount collapses nothing
-        rows, start = (
-            single.transitions(survival, departing=False).matrix,
-            single.gather(self.start),
-        )
-        beyond, offsets, shape = process.n_pairs - width, single.pair_offsets, rows.shape
+        rows = single.transitions(1.0, departing=False).matrix  # a discount collapses nothing
+        start, offsets, shape = single.gather(self.start), single.pair_offsets, rows.shape
+        beyond = process.n_pairs - width
         if beyond:  # the source
             entry = sp.csr_array(np.append(start, 0.0)[None, :])
             rows = sp.csr_array(
@@ -239,3 +241,75 @@ class LabelledModel(Augmented):
         (flow,) = self.flows(visits)
         otherwise = self.policy(choice).decision.astype(np.int64)
         return StochasticPolicy.from_flows(self.model, *decisions(self.quotient, flow, otherwise))
+
+
+@dataclass(frozen=True, eq=False)
+class LayeredModel(Augmented):
+    """States and the cost paid so far; from the cap on one policy for all costs."""
+
+    layered: OpenEnded
+    start: FloatArray  # [states]
+
+    @property
+    def process(self) -> ExplicitProcess:
+        """All layers, written out."""
+        return self.layered.process
+
+    @property
+    def quotient(self) -> Quotient:
+        """The live part of a layer."""
+        return self.layered.base.quotient
+
+    @property
+    def departs(self) -> FloatArray:
+        """As the rows of a layer were divided."""
+        return self.layered.base.departs
+
+    def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
+        """One flow for each layer, the open end included; what enters a layer left another."""
+        base, quotient, below = self.layered.base, self.quotient, self.layered.leads[0]
+        model, merged, n_pairs = quotient.model, bool(quotient.merged.any()), len(base.gain)
+        entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
+        entering[:1] = self.layered.start
+        for layer in range(self.copies):
+            taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
+            flow = model_flow(quotient, taken)
+            if merged:
+                mass = np.repeat(flow.pairs, np.diff(model.outcome_offsets)) * model.probabilities
+                moved = np.flatnonzero(mass)
+                reached = below[layer, base.step_classes.ahead[moved]]
+                np.add.at(entering, (reached, model.successors[moved]), mass[moved])
+                flow = moving_within(quotient, flow, entering[layer])
+            yield flow
+
+    def spread(self, spread: Spread) -> LayeredModel:
+        """The layers spread out."""
+        base = spread_layer(self.layered.base, spread, self.start)
+        return replace(self, layered=replace(self.layered, base=base))
+
+    def counted(self, term: Term) -> FloatArray:
+        """The same in all layers, [process pairs]."""
+        return self.layered.everywhere(*term.at(self.layered.counting()))
+
+    @property
+    def copies(self) -> int:
+        """The layers up to the cap, which stands for all costs beyond it."""
+        return self.layered.cap + 1
+
+    def paid(self, copy: int) -> float:
+        """The layer's total; the last stands for more."""
+        return float(self.layered.totals.values[copy])
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """One decision for each state and accumulated cost."""
+        return self.layered.policy(choice)
+
+    def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
+        """A policy on states and accumulated cost."""
+        carrier, n_states, found = self.policy(choice), self.model.n_states, []
+        for layer, flow in enumerate(self.flows(visits)):  # the carrier's where none is visited
+            otherwise = carrier.branches(np.arange(n_states), np.full(n_states, layer)).pair
+            state, pair, share = decisions(self.quotient, flow, otherwise)
+            found.append((layer * n_states + state, pair, share))
+        keys, pairs, shares = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return StochasticPolicy.from_flows(self.model, keys, pairs, shares, carrier)

@@ -55,13 +55,12 @@ class ConvexProgram:
         self.cost = cp.Parameter(process.n_pairs, value=process.cost, name="cost")
         self._constant = cp.Parameter(value=0.0, name="constant")
         self.objective: Any = self.cost @ self.x + self._constant * self.scale
-        self.bounds = {
-            row.name: cp.Parameter(value=row.bound, name=row.name) for row in program.rows
-        }
+        rows = program.rows
+        self.bounds = {row.name: cp.Parameter(value=row.bound, name=row.name) for row in rows}
         balance = program.linear.matrix[program.linear.rows["balance"], : process.n_pairs]
         begun: Any = self.start * self.scale if program.ratio else self.start  # times 1 is slow
         self.constraints: dict[str, Any] = {"balance": balance @ self.x == begun}
-        for row in program.rows:
+        for row in rows:
             limit = self.bounds[row.name] * self.scale
             self.constraints[row.name] = row.coefficients @ self.x <= limit
         if program.ratio:
@@ -180,8 +179,7 @@ class ConvexProgram:
         told = solver, status, time.perf_counter() - began
         measure = OccupationMeasure(program, given.visits, prices, None, *told)
         if self._is_as_stated:
-            ratio = self._price("normaliser", -1.0) if program.ratio else 0.0
-            measure = program.optimal(measure, ratio)
+            measure = program.optimal(measure, self._price("normaliser", -1.0))
         else:
             self.x.value = measure.balanced * scale
             added = tuple(measured_rows(self._added, self.x, self.scale, scale))
@@ -190,11 +188,8 @@ class ConvexProgram:
                               optimal_value_from_dual=self._least_proved())  # fmt: skip
         stated = {row.name: row.violation(measure.activity[row.name]) for row in program.rows}
         broken = {"balance": measure.imbalance, **stated, **broken_rows(self._added)}
-        return (
-            measure,
-            broken,
-            {"balance", *stated, *(n for n, off in solvers.items() if off > 0.0)},
-        )
+        by_solver = {"balance", *stated, *(name for name, off in solvers.items() if off > 0.0)}
+        return measure, broken, by_solver
 
     def _least_proved(self) -> float | None:
         """The least objective that the duals of all rows prove, recomputed from the model.
@@ -324,5 +319,5 @@ class ConvexProgram:
 
     def _price(self, name: str, sign: float = 1.0) -> float:
         """A row's multiplier as the solver gives it; 0 where it has none."""
-        value = self.constraints[name].dual_value
+        value = getattr(self.constraints.get(name), "dual_value", None)
         return 0.0 if value is None else max(sign * float(np.ravel(value)[0]), 0.0)

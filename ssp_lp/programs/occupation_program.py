@@ -29,6 +29,7 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.naming import ByName, html_text
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.policy import GIVE_UP
+from ssp_lp.processes.contraction import PricedMinimum, priced_minimum
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.flow import Spread, spread_out
@@ -36,9 +37,11 @@ from ssp_lp.processes.quantities.conditions import ArrivalTerm
 from ssp_lp.processes.quantities.lookup import objective_of
 from ssp_lp.processes.quantities.quantity import Quantity
 from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel, LabelledModel
-from ssp_lp.programs.decomposition import balanced_visits
-from ssp_lp.programs.duality import PricedMinimum, StateValues, priced_minimum
-from ssp_lp.programs.occupation_measure import OccupationMeasure
+from ssp_lp.programs.occupation_measure import (
+    OccupationMeasure,
+    StateValues,
+    balanced_visits,
+)
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
 
 if TYPE_CHECKING:
@@ -57,42 +60,37 @@ class Reduction:
     program: OccupationProgram
     spread: Spread
 
-    @property
-    def _width(self) -> tuple[int, int]:
-        """Copies of the live part, and their pairs."""
-        augmented = self.program.augmented
-        return augmented.copies, len(augmented.quotient.pair_at)
+    def _by_copy(
+        self, values: FloatArray, width: int, made: Callable[[FloatArray], FloatArray]
+    ) -> FloatArray:
+        """Something made of what each copy of the live part has; what lies beyond stays."""
+        copies = self.program.augmented.copies
+        own = map(made, values[: copies * width].reshape(copies, width))
+        return np.concatenate([*own, values[copies * width :]])
 
     def row(self, coefficients: FloatArray) -> FloatArray:
         """What a row takes of each stated pair, [stated pairs], of what it takes here, [pairs]."""
-        copies, width = self._width
-        layers = coefficients[: copies * width].reshape(copies, width)
-        own = [self.spread.per_taking(layer) for layer in layers]
-        return np.concatenate([*own, coefficients[copies * width :]])
+        width = len(self.program.augmented.quotient.pair_at)
+        return self._by_copy(coefficients, width, self.spread.per_taking)
 
     def departures(self, visits: FloatArray) -> FloatArray:
         """Visits of the pairs here, [pairs], of those that are stated, [stated pairs]."""
-        (copies, _), width = self._width, len(self.spread.place)
-        layers = visits[: copies * width].reshape(copies, width)
-        own = [self.spread.departures(layer) for layer in layers]
-        return np.concatenate([*own, visits[copies * width :]])
+        return self._by_copy(visits, len(self.spread.place), self.spread.departures)
 
     def lifted(self, stated: OccupationProgram, found: OccupationMeasure) -> OccupationMeasure:
         """A measure of the stated program, of one of this; moves within components included."""
-        copies, width = self._width
-        flows = self.program.augmented.flows(found.visits)
-        own = [self.spread.visits(flow) for flow in flows]
-        visits = np.concatenate([*own, found.visits[copies * width :]])
+        augmented = self.program.augmented
+        own = map(self.spread.visits, augmented.flows(found.visits))
+        beyond = found.visits[augmented.copies * len(augmented.quotient.pair_at) :]
+        visits = np.concatenate([*own, beyond])
         values = None if found.values is None else self.values(stated, found.values)
         return replace(found, program=stated, visits=visits, values=values, reduced=found)
 
     def values(self, stated: OccupationProgram, found: StateValues) -> StateValues:
         """Values of the states of the stated program, of those of this."""
-        (copies, _), quotient = self._width, self.program.augmented.quotient
+        quotient = self.program.augmented.quotient
         nodes = quotient.node_of[self.spread.quotient.first_states]
-        size = copies * quotient.n_nodes
-        layers = found.states[:size].reshape(copies, quotient.n_nodes)[:, nodes]
-        states = np.concatenate([layers.ravel(), found.states[size:]])
+        states = self._by_copy(found.states, quotient.n_nodes, lambda values: values[nodes])
         return StateValues(stated, states, self.row(found.reduced_costs))
 
 
@@ -429,9 +427,11 @@ class OccupationProgram:
     def proved(
         self, prices: Mapping[str, float], ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
-        """The optimum as far as prices prove it, and what is best at them (``programs.duality``).
+        """The optimum as far as prices prove it, and what is best at them.
 
-        Of a program that nothing can be left out of.
+        For prices l >= 0 of the rows <q, x> <= b every measure satisfies ``<cost, x> >= <cost +
+        l q, x> - l b``, and what is minimised there has no rows but balance. Of a program that
+        nothing can be left out of.
 
         Args:
             prices: of the rows, by name, >= 0.
@@ -447,6 +447,10 @@ class OccupationProgram:
         self, cost: FloatArray, constant: float, ratio: float = 0.0
     ) -> tuple[PricedMinimum, float]:
         """The least of ``<cost, x> + constant`` over all visits, in case S over ``<goal, x>``.
+
+        In case S the same is asked of ``cost - c goal`` for a ratio c: where that cannot fall below
+        D <= 0, no ratio lies below ``c + D / g`` for the least goal probability g that the rows
+        leave.
 
         Args:
             cost: [pairs].

@@ -42,26 +42,18 @@ def rows_program(
     body = [sp.csr_array(outflow - process.transitions.T)]
     body += [sp.csr_array(row[None, :]) for row, _ in limits.values()]
     bounds, free = np.array([bound for _, bound in limits.values()]), np.full(n_limits, -np.inf)
+    cost, upper = process.cost, np.concatenate([process.start, bounds])
+    lower = np.concatenate([process.start, free])
     places = {name: slice(n_states + k, n_states + k + 1) for k, name in enumerate(limits)}
     rows = {"balance": slice(0, n_states)} | places
-    if not ratio:
-        return LinearProgram(
-            cost=process.cost,
-            matrix=sp.csc_array(sp.vstack(body)),
-            lower=np.concatenate([process.start, free]),
-            upper=np.concatenate([process.start, bounds]),
-            rows=rows,
-        )
-    body.append(sp.csr_array(process.goal[None, :]))
-    scale = sp.csr_array(np.concatenate([-process.start, -bounds, [0.0]])[:, None])
-    zeros, last = np.zeros(n_states), n_states + n_limits
-    return LinearProgram(
-        cost=np.append(process.cost, 0.0),
-        matrix=sp.csc_array(sp.hstack([sp.vstack(body), scale])),
-        lower=np.concatenate([zeros, free, [1.0]]),
-        upper=np.concatenate([zeros, np.zeros(n_limits), [1.0]]),
-        rows=rows | {"normaliser": slice(last, last + 1)},
-    )
+    if ratio:
+        scale = sp.csr_array(np.append(-upper, 0.0)[:, None])
+        body = [sp.hstack([sp.vstack([*body, sp.csr_array(process.goal[None, :])]), scale])]
+        cost, last = np.append(cost, 0.0), n_states + n_limits
+        rows["normaliser"] = slice(last, last + 1)
+        upper = np.append(np.zeros(last), 1.0)
+        lower = np.concatenate([np.zeros(n_states), free, [1.0]])
+    return LinearProgram(cost, sp.csc_array(sp.vstack(body)), lower, upper, rows)
 
 
 _ROUNDING = 1e-9  # of the greatest coefficient: a solver's tolerance

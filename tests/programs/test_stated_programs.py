@@ -319,6 +319,19 @@ def test_two_programs_share_one_budget() -> None:
     )
 
 
+def test_visits_of_an_action_are_counted_within_a_horizon() -> None:
+    problem = MCMP(TURNS, "s", 1.0, give_up="dead_ends", horizon=3)
+    program = problem.program()
+    convex = program.to_cvxpy()
+    convex.constraints["later"] = convex.visits("s", "go") <= 0.5
+    measure = convex.solve(solver=cp.CLARABEL)
+    assert program.visits("s", "go") @ measure.visits <= 0.5 + 1e-6
+    free = program.solve()
+    assert program.visits("s", "go") @ free.visits == pytest.approx(1.0)
+    with pytest.raises(ModelError, match="no action 'fly'"):
+        program.visits("s", "fly")
+
+
 def test_any_visits_make_a_measure() -> None:
     for problem in (MCMP(SLIP, "s", 0.2), S3P(TURNS, "s", 0.05)):
         program = problem.program()

@@ -105,6 +105,7 @@ class Program(NamedTuple):
     start: np.ndarray
     parts: dict[str, np.ndarray]
     arrivals: list[list[tuple[float, Number]]]  # per column: probability and total cost at the goal
+    labels: list[tuple[str, str]]  # per column: the state and the action
 
 
 def places(task: Task, horizon: float, live: list[str]) -> dict[tuple[str, Number], int]:
@@ -159,18 +160,23 @@ def program(
     dead, avoids = dead_ends(task), avoiding(task)
     live = [s for s in task.choices if s not in dead and s not in task.goals]
     place = places(task, horizon, live)
+    names_of_rows = [named(state) for state, _ in place]
     names = sorted({named(state) for state in task.choices})
     every = ["goal", "failure", "cost", "fuel"]
     every += [f"{part} {name}" for part in ("visits", "end") for name in names]
     rows, columns, entries = [], [], []
     taken_by_column: list[dict[str, float]] = []
     arrivals: list[list[tuple[float, Number]]] = []
+    labels: list[tuple[str, str]] = []
     entering = {
         state: least_paid(task, state, task.choices[state]) if charged else {} for state in dead
     }
 
-    def add(row: int, taken: dict[str, float], steps: dict[int, float], here: list) -> None:
+    def add(
+        row: int, taken: dict[str, float], steps: dict[int, float], here: list, action: str = STOP
+    ) -> None:
         """One more column."""
+        labels.append((names_of_rows[row], action))
         for at, entry in ({row: 1.0} | {t: (t == row) - p for t, p in steps.items()}).items():
             rows.append(at), columns.append(len(arrivals)), entries.append(entry)
         taken_by_column.append(taken)
@@ -202,7 +208,7 @@ def program(
                 elif p > 0:
                     there = place[successor, total]
                     steps[there] = steps.get(there, 0.0) + survival * p
-            add(row, taken, steps, here)
+            add(row, taken, steps, here, action)
         allowed = {"anywhere": True, "attention": state in avoids, "dead_ends": False}
         if state != SOURCE and allowed[give_up]:
             staying = [
@@ -214,13 +220,15 @@ def program(
             add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0} | paid_once, {}, [])
     counted = {part for limit in task.limits for part in limit.weights} | set(minimised)
     counted -= {part for part in every if part.startswith("end") or part in ("goal", "failure")}
-    for row in wandering(place.values(), rows, columns, taken_by_column, counted):
+    inside = list(place.values())[1:]  # nobody wanders before the start
+    for row in wandering(inside, rows, columns, taken_by_column, counted):
         add(row, dict.fromkeys(every, 0.0) | {"failure": 1.0}, {}, [])
     parts = {name: np.array([taken[name] for taken in taken_by_column]) for name in every}
     start = np.zeros(len(place))
     start[0] = 1.0
     shape = len(place), len(arrivals)
-    return Program(csr_array((entries, (rows, columns)), shape), start, parts, arrivals)
+    balance = csr_array((entries, (rows, columns)), shape)
+    return Program(balance, start, parts, arrivals, labels)
 
 
 def wandering(
