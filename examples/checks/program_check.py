@@ -618,7 +618,11 @@ def with_convex(kind: str) -> Callable[..., Iterator[str]]:
         own = cp.hstack([written.parts[f"visits {state}"] @ x for state in states])
         aim = cp.Minimize(draw.objective @ x + made[chosen](own))
         problem = cp.Problem(aim, rows)
-        problem.solve(cp.CLARABEL)
+        try:
+            problem.solve(cp.CLARABEL)
+        except cp.SolverError:
+            tally["without a reference"] += 1
+            return
         tally[chosen] += 1
         stated = program_cost(measure) - (-known if draw.criterion.maximised else known)
         solved = problem.status in ("optimal", "optimal_inaccurate")
