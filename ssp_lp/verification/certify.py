@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
+from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.column_generation.column import CONTRADICTION, relative_gap
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import OutOfTimeError
@@ -76,7 +77,11 @@ def _proved(solution: Solution, found: Evaluation, members: list[Evaluation]) ->
     unsearched = solution.value_function is None and solution.status is not Status.OPTIMAL
     if unsearched and not approach.afresh and case.has_cheapest_way:
         return prove_by_cheapest_way(solution.problem, found)
-    return approach.prove(solution, found, min(member.limited_failure for member in members))
+    proved = approach.prove(solution, found, min(member.limited_failure for member in members))
+    if proved.gap <= RELATIVE_GAP or proved.reason or not case.has_cheapest_way:
+        return proved
+    other = prove_by_cheapest_way(solution.problem, found)
+    return replace(proved, bound=other.bound) if other.gap < proved.gap else proved
 
 
 _BUDGET_ROUNDING = 1e-12

@@ -261,3 +261,21 @@ def test_a_law_that_takes_too_long_leaves_a_policy_with_a_bound(
     assert "mean and variance" in found.note
     monkeypatch.undo()
     assert evaluate(found.policy, problem).objective <= found.objective
+
+
+def test_a_better_policy_from_beside_keeps_the_proof_of_the_search() -> None:
+    """The search's prices and values go with its bound, at the same worth of failing."""
+    problem = S3P(layered(6, 5, seed=3), 0, 0.1)
+    best, held = solve(problem), Incumbent(problem)
+    held.find()
+    assert held.solution is not None
+    assert best.failure_price is not None
+    found = 1.01 * held.solution.objective  # of a search that was cut short
+    price = best.failure_price + best.objective - found
+    assert price > 0.0
+    cut = replace(best, objective=found, failure_price=price, status=Status.TIME_LIMIT)
+    improved = held.improving(cut)
+    assert improved.policy is held.solution.policy
+    proof = certify(improved)
+    assert proof.accepted
+    assert proof.lower_bound == pytest.approx(best.lower_bound, rel=1e-9)
