@@ -12,10 +12,12 @@ backwards gathers three numbers for every node of every layer.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import fsum
-from typing import Any
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,305 +25,410 @@ from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, unsigned
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.compiled.deadline import check_time, pieces
+from ssp_lp.compiled.deadline import STOPS, Stop, check_time, end_with_incumbent, pieces
 from ssp_lp.dynamic_programming.bellman import (
     PairCost,
     backup_rounding,
     best_pairs,
     chosen_product,
     row_parts,
+    safe_minima,
 )
 from ssp_lp.dynamic_programming.dual_bound import sub_solution
+from ssp_lp.dynamic_programming.dynamics import approach_leaving
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 
-_ONE = np.ones(1)
+_ONE, _NONE = np.ones(1), np.zeros(0)
+_Item = TypeVar("_Item")
+
+_BELOW_EVERY_VALUE = 1e-6
+"""No value is below minus the price; a floor this much lower leaves room to count rounding."""
+
+_KEPT_VALUES = 25_000_000
+"""Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
+shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
+
+_SAME = 1e-14
+"""Relative difference of values below which there is only rounding."""
 
 
-def is_acyclic(base: AccumulatedCost) -> bool:
-    """Whether every step between states costs something, so that layers need no solving."""
-    return base.instant.nnz == 0
+class PartOfSweep(NamedTuple):
+    """How far a sweep for the best choice had come when it was stopped."""
+
+    choice: IntArray  # [cap, nodes] of which the layers from ``layer`` on are written
+    price: float  # of failure
+    layer: int
+    measures: FloatArray | None  # [nodes, 3] from that layer on; None: a choice can be followed
 
 
-def room_for_choice(process: LayeredProcess) -> IntArray:
-    """Room for positions among the pairs of each node, in the smallest integers, [cap, nodes]."""
-    base = process.base
-    most = int(np.diff(base.pair_offsets).max(initial=1))
-    return np.empty((process.cap, base.n_nodes), dtype=least_integer_type(most))
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """The sweeps over one process, and what they share.
 
-
-def best_of_layer(
-    base: AccumulatedCost, cost: PairCost, ahead: FloatArray, inner: IntArray
-) -> tuple[IntArray, FloatArray]:
-    """The pairs of least value in a layer and their values, [nodes] each.
-
-    Args:
-        base: one layer of the process.
-        cost: of the pairs, priced.
-        ahead: values of what steps lead to, [layers * nodes].
-        inner: pairs to begin with where the layer has free steps, [nodes].
+    At a price of failure a run is worth its charge, ``failing`` where it fails and ``failing -
+    price`` where it arrives: with ``failing`` equal to the price this is ``charge + price *
+    failure``; with 0 it is ``charge - price * goal``, where no digit is lost if failing is likely.
+    A choice is the position of a pair among those of its node, [cap, nodes].
     """
-    if is_acyclic(base):
-        backup = best_pairs(base.pair_offsets, base.later, cost, ahead, tied=TIED)
-        return backup.choice, backup.minima
-    onward = (cost.total + base.later @ ahead)[:, None]
-    settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
-    return settled.choice, settled.values
+
+    process: LayeredProcess
+
+    def room_for_choice(self) -> IntArray:
+        """Room for a choice, in the smallest integers that hold it."""
+        base = self.process.base
+        most = int(np.diff(base.pair_offsets).max(initial=1))
+        return np.empty((self.process.cap, base.n_nodes), dtype=least_integer_type(most))
+
+    def minimise(self, price: float, failing: float, choice: IntArray) -> FloatArray:
+        """Write the best choice at a price; its charge, failure and goal from the start on, [3].
+
+        Raises:
+            Stop: with the part of the sweep that was done.
+        """
+        process, base = self.process, self.process.base
+        values, measures = process.beyond_value(price, failing), process.measures_beyond(price)
+        if self.one_pass is not None:
+            owed, saved = self._owed(price, failing)
+            blocks = self.one_pass.blocks(owed, saved, values, measures, choice)
+            return np.asarray(base.start @ _last(blocks)[2][0])
+        cost, inner = self._pair_costs(price, failing), self._first_choice
+
+        def best(
+            layer: int, ahead: FloatArray, measured: FloatArray | None = None
+        ) -> tuple[FloatArray, ...]:
+            """The values of the best choice, which is written, and its measures if asked for."""
+            nonlocal inner
+            if self.is_acyclic:
+                pair_cost = cost(layer)[0]
+                backup = best_pairs(base.pair_offsets, base.later, pair_cost, ahead, tied=TIED)
+                inner, least = backup.choice, backup.minima
+            else:
+                onward = (cost(layer)[0].total + base.later @ ahead)[:, None]
+                settled = iterate_policy(base.instant_dynamics, onward, _ONE, inner)
+                inner, least = settled.choice, settled.values
+            choice[layer] = inner - base.pair_offsets[:-1]
+            return (least,) if measured is None else (least, self._measures(layer, inner, measured))
+
+        part = PartOfSweep(choice, price, process.cap, None)
+        try:
+            beyond = (values,) if self.can_follow else (values, measures)
+            for layer, numbers in self._backward(best, *beyond):
+                part = part._replace(layer=layer, measures=(*numbers, None)[1])
+            if part.measures is None:
+                return self.follow(choice, price)
+            return np.asarray(base.start @ part.measures)
+        except STOPS as stop:
+            end_with_incumbent(stop)
+            raise Stop(part) from stop
+
+    def measure(self, choice: IntArray, tail_price: float) -> FloatArray:
+        """Charge, failure and goal of a choice from the start on, [3].
+
+        Args:
+            choice: [cap, nodes].
+            tail_price: the price of failure by which tails are chosen beyond the cap.
+        """
+        base, beyond = self.process.base, self.process.measures_beyond(tail_price)
+        if self.one_pass is not None:
+            given = _NONE, _NONE, beyond[:, :, 0], beyond, choice
+            blocks = self.one_pass.blocks(*given, keeps=True)
+            return np.asarray(base.start @ _last(blocks)[2][0])
+        if self.can_follow:
+            return self.follow(choice, tail_price)
+
+        def measured(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
+            """The measures of a layer's choice."""
+            return (self._measures(layer, base.pair_offsets[:-1] + choice[layer], ahead),)
+
+        return np.asarray(base.start @ _last(self._backward(measured, beyond))[1][0])
+
+    def bound(
+        self,
+        price: float,
+        failing: float,
+        given: FloatArray,
+        beyond: FloatArray,
+        choice: IntArray | None = None,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Lower bounds of every policy's value at a price: rounding counts against them.
+
+        Args:
+            price: of failure.
+            failing: what failing counts.
+            given: values that are not to be exceeded, [cap, nodes]; infinite: none.
+            beyond: lower bounds beyond the cap, [layers beyond, nodes].
+            choice: written by compiled loops where there are no free steps: whose values these
+                are, [cap, nodes].
+
+        Returns:
+            The bound if an episode began in each layer, [cap]; and the values, [cap, nodes],
+            infinite where they are too many to be kept.
+        """
+        process, base = self.process, self.process.base
+        floor = -(price - failing - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
+        is_kept = given.size <= _KEPT_VALUES
+        kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
+        begun, sizes = np.zeros((2, process.cap))
+        entries = np.flatnonzero(base.start)
+        shares = base.start[entries]
+        for some, lowest in self._lowest(price, failing, given, floor, beyond, choice):
+            begun[some] = lowest[:, entries] @ shares
+            sizes[some] = np.abs(lowest[:, entries]) @ shares
+            if is_kept:
+                kept[some] = lowest
+        ended = [failing * base.start_failure, -(price - failing) * base.start_goal]
+        ended.append(process.start_charge)
+        terms = max(len(entries) + int(np.count_nonzero(ended)) - 1, 0)
+        loss = terms * MACHINE_EPSILON * (sizes + float(np.abs(ended).sum()))
+        return begun + sum(ended) - loss, kept
+
+    def _lowest(
+        self,
+        price: float,
+        failing: float,
+        given: FloatArray,
+        floor: float,
+        beyond: FloatArray,
+        choice: IntArray | None,
+    ) -> Iterator[tuple[slice, FloatArray]]:
+        """Some layers, the last first, and lower bounds there, [layers, nodes]; see ``bound``."""
+        base, inner = self.process.base, self._first_choice
+        if self.one_pass is not None:
+            owed, saved = self._owed(price, failing)
+            limits = given, floor
+            for some, lowest, _ in self.one_pass.blocks(owed, saved, beyond, limits=limits):
+                yield some, lowest
+            return
+        cost = self._pair_costs(price, failing, sizes=True)
+
+        def lowest_of(layer: int, ahead: FloatArray) -> tuple[FloatArray]:
+            """Lower bounds of a layer; within one with free steps its best choice is kept."""
+            nonlocal inner
+            most, asked = given[layer], bool(np.isposinf(given[layer]).all())
+            if not asked:
+                most = np.maximum(np.nan_to_num(most, nan=floor, posinf=np.inf), floor)
+            pair_cost, size, alone = cost(layer)
+            if self.is_acyclic:
+                position = None if choice is None else choice[layer]
+                sums = pair_cost, size, alone, ahead, position
+                lowest = safe_minima(base.pair_offsets, base.later, *sums)
+                return (lowest if asked else np.minimum(lowest, most),)
+            growth = 0.0 if pair_cost.slope is None else pair_cost.factor * pair_cost.slope
+            size = (size + growth) + base.later @ np.abs(ahead)
+            onward = (pair_cost.fixed + growth) + base.later @ ahead
+            onward = np.where(size == alone, onward, onward - backup_rounding(base.later) * size)
+            settled = iterate_policy(base.instant_dynamics, onward[:, None], _ONE, inner)
+            inner, most = settled.choice, np.minimum(settled.values, most)
+            return (sub_solution(base.instant_dynamics, onward, most, floor),)
+
+        for layer, (lowest,) in self._backward(lowest_of, beyond):
+            yield slice(layer, layer + 1), lowest[None]
+
+    def lost_beyond(self, price: float, failing: float) -> FloatArray:
+        """What the tails are worth above the lower bound beyond the cap, [layers, nodes]."""
+        tails = self.process.beyond_value(price, failing)
+        least = self.process.beyond_bound(price, failing)
+        same = tails - least <= _SAME * (np.abs(tails) + np.abs(least))
+        return np.where(same, 0.0, tails - least)
+
+    def follow(self, choice: IntArray, tail_price: float) -> FloatArray:
+        """Charge, failure and goal of a choice from the start on, [3], by its mass forwards."""
+        process, mass = self.process, LayerMass(self.process.base, self.process.totals)
+        sums = [mass.follow(choice[k], process.charged(k)).tolist() for k in range(process.cap)]
+        beyond = process.beyond(tail_price)
+        sums.append([float((mass.left[: len(each)] * each).sum()) for each in beyond])
+        return np.array([fsum(each) for each in zip(*sums, strict=True)])
+
+    def mass_beyond(self, choice: IntArray) -> FloatArray:
+        """The mass with which a choice gets beyond the cap, [layers beyond, nodes] at least."""
+        base, mass = self.process.base, LayerMass(self.process.base, self.process.totals)
+        for chosen in choice:
+            mass.follow(chosen, PairCost(base.gain_cost))
+        return mass.left
+
+    def _owed(self, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
+        """What pairs owe beside the charge, and what they save, non-negative, [pairs] each."""
+        base = self.process.base
+        return failing * base.failure, (price - failing) * base.survival * base.gain
+
+    def _pair_costs(
+        self, price: float, failing: float, *, sizes: bool = False
+    ) -> Callable[[int], tuple[PairCost, FloatArray, FloatArray]]:
+        """By layer ``charge + owed - saved``, the sizes of its parts if asked for, and ``owed``."""
+        process, (owed, saved) = self.process, self._owed(price, failing)
+        if process.grows_evenly:
+            even, totals = process.charged(0), process.totals.values
+            cost, size = PairCost(even.fixed + owed - saved, even.slope), even.fixed + owed + saved
+            return lambda layer: (replace(cost, factor=float(totals[layer])), size, owed)
+
+        def summed(layer: int) -> tuple[PairCost, FloatArray, FloatArray]:
+            """What the pairs of a layer sum up, each layer's charges by themselves."""
+            fixed = process.charged(layer).fixed
+            size = np.abs(fixed) + owed + saved if sizes else owed
+            return PairCost(fixed + owed - saved), size, owed
+
+        return summed
+
+    def _backward(
+        self, step: Callable[..., tuple[FloatArray, ...]], *beyond: FloatArray
+    ) -> Iterator[tuple[int, tuple[FloatArray, ...]]]:
+        """Layer by layer, the last first, what a step makes of what the layer leads to.
+
+        Args:
+            step: of a layer and the numbers of what its steps lead to, [layers * nodes, ...] each.
+            beyond: those beyond the cap, [layers beyond, nodes, ...] each.
+
+        Yields:
+            The layer, and its numbers, [nodes, ...] each.
+        """
+        windows = [self.process.window(numbers) for numbers in beyond]
+        for layer in reversed(range(self.process.cap)):
+            check_time()
+            found = step(layer, *(window.flat for window in windows))
+            for window, numbers in zip(windows, found, strict=True):
+                window.push(numbers)
+            yield layer, found
+
+    def _measures(self, layer: int, chosen: IntArray, ahead: FloatArray) -> FloatArray:
+        """(charge, failure, goal) of a layer's choice, [nodes, 3].
+
+        Args:
+            layer: the layer.
+            chosen: a pair of each node, [nodes].
+            ahead: measures of what steps lead to, [layers * nodes, 3].
+        """
+        base, charge = self.process.base, self.process.charged(layer)
+        measures = np.empty((base.n_nodes, 3))
+        measures[:, 0] = charge.fixed[chosen]
+        if charge.slope is not None:
+            measures[:, 0] += charge.factor * charge.slope[chosen]
+        measures[:, 1] = base.failure[chosen]
+        measures[:, 2] = base.survival * base.gain[chosen]
+        measures += chosen_product(base.later, chosen, ahead)
+        if not self.is_acyclic:
+            measures = base.instant_dynamics.chain(chosen).solve(measures)
+        return measures
+
+    @cached_property
+    def is_acyclic(self) -> bool:
+        """Whether every step between states costs something, so that layers need no solving."""
+        return self.process.base.instant.nnz == 0
+
+    @property
+    def can_follow(self) -> bool:
+        """Whether a choice can be followed forwards, in compiled loops."""
+        return self.is_acyclic and accelerated(self.process.base.later.nnz)
+
+    @cached_property
+    def one_pass(self) -> OnePass | None:
+        """The compiled pass over all layers, where there is one."""
+        return one_pass(self.process)
+
+    @cached_property
+    def _first_choice(self) -> IntArray:
+        """A choice by which each layer with free steps is left, [nodes]."""
+        base = self.process.base
+        if self.is_acyclic or self.one_pass is not None:
+            return base.pair_offsets[:-1]
+        leaving = (base.gain > 0) | (base.failure > 0) | (np.diff(base.later.indptr) > 0)
+        return approach_leaving(base.instant_dynamics, leaving)
 
 
-def measures_of_layer(
-    base: AccumulatedCost, chosen: IntArray, charge: PairCost, ahead: FloatArray
-) -> FloatArray:
-    """(charge, failure, goal) of a layer's choice, [nodes, 3].
-
-    Args:
-        base: one layer of the process.
-        chosen: a pair of each node, [nodes].
-        charge: of arriving by the pairs.
-        ahead: measures of what steps lead to, [layers * nodes, 3].
-    """
-    totals = np.empty((base.n_nodes, 3))
-    totals[:, 0] = charge.fixed[chosen]
-    if charge.slope is not None:
-        totals[:, 0] += charge.factor * charge.slope[chosen]
-    totals[:, 1] = base.failure[chosen]
-    totals[:, 2] = base.survival * base.gain[chosen]
-    totals += chosen_product(base.later, chosen, ahead)
-    if not is_acyclic(base):
-        totals = base.instant_dynamics.chain(chosen).solve(totals)
-    return totals
-
-
-def measures_backwards(process: LayeredProcess, choice: IntArray, beyond: FloatArray) -> FloatArray:
-    """(charge, failure, goal) of a choice over all layers, from the first one, [nodes, 3].
-
-    Args:
-        process: the process.
-        choice: position among the pairs of each node, [cap, nodes].
-        beyond: the measures beyond the cap, [layers beyond, nodes, 3].
-    """
-    base = process.base
-    measured, totals = process.window(beyond), np.zeros((base.n_nodes, 3))
-    for layer in reversed(range(process.cap)):
-        check_time()
-        chosen = base.pair_offsets[:-1] + choice[layer]
-        totals = measures_of_layer(base, chosen, process.charged(layer), measured.flat)
-        measured.push(totals)
-    return totals
-
-
-Summands = tuple[PairCost, FloatArray, FloatArray]
-"""The parts of each pair's backup, for counting rounding: cost, magnitude and what is counted once
-(see ``safe_minima``), [pairs] each."""
-
-
-def bound_free_steps(
-    base: AccumulatedCost,
-    sums: Summands,
-    ahead: FloatArray,
-    given: FloatArray,
-    inner: IntArray,
-    floor: float,
-) -> tuple[FloatArray, IntArray]:
-    """Lower bounds of a layer with steps inside it, [nodes], and its best choice.
-
-    Args:
-        base: one layer of the process.
-        sums: what its pairs cost.
-        ahead: bounds of what they lead to in later layers, [layers * nodes].
-        given: values that are not to be exceeded, [nodes].
-        inner: a choice to begin with, [nodes].
-        floor: no value is less.
-    """
-    cost, magnitude, alone = sums
-    growth = 0.0 if cost.slope is None else cost.factor * cost.slope
-    size = (magnitude + growth) + base.later @ np.abs(ahead)
-    onward = (cost.fixed + growth) + base.later @ ahead
-    onward = np.where(size == alone, onward, onward - backup_rounding(base.later) * size)
-    settled = iterate_policy(base.instant_dynamics, onward[:, None], _ONE, inner)
-    given = np.minimum(settled.values, given)
-    return sub_solution(base.instant_dynamics, onward, given, floor), settled.choice
-
-
-def priced_layers(process: LayeredProcess, owed: FloatArray) -> Callable[[int], PairCost]:
-    """What each pair costs at a layer: the charge of arriving and what is owed, [pairs].
-
-    Args:
-        process: the process.
-        owed: the same in all layers, [pairs].
-    """
-    if not process.grows_evenly:
-        return lambda layer: PairCost(process.charged(layer).fixed + owed)
-    even, totals = process.charged(0), process.totals.values
-    paid = PairCost(even.fixed + owed, even.slope)
-    return lambda layer: replace(paid, factor=float(totals[layer]))
-
-
-def summed_layers(
-    process: LayeredProcess, owed: FloatArray, saved: FloatArray
-) -> Callable[[int], Summands]:
-    """The parts of ``charge + owed - saved`` at a layer.
-
-    Args:
-        process: the process.
-        owed: non-negative, [pairs].
-        saved: non-negative, [pairs].
-    """
-    if process.grows_evenly:
-        even, totals = process.charged(0), process.totals.values
-        paid = even.fixed + owed
-        cost, whole = PairCost(paid - saved, even.slope), paid + saved
-        return lambda layer: (replace(cost, factor=float(totals[layer])), whole, owed)
-
-    def summed(layer: int) -> Summands:
-        """What the pairs of a layer sum up, each layer's charges by themselves."""
-        fixed = process.charged(layer).fixed
-        return PairCost(fixed + owed - saved), np.abs(fixed) + owed + saved, owed
-
-    return summed
+def _last(items: Iterable[_Item]) -> _Item:
+    """The last one of all, which alone is kept."""
+    return deque(items, maxlen=1)[0]
 
 
 _MOST_CELLS = 8_000_000
 """Nodes times layers that steps lead to, four numbers each; more of them are swept one by one."""
 
-
 _MOST_ENTRIES = 30_000
 """Entries of a layer without free steps from which calling a loop for each is next to nothing."""
-
 
 _MOST_WITHIN = 20.0
 """Steps within a layer, of any policy: with more of them its equations are solved instead."""
 
-
 _TURNS_A_STEP = 40.0  # that a policy takes within a layer: e^-40 of what was missing is left
-
-
-_ACCURATE = 1e-14
-"""Relative change of values and measures at which turns over a layer end: next to rounding."""
-
 
 _MOST_CHARGES = 20_000_000
 """Charges, pairs that arrive times layers, where they do not grow evenly."""
 
 
-_NONE = np.zeros(0)
-
-
 @dataclass(frozen=True, eq=False)
 class OnePass:
-    """What the compiled pass reads, whatever is minimised."""
+    """What the compiled pass over all layers reads, whatever is asked for."""
 
     process: LayeredProcess
     order: IntArray  # [nodes] each after those that its free steps lead to, as far as may be
     within: FloatArray | None  # [nodes] see ``steps_within``; None: free steps do not go round
-    kinds: IntArray  # [entries] of steps, numbered as they are used
-    leads: IntArray  # [layers, kinds] where they lead; or [1, kinds] how many layers ahead
-    charge: FloatArray  # [layers or 1, slots]
-    slot: IntArray  # [pairs]
+    classes: IntArray  # [entries] of steps, numbered as they are used
+    leads: IntArray  # [layers, classes] where they lead; or [1, classes] how many layers ahead
+    charge: FloatArray  # [layers or 1, columns]
+    column: IntArray  # [pairs]
     growth: FloatArray  # [pairs] or empty
 
-    def minimise(
-        self, owed: FloatArray, values: FloatArray, measures: FloatArray, choice: IntArray
-    ) -> FloatArray:
-        """Charge, failure and goal from the first layer under the best choice, [nodes, 3].
-
-        Args:
-            owed: what pairs cost beside the charge, [pairs].
-            values: of the tails beyond the cap, [layers beyond, nodes].
-            measures: charge, failure and goal of the tails, [layers beyond, nodes, 3].
-            choice: written, [cap, nodes].
-        """
-        return self._measured(owed, values, measures, choice, keeps=False)
-
-    def measure(self, measures: FloatArray, choice: IntArray) -> FloatArray:
-        """Charge, failure and goal from the first layer under a choice, [nodes, 3].
-
-        Args:
-            measures: charge, failure and goal of the tails, [layers beyond, nodes, 3].
-            choice: among each node's pairs, [cap, nodes].
-        """
-        return self._measured(_NONE, measures[:, :, 0], measures, choice, keeps=True)
-
-    def _measured(
-        self,
-        owed: FloatArray,
-        values: FloatArray,
-        measures: FloatArray,
-        choice: IntArray,
-        *,
-        keeps: bool,
-    ) -> FloatArray:
-        """Charge, failure and goal from the first layer, [nodes, 3], of a choice or the best."""
-        from ssp_lp.compiled.layers import back_up_layers
-
-        run: Callable[..., None] = back_up_layers
-        base = self.process.base
-        own = owed, base.gain, base.failure, base.survival, _ACCURATE, TIED
-        for some, parts, (known, measured) in self._blocks(values, measures):
-            run(*parts, *own, known.ravel(), measured.reshape(-1, 3), choice[some], keeps)
-        return np.asarray(measured[0])
-
-    def lowest(
+    def blocks(
         self,
         owed: FloatArray,
         saved: FloatArray,
-        given: FloatArray,
-        floor: float,
-        beyond: FloatArray,
-    ) -> Iterator[tuple[slice, FloatArray]]:
-        """Checked lower bounds, rounding counted, block after block from the last layers on.
+        values: FloatArray,
+        measures: FloatArray | None = None,
+        choice: IntArray | None = None,
+        *,
+        keeps: bool = False,
+        limits: tuple[FloatArray, float] | None = None,
+    ) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Sweep block after block of layers, the last first.
 
         Args:
-            owed: non-negative, [pairs].
-            saved: non-negative, [pairs].
-            given: values that are not to be exceeded, [cap, nodes].
-            floor: no value is less.
-            beyond: lower bounds beyond the cap, [layers beyond, nodes].
+            owed: what pairs cost beside the charge, non-negative, [pairs].
+            saved: what they earn, non-negative, [pairs].
+            values: beyond the cap, [layers beyond, nodes].
+            measures: charge, failure and goal there, [layers beyond, nodes, 3]; None: not asked.
+            choice: written, or given where ``keeps``, [cap, nodes].
+            keeps: whether the choice is given; then values do not matter.
+            limits: values not to be exceeded, [cap, nodes], and one that no value lies below:
+                lower bounds are asked for, rounding counted; None: the least values.
 
         Yields:
-            Layers, and the bounds there, [layers of the block, nodes].
+            The layers of the block, their values, [layers, nodes], and measures, [layers, nodes,
+            3]. The memory is the next block's as well.
         """
-        from ssp_lp.compiled.layers import back_up_layers_safely
+        from ssp_lp.compiled.layers import Layers, sweep_layers
 
-        run: Callable[..., None] = back_up_layers_safely
-        within = _NONE if self.within is None else self.within
-        for some, parts, (values,) in self._blocks(beyond):
-            most = np.maximum(np.nan_to_num(given[some], nan=floor, posinf=np.inf), floor)
-            counted = MACHINE_EPSILON, _ACCURATE, within, most
-            run(*parts, owed, saved, *counted, values.ravel())
-            yield some, values[: some.stop - some.start]
-
-    def _blocks(
-        self, *beyond: FloatArray
-    ) -> Iterator[tuple[slice, tuple[Any, ...], list[FloatArray]]]:
-        """Blocks of layers, the last ones first.
-
-        Args:
-            beyond: numbers that are known beyond the cap, [layers beyond, nodes, ...] each.
-
-        Yields:
-            The layers, what the compiled pass reads of them, and arrays with room for their numbers
-            in front of those of the layers that they lead to.
-        """
-        process, ahead, whole = self.process, list(beyond), list[FloatArray]()
-        base, cap, totals = process.base, process.cap, process.totals
+        run: Callable[..., None] = sweep_layers
+        base, cap, totals = self.process.base, self.process.cap, self.process.totals
+        ahead = [values, np.zeros((len(values), 0, 3)) if measures is None else measures]
+        position = np.zeros((0, 0), dtype=np.int8) if choice is None else choice
+        offsets, goal = unsigned(base.pair_offsets), base.survival * base.gain
         indptr, _, nodes, data = base.steps_by_class
-        steps = unsigned(base.pair_offsets), indptr, self.kinds, nodes, data
-        steps_within = 1.0 if self.within is None else float(self.within.max())
-        turns = 1 if self.within is None else int(np.ceil(_TURNS_A_STEP * steps_within))
-        for turn in pieces(cap, int(cap * len(self.kinds) * steps_within)):
+        within = 1.0 if self.within is None else float(self.within.max())
+        turns = 1 if self.within is None else int(np.ceil(_TURNS_A_STEP * within))
+        rooms = list[FloatArray]()
+        for turn in pieces(cap, int(cap * len(self.classes) * within)):
             some = slice(cap - turn.stop, cap - turn.start)
             many = some.stop - some.start
-            leads = self.leads if len(self.leads) == 1 else self.leads[some] - some.start
-            charge = self.charge if len(self.charge) == 1 else self.charge[some]
-            paid = totals.values[some], charge, self.slot, self.growth, 0, many
-            if not whole:  # one after the other in the same memory; blocks differ by one layer
-                size = many + 1 + max(totals.span, len(beyond[0]))
-                whole = [np.zeros((size, *a.shape[1:])) for a in beyond]
-            rooms = [room[: many + len(a)] for room, a in zip(whole, ahead, strict=True)]
-            for room, known in zip(rooms, ahead, strict=True):
-                room[many:] = known
-            yield some, (self.order, turns, *steps, leads, *paid), rooms
-            ahead = [room[: totals.span] for room in rooms]
+            layers = Layers(
+                self.order, turns, offsets, indptr, self.classes, nodes, data,
+                self.leads if len(self.leads) == 1 else self.leads[some] - some.start,
+                totals.values[some], self.charge if len(self.charge) == 1 else self.charge[some],
+                self.column, self.growth, base.failure, goal,
+            )  # fmt: skip
+            if not rooms:  # one after the other in the same memory; blocks differ by one layer
+                size = many + 1 + max(totals.span, len(values))
+                rooms = [np.zeros((size, *a.shape[1:])) for a in ahead]
+            parts = [room[: many + len(a)] for room, a in zip(rooms, ahead, strict=True)]
+            for part, known in zip(parts, ahead, strict=True):
+                part[many:] = known
+            given = np.zeros((0, 0))
+            if limits is not None:
+                given = np.nan_to_num(limits[0][some], nan=limits[1], posinf=np.inf)
+                given = np.maximum(given, limits[1])
+            steps_within = _NONE if self.within is None else self.within
+            own = parts[0].ravel(), parts[1].reshape(-1, 3), position[some], keeps
+            run(layers, owed, saved, *own, steps_within, given)
+            yield some, parts[0][:many], parts[1][:many]
+            ahead = [part[: totals.span] for part in parts]
 
 
 def one_pass(process: LayeredProcess) -> OnePass | None:
@@ -335,81 +442,41 @@ def one_pass(process: LayeredProcess) -> OnePass | None:
     arriving = process.charges.arriving
     if not process.grows_evenly and (len(arriving) + 1) * cap > _MOST_CHARGES:
         return None
-    order, goes_round = _order_of_pass(base)
-    within = base.steps_within if goes_round else None
-    if goes_round and (within is None or within.max() > _MOST_WITHIN):
-        return None
-    used, kinds = np.unique(base.steps_by_class[1], return_inverse=True)
-    kinds = kinds.astype(np.uint8 if len(used) <= 256 else np.uint32)
-    ahead, slot = process.totals.ahead, np.arange(len(base.gain), dtype=np.uint32)
+    order: IntArray = np.arange(base.n_nodes, dtype=np.uint32)
+    within, instant = None, base.instant
+    if instant.nnz:
+        from ssp_lp.compiled.graphs import order_components
+
+        owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
+        first = unsigned(instant.indptr)[base.pair_offsets]
+        _, order, found = order_components(first[:-1], first[1:], instant.indices, instant.data)
+        order = unsigned(order)
+        if found < base.n_nodes or (instant.indices == owner).any():  # free steps go round
+            within = base.steps_within
+            if within is None or within.max() > _MOST_WITHIN:
+                return None
+    used, classes = np.unique(base.steps_by_class[1], return_inverse=True)
+    classes = classes.astype(np.uint8 if len(used) <= 256 else np.uint32)
+    ahead, column = process.totals.ahead, np.arange(len(base.gain), dtype=np.uint32)
     leads = used[None, :] if ahead is None else process.totals.reached[:, used]
-    whole = process, order, within, kinds, leads.astype(np.int64)
+    whole = process, order, within, classes, leads.astype(np.int64)
     if process.grows_evenly:
-        first = process.charged(0)
-        return OnePass(*whole, first.fixed[None, :], slot, first.parts[1])
+        even = process.charged(0)
+        return OnePass(*whole, even.fixed[None, :], column, even.parts[1])
     charge = np.zeros((cap, len(arriving) + 1))
     charge[:, :-1] = process.charges.of_arriving(slice(0, cap))
-    slot[:] = len(arriving)
-    slot[arriving] = np.arange(len(arriving))
-    return OnePass(*whole, charge, slot, _NONE)
-
-
-def _order_of_pass(base: AccumulatedCost) -> tuple[IntArray, bool]:
-    """Nodes, most of them after those that free steps lead to, and whether these go round."""
-    n, instant = base.n_nodes, base.instant
-    if instant.nnz == 0:
-        return np.arange(n, dtype=np.uint32), False
-    from ssp_lp.compiled.graphs import order_components
-
-    owner = np.repeat(base.quotient.pair_node, np.diff(instant.indptr))
-    first = unsigned(instant.indptr)[base.pair_offsets]
-    _, order, found = order_components(first[:-1], first[1:], instant.indices, instant.data)
-    return unsigned(order), bool(found < n or (instant.indices == owner).any())
+    column[:] = len(arriving)
+    column[arriving] = np.arange(len(arriving))
+    return OnePass(*whole, charge, column, _NONE)
 
 
 _ON_ITS_WAY = 0.01
 """Share of what has arrived that may be on its way still, where a rule is followed for a guess."""
 
-
 _LAYERS_BETWEEN = 8  # two looks at that
-
 
 _DROPPED = 1e-9
 """Mass of a node that a guess leaves out, so that it follows what matters."""
-
-
-def follow_choice(
-    process: LayeredProcess, choice: IntArray, beyond: tuple[FloatArray, FloatArray, FloatArray]
-) -> FloatArray:
-    """(charge, failure, goal) of a choice from the start on.
-
-    Args:
-        process: without free steps.
-        choice: position among the pairs of each node, [cap, nodes].
-        beyond: charge, failure and goal of the tails beyond the cap, [layers beyond, nodes] each.
-    """
-    mass, sums = LayerMass(process.base.start, process.totals), list[list[float]]()
-    for layer in range(process.cap):
-        check_time()
-        charge = process.charged(layer)
-        sums.append(_followed_layer(process.base, charge, choice[layer], mass).tolist())
-    left = mass.left[: len(beyond[0])]
-    sums.append([float((left * each).sum()) for each in beyond])
-    return np.array([fsum(each) for each in zip(*sums, strict=True)])
-
-
-def mass_beyond(process: LayeredProcess, choice: IntArray) -> FloatArray:
-    """The mass with which a choice gets beyond the cap, [layers beyond, nodes] at least.
-
-    Args:
-        process: without free steps.
-        choice: position among the pairs of each node, [cap, nodes].
-    """
-    mass, free = LayerMass(process.base.start, process.totals), PairCost(process.base.gain_cost)
-    for layer in range(process.cap):
-        check_time()
-        _followed_layer(process.base, free, choice[layer], mass)
-    return mass.left
 
 
 def follow_rule(
@@ -425,48 +492,30 @@ def follow_rule(
     Returns:
         None where nothing is seen to arrive, or much is still on its way by then.
     """
-    mass = LayerMass(base.start, base.totals(0))
-    found: FloatArray = np.zeros(3)
+    mass, found = LayerMass(base, base.totals(0)), np.zeros(3)
     for layer in range(most_layers):
-        check_time()
-        charge = PairCost(base.gain_cost, base.gain, layer * base.unit)
         mass.here[mass.here < _DROPPED] = 0.0
-        found = found + _followed_layer(base, charge, rule, mass)
+        found += mass.follow(rule, PairCost(base.gain_cost, base.gain, layer * base.unit))
         if layer % _LAYERS_BETWEEN == 0 and mass.left.sum() <= _ON_ITS_WAY * found[2]:
             return (float(found[0]), float(found[2])) if found[2] > 0.0 else None
     return None
 
 
-def _followed_layer(
-    base: AccumulatedCost, charge: PairCost, choice: IntArray, mass: LayerMass
-) -> FloatArray:
-    """Charge, failure and goal of a layer's choice, [nodes]; its mass goes on to the next."""
-    from ssp_lp.compiled.layers import follow_layer
-
-    found = np.zeros((3, 2))  # sums, and what was rounded off them
-    follow_layer(
-        mass.here, choice, unsigned(base.pair_offsets), *row_parts(base.later), *charge.parts,
-        base.gain, base.failure, base.survival, mass.onward, found,
-    )  # fmt: skip
-    mass.step()
-    return np.asarray(found.sum(axis=1))
-
-
 class LayerMass:
-    """The mass of a layer and of those that its steps lead to, layer after layer."""
+    """The mass of a layer and of those that its steps lead to. Mutable: layer after layer."""
 
-    def __init__(self, start: FloatArray, totals: Totals) -> None:
-        """Begin in the first layer.
+    def __init__(self, base: AccumulatedCost, totals: Totals) -> None:
+        """Begin in the first layer of a process without free steps.
 
         Args:
-            start: its mass, [nodes].
-            totals: which step leads where.
+            base: one layer of it.
+            totals: of the layers, and which step leads where.
         """
-        self._span, self._leads, self._layer = totals.span, totals.ahead, 0
-        self._buffer = np.zeros((2 * self._span + 1, len(start)))
-        self._buffer[0], self._front = start, 0
-        kinds = 0 if self._leads is None else self._leads.shape[1]
-        self._by_kind = np.zeros((kinds, len(start)))
+        self._base, self._span, self._leads = base, totals.span, totals.ahead
+        self._buffer = np.zeros((2 * self._span + 1, base.n_nodes))
+        self._buffer[0], self._front, self._layer = base.start, 0, 0
+        classes = 0 if self._leads is None else self._leads.shape[1]
+        self._by_class = np.zeros((classes, base.n_nodes))
 
     @property
     def here(self) -> FloatArray:
@@ -479,21 +528,33 @@ class LayerMass:
         """The mass of the layer and of those after it, [layers, nodes]."""
         return self._buffer[self._front :]
 
-    @property
-    def onward(self) -> FloatArray:
-        """Where the mass of its steps is added up, as their columns are, [layers * nodes]."""
-        if self._leads is not None:
-            return self._by_kind.reshape(-1)
-        return self._buffer[self._front + 1 : self._front + 1 + self._span].reshape(-1)
+    def follow(self, choice: IntArray, charge: PairCost) -> FloatArray:
+        """Send the layer's mass on, and go on to the next layer.
 
-    def step(self) -> None:
-        """On to the next layer."""
-        if self._leads is not None:
-            for kind, lead in enumerate(self._leads[self._layer].tolist()):
-                self._buffer[self._front + 1 + lead] += self._by_kind[kind]
-            self._by_kind[:] = 0.0
-        self._layer, self._front = self._layer + 1, self._front + 1
+        Args:
+            choice: position among the pairs of each node, [nodes].
+            charge: of arriving by the pairs.
+
+        Returns:
+            What it is charged, fails and arrives, [3].
+        """
+        from ssp_lp.compiled.layers import follow_layer
+
+        check_time()
+        base, sums = self._base, np.zeros((3, 2))  # and what was rounded off them
+        first, leads = self._front + 1, self._leads
+        onward = self._buffer[first : first + self._span] if leads is None else self._by_class
+        follow_layer(
+            self.here, choice, unsigned(base.pair_offsets), *row_parts(base.later), *charge.parts,
+            base.gain, base.failure, base.survival, onward.reshape(-1), sums,
+        )  # fmt: skip
+        if leads is not None:
+            for mass, lead in zip(self._by_class, leads[self._layer].tolist(), strict=True):
+                self._buffer[first + lead] += mass
+            self._by_class[:] = 0.0
+        self._layer, self._front = self._layer + 1, first
         if self._front + self._span >= len(self._buffer):
             left = self.left.copy()
             self._buffer[:] = 0.0
             self._buffer[: len(left)], self._front = left, 0
+        return np.asarray(sums.sum(axis=1))

@@ -6,34 +6,56 @@ Index arrays come as unsigned views: signed ones cost a test for negative positi
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, prange
 
+from ssp_lp.arrays import MACHINE_EPSILON, TIED
 from ssp_lp.compiled.cores import one_or_all_cores
 
 Array = np.ndarray[Any, Any]
+
+ACCURATE = 1e-14
+"""Relative change of values and measures at which turns over a layer end: next to rounding."""
 
 _LOWERINGS = 16
 """Turns in which bounds within a layer follow each other's rounding: more than halving it takes."""
 
 
+class Layers(NamedTuple):
+    """A block of layers, as a compiled pass reads it."""
+
+    order: Array  # [nodes] each after those that its free steps lead to, as far as may be
+    turns: int  # over a layer, at most; 1: free steps do not go round
+    offsets: Array  # [nodes + 1] pairs of each node
+    indptr: Array  # [pairs + 1]
+    classes: Array  # [entries] of steps; 0: a free one, within the layer
+    nodes: Array  # [entries] to where it leads
+    data: Array  # [entries]
+    leads: Array  # [layers, classes] layer that a step leads to; or [1, classes] how many ahead
+    paid: Array  # [layers] total
+    charge: Array  # [layers or 1, columns] of arriving
+    column: Array  # [pairs] among them
+    growth: Array  # [pairs] what a unit of the total adds to the charge, or empty
+    failure: Array  # [pairs]
+    goal: Array  # [pairs]
+
+
 @njit(cache=True, inline="always")
-def _best_of_layers(
-    pick: Any, past: Any, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    begin: Array, charge: Array, slot: Array, growth: Array, factor: float, owed: Array,
+def _best_pair(
+    pick: Any, past: Any, layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
     values: Array, tied: float,
 ) -> tuple[float, Any]:  # fmt: skip
     """The least value of some pairs of a layer, and the first of them that is tied with it."""
     least, below = np.inf, np.inf
     for pair in range(pick, past):
         total = 0.0
-        for k in range(indptr[pair], indptr[pair + 1]):
-            total += data[k] * values[begin[kinds[k]] + nodes[k]]
-        stage = charge[slot[pair]] + owed[pair]
+        for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
+            total += layers.data[k] * values[begin[layers.classes[k]] + layers.nodes[k]]
+        stage = charged[layers.column[pair]] + due[pair]
         if factor != 0.0:
-            stage += factor * growth[pair]
+            stage += factor * layers.growth[pair]
         total = stage + total
         if total < least:
             least = total
@@ -43,182 +65,154 @@ def _best_of_layers(
 
 
 @njit(cache=True)
-def back_up_layers(
-    order: Array, most: int, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array, first: int, end: int,
-    owed: Array, gain: Array, failure: Array, survival: float, accuracy: float, tied: float,
-    values: Array, measured: Array, position: Array, keeps: bool,
+def _settle(
+    layers: Layers, begin: Array, charged: Array, factor: float, due: Array,
+    row: int, values: Array, picks: Array,
 ) -> None:  # fmt: skip
-    """All layers of a process in one pass, the last of them first.
+    """Least values of a layer, and the pairs that attain them, written.
 
-    Where free steps go round, a layer is gone over again, forwards and backwards, until values and
-    measures stay as they are (Gauss-Seidel).
-
-    Args:
-        order: nodes, each after those that its free steps lead to, as far as may be, [nodes].
-        most: turns over a layer; 1: free steps do not go round.
-        offsets: pairs of each node, [nodes + 1].
-        indptr: [pairs + 1].
-        kinds: which kind of step an entry is; 0: a free one, within the layer, [entries].
-        nodes: to where it leads, [entries].
-        data: [entries].
-        leads: layer that each kind of step leads to, [layers, kinds]; or how many ahead of any,
-            [1, kinds].
-        paid: total of each layer, [layers].
-        charge: of arriving, [layers or 1, slots].
-        slot: of each pair among them, [pairs].
-        growth: what a unit of the total adds to it, [pairs] or empty.
-        first: layer with which to end.
-        end: the layer after the one to begin with; all from there on are known.
-        owed: what a pair costs besides, [pairs].
-        gain: [pairs].
-        failure: [pairs].
-        survival: the discount.
-        accuracy: relative change at which a layer is left.
-        tied: relative distance to the least value at which the first pair is taken.
-        values: of all layers, those beyond the cap given, [all layers * nodes].
-        measured: charge, failure and goal, likewise, [all layers * nodes, 3].
-        position: the choice among each node's pairs, [layers, nodes].
-        keeps: whether the choice is given, rather than written; then values do not matter.
+    Where free steps go round, the layer is gone over forwards and backwards (Gauss-Seidel): a
+    choice is followed until nothing changes, and then made anew.
     """
-    n, rows = offsets.size - 1, measured.shape[0] // (offsets.size - 1)
-    begin = np.empty(leads.shape[1], dtype=np.int64)
-    for layer in range(end - 1, first - 1, -1):
-        begin[:] = (leads[0] + layer if leads.shape[0] == 1 else leads[layer]) * n
-        charged = charge[layer if charge.shape[0] > 1 else 0]
-        factor = paid[layer] if growth.size > 0 else 0.0
-        row, later = layer * n, (layer + 1) % rows * n
-        if most > 1:
-            values[row : row + n] = values[later : later + n]
-            measured[row : row + n] = 0.0  # they grow, and what is never met stays nothing
-        is_greedy = True  # then the choice is followed until nothing changes, and made anew
-        for turn in range(most):
-            change, scale = 0.0, 0.0
-            for i in range(n):
-                s = order[i] if turn % 2 == 0 else order[n - 1 - i]
-                here, begins = row + s, np.uint64(offsets[s])
-                pick = begins + np.uint64(position[layer, s])
-                if not keeps:
-                    least, pick = _best_of_layers(
-                        begins if is_greedy else pick,
-                        np.uint64(offsets[s + 1]) if is_greedy else pick + np.uint64(1),
-                        indptr, kinds, nodes, data,
-                        begin, charged, slot, growth, factor, owed, values,
-                        tied if most == 1 else 0.0,
-                    )  # fmt: skip
-                    change, scale = max(change, abs(least - values[here])), max(scale, abs(least))
-                    values[here], position[layer, s] = least, pick - begins
-                paying, failed, reached = 0.0, 0.0, 0.0
-                for k in range(indptr[pick], indptr[pick + 1]):
-                    place = begin[kinds[k]] + nodes[k]
-                    paying += data[k] * measured[place, 0]
-                    failed += data[k] * measured[place, 1]
-                    reached += data[k] * measured[place, 2]
-                if factor != 0.0:
-                    paying += factor * growth[pick]
-                paying += charged[slot[pick]]
-                failed += failure[pick]
-                reached += survival * gain[pick]
-                was = measured[here]
-                if most > 1 and (
-                    abs(paying - was[0]) > accuracy * abs(paying)
-                    or abs(failed - was[1]) > accuracy * failed
-                    or abs(reached - was[2]) > accuracy * reached
-                ):
-                    change = np.inf
-                measured[here, 0], measured[here, 1], measured[here, 2] = paying, failed, reached
-            is_same = change <= accuracy * scale
-            if is_same and (is_greedy or keeps):
-                break
-            is_greedy = is_same
+    n, is_greedy = picks.size, True
+    tied = TIED if layers.turns == 1 else 0.0
+    for turn in range(layers.turns):
+        change, scale = 0.0, 0.0
+        for i in range(n):
+            s = layers.order[i] if turn % 2 == 0 else layers.order[n - 1 - i]
+            first = np.uint64(layers.offsets[s])
+            pick = first if is_greedy else first + np.uint64(picks[s])
+            past = np.uint64(layers.offsets[s + 1]) if is_greedy else pick + np.uint64(1)
+            least, pick = _best_pair(pick, past, layers, begin, charged, factor, due, values, tied)
+            change, scale = max(change, abs(least - values[row + s])), max(scale, abs(least))
+            values[row + s], picks[s] = least, pick - first
+        is_same = change <= ACCURATE * scale
+        if is_same and is_greedy:
+            break
+        is_greedy = is_same
 
 
 @njit(cache=True)
-def back_up_layers_safely(
-    order: Array, most: int, offsets: Array, indptr: Array, kinds: Array, nodes: Array, data: Array,
-    leads: Array, paid: Array, charge: Array, slot: Array, growth: Array, first: int, end: int,
-    owed: Array, saved: Array, epsilon: float, accuracy: float, within: Array, given: Array,
-    values: Array,
+def _measure(
+    layers: Layers, begin: Array, charged: Array, factor: float, picks: Array,
+    row: int, measured: Array,
 ) -> None:  # fmt: skip
-    """Lower bounds of the least values of all layers; rounding counts against every pair.
+    """Charge, failure and goal of a layer's choice, written; what is never met stays nothing."""
+    n = picks.size
+    for turn in range(layers.turns):
+        is_same = True
+        for i in range(n):
+            s = layers.order[i] if turn % 2 == 0 else layers.order[n - 1 - i]
+            pick = np.uint64(layers.offsets[s]) + np.uint64(picks[s])
+            paying, failed, reached = 0.0, 0.0, 0.0
+            for k in range(layers.indptr[pick], layers.indptr[pick + 1]):
+                place, share = begin[layers.classes[k]] + layers.nodes[k], layers.data[k]
+                paying += share * measured[place, 0]
+                failed += share * measured[place, 1]
+                reached += share * measured[place, 2]
+            if factor != 0.0:
+                paying += factor * layers.growth[pick]
+            paying += charged[layers.column[pick]]
+            failed += layers.failure[pick]
+            reached += layers.goal[pick]
+            was = measured[row + s]
+            if layers.turns > 1 and (
+                abs(paying - was[0]) > ACCURATE * abs(paying)
+                or abs(failed - was[1]) > ACCURATE * failed
+                or abs(reached - was[2]) > ACCURATE * reached
+            ):
+                is_same = False
+            was[0], was[1], was[2] = paying, failed, reached
+        if is_same:
+            break
 
-    Where free steps go round, values are lowered to their backups, each by its own rounding. What
-    they exceed these by after some turns, times the steps that any policy takes within a layer, is
-    taken off all of them: then they are a sub-solution.
+
+@njit(cache=True)
+def _lower(
+    layers: Layers, begin: Array, charged: Array, factor: float, owed: Array, saved: Array,
+    row: int, values: Array, within: Array,
+) -> None:  # fmt: skip
+    """Values of a layer lowered to their backups, the rounding of each counted against it.
+
+    Where free steps go round each value is lowered by its own. What values exceed their backups by
+    after some turns, times the steps that any policy takes within a layer, is taken off all of
+    them: then they are a sub-solution.
+    """
+    n, excess, largest = layers.order.size, 0.0, 0.0
+    for turn in range(_LOWERINGS + 1 if layers.turns > 1 else 1):
+        excess = 0.0
+        for i in range(n):
+            s = layers.order[i]
+            least = np.inf
+            for pair in range(layers.offsets[s], layers.offsets[s + 1]):
+                total, size = 0.0, 0.0
+                for k in range(layers.indptr[pair], layers.indptr[pair + 1]):
+                    term = layers.data[k] * values[begin[layers.classes[k]] + layers.nodes[k]]
+                    total += term
+                    size += abs(term)
+                stage = charged[layers.column[pair]] + owed[pair] - saved[pair]
+                whole = abs(charged[layers.column[pair]]) + owed[pair] + saved[pair]
+                if factor != 0.0:
+                    stage += factor * layers.growth[pair]
+                    whole += factor * layers.growth[pair]
+                total, size = stage + total, whole + size
+                if size != owed[pair]:
+                    terms = float(layers.indptr[pair + 1] - layers.indptr[pair]) + 4.0
+                    total -= (terms * MACHINE_EPSILON) * size
+                least = min(least, total)
+            excess = max(excess, values[row + s] - least)
+            if turn < _LOWERINGS:
+                values[row + s] = min(values[row + s], least)
+            largest = max(largest, abs(values[row + s]))
+        if layers.turns == 1 or excess == 0.0:
+            return
+    excess += 8.0 * MACHINE_EPSILON * (largest + excess)
+    for s in range(n):
+        values[row + s] -= excess * within[s] * (1.0 + 4.0 * MACHINE_EPSILON)
+
+
+@njit(cache=True)
+def sweep_layers(
+    layers: Layers, owed: Array, saved: Array, values: Array, measured: Array,
+    position: Array, keeps: bool, within: Array, given: Array,
+) -> None:  # fmt: skip
+    """All layers of a block in one pass, the last of them first.
 
     Args:
-        order: as in ``back_up_layers``, like all that is not listed here.
-        saved: what a pair earns, [pairs].
-        epsilon: of the machine.
+        layers: what the pass reads of the process.
+        owed: what a pair costs beside the charge, non-negative, [pairs].
+        saved: and what it earns, [pairs].
+        values: of the layers and those that they lead to, these given, [all layers * nodes].
+        measured: charge, failure and goal, likewise, [all layers * nodes, 3]; empty: not asked for.
+        position: the choice among each node's pairs, [layers, nodes].
+        keeps: whether the choice is given, rather than written; then values do not matter.
         within: at least one more than after the free steps of any pair, [nodes].
-        given: values that are not to be exceeded, [layers, nodes].
-        values: of all layers, those beyond the cap given, [all layers * nodes].
+        given: what lower bounds are not to exceed, [layers, nodes]; empty: the least values
+            themselves are asked for.
     """
-    n, rows = offsets.size - 1, values.size // (offsets.size - 1)
-    begin = np.empty(leads.shape[1], dtype=np.int64)
-    picks, due = np.empty(n, dtype=np.uint64), owed - saved
-    for layer in range(end - 1, first - 1, -1):
-        begin[:] = (leads[0] + layer if leads.shape[0] == 1 else leads[layer]) * n
-        charged = charge[layer if charge.shape[0] > 1 else 0]
-        factor = paid[layer] if growth.size > 0 else 0.0
+    n, due, is_bound = layers.order.size, owed - saved, given.size > 0
+    rows = max(values.size, measured.shape[0]) // n
+    begin, unkept = np.empty(layers.leads.shape[1], np.int64), np.empty(n, position.dtype)
+    for layer in range(layers.paid.size - 1, -1, -1):
+        ahead = layers.leads[0] + layer if layers.leads.shape[0] == 1 else layers.leads[layer]
+        begin[:] = ahead * n
+        charged = layers.charge[layer if layers.charge.shape[0] > 1 else 0]
+        factor = layers.paid[layer] if layers.growth.size > 0 else 0.0
         row, later = layer * n, (layer + 1) % rows * n
-        if most > 1:
+        picks = unkept if is_bound else position[layer]
+        if is_bound and layers.turns == 1:
+            values[row : row + n] = given[layer]
+        elif not keeps:
             values[row : row + n] = values[later : later + n]
-            is_greedy = True
-            for turn in range(most):
-                change, scale = 0.0, 0.0
-                for i in range(n):
-                    s = order[i] if turn % 2 == 0 else order[n - 1 - i]
-                    least, picks[s] = _best_of_layers(
-                        np.uint64(offsets[s]) if is_greedy else picks[s],
-                        np.uint64(offsets[s + 1]) if is_greedy else picks[s] + np.uint64(1),
-                        indptr, kinds, nodes, data,
-                        begin, charged, slot, growth, factor, due, values, 0.0,
-                    )  # fmt: skip
-                    change = max(change, abs(least - values[row + s]))
-                    scale = max(scale, abs(least))
-                    values[row + s] = least
-                is_same = change <= accuracy * scale
-                if is_same and is_greedy:
-                    break
-                is_greedy = is_same
-            for s in range(n):
-                values[row + s] = min(values[row + s], given[layer, s])
-        excess, size_of_all = 0.0, 0.0
-        for turn in range(_LOWERINGS + 1 if most > 1 else 1):
-            excess = 0.0
-            for i in range(n):
-                s = order[i]
-                least = np.inf
-                for pair in range(offsets[s], offsets[s + 1]):
-                    total, size = 0.0, 0.0
-                    for k in range(indptr[pair], indptr[pair + 1]):
-                        term = data[k] * values[begin[kinds[k]] + nodes[k]]
-                        total += term
-                        size += abs(term)
-                    stage = charged[slot[pair]] + owed[pair] - saved[pair]
-                    whole = abs(charged[slot[pair]]) + owed[pair] + saved[pair]
-                    if factor != 0.0:
-                        stage += factor * growth[pair]
-                        whole += factor * growth[pair]
-                    total, size = stage + total, whole + size
-                    if size != owed[pair]:
-                        terms = float(indptr[pair + 1] - indptr[pair]) + 4.0
-                        total -= (terms * epsilon) * size
-                    least = min(least, total)
-                if most > 1:
-                    excess = max(excess, values[row + s] - least)
-                    if turn < _LOWERINGS:
-                        values[row + s] = min(values[row + s], least)
-                    size_of_all = max(size_of_all, abs(values[row + s]))
-                else:
-                    values[row + s] = min(least, given[layer, s])
-            if excess == 0.0:
-                break
-        if excess > 0.0:
-            excess += 8.0 * epsilon * (size_of_all + excess)
-            for s in range(n):
-                values[row + s] -= excess * within[s] * (1.0 + 4.0 * epsilon)
+            _settle(layers, begin, charged, factor, due, row, values, picks)
+            if is_bound:
+                values[row : row + n] = np.minimum(values[row : row + n], given[layer])
+        if is_bound:
+            _lower(layers, begin, charged, factor, owed, saved, row, values, within)
+        else:
+            if layers.turns > 1:
+                measured[row : row + n] = 0.0
+            _measure(layers, begin, charged, factor, picks, row, measured)
 
 
 @njit(cache=True)

@@ -11,9 +11,9 @@ from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P
 from small_models import model_of
 from ssp_lp import SSP, certify, solve
+from ssp_lp.accumulated_cost.sweep import PartOfSweep, Sweep
 from ssp_lp.column_generation import compiled_problem as module
-from ssp_lp.column_generation.column import FailureRow
-from ssp_lp.column_generation.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.column import FailureRow, required
 from ssp_lp.column_generation.search import _initial_column_within
 from ssp_lp.compiled.deadline import Stop
 from tests.support.compiled import Switch
@@ -25,7 +25,7 @@ pytest.importorskip("numba")
 def guessing(monkeypatch: pytest.MonkeyPatch, accelerate: Switch) -> None:
     """Begin as with a large process."""
     monkeypatch.setattr(module, "_LARGE", 0)
-    monkeypatch.setattr(LayeredPricing, "_one_pass", None)
+    monkeypatch.setattr(Sweep, "one_pass", None)
     accelerate(True)
 
 
@@ -56,8 +56,11 @@ def test_a_guess_is_no_policy_to_stop_with(budget: float) -> None:
     model, start = navigation(6, 5)
     pricing = S3P(model, start, 0.9).compile().pricing()
     guess, half = pricing.first(), pricing.minimise(100.0)
-    row = FailureRow(budget, ratio=True)
-    assert _initial_column_within(pricing, row, Stop(lambda: half), guess) is half
+    row, swept = FailureRow(budget, ratio=True), required(half.choice)
+    part = PartOfSweep(swept, 100.0, 0, None)  # all layers, as it happens
+    found = _initial_column_within(pricing, row, Stop(part), guess)
+    assert (found.cost, found.failure, found.goal) == (half.cost, half.failure, half.goal)
+    assert found.policy is not None
 
 
 @pytest.mark.parametrize("cost", [1.0, 0.7, Fraction(1, 3)])

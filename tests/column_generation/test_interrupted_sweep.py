@@ -7,7 +7,8 @@ import pytest
 from examples.domains.navigation import navigation
 from formulations import S3P
 from ssp_lp import evaluate
-from ssp_lp.column_generation import layered_pricing
+from ssp_lp.accumulated_cost import sweep
+from ssp_lp.accumulated_cost.sweep import Sweep
 from ssp_lp.column_generation.column import Column
 from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.compiled.deadline import Stop, until
@@ -25,7 +26,7 @@ def _stopped(
             raise Stop
 
     with monkeypatch.context() as patched, until(float("inf")):
-        patched.setattr(layered_pricing, "check_time", end)
+        patched.setattr(sweep, "check_time", end)
         with pytest.raises(Stop) as stopped:
             pricing.minimise(price)
     return pricing.incumbent(stopped.value.choice)
@@ -40,7 +41,7 @@ def test_layers_swept_by_then_are_an_optimum_at_a_lower_price(
     problem = S3P(model, start, 0.9, discount=discount, cost_cap=60.0)
     pricing = problem.compile().pricing()
     assert isinstance(pricing, LayeredPricing)
-    monkeypatch.setattr(LayeredPricing, "_one_pass", None)
+    monkeypatch.setattr(Sweep, "one_pass", None)
     found = _stopped(monkeypatch, pricing, 80.0, layers)
     assert found is not None
     process = replace(pricing.process, totals=pricing.process.base.totals(layers))
@@ -57,5 +58,5 @@ def test_nothing_swept_is_no_policy(monkeypatch: pytest.MonkeyPatch) -> None:
     model, start = navigation(6, 5)
     pricing = S3P(model, start, 0.9, cost_cap=60.0).compile().pricing()
     assert isinstance(pricing, LayeredPricing)
-    monkeypatch.setattr(LayeredPricing, "_one_pass", None)
+    monkeypatch.setattr(Sweep, "one_pass", None)
     assert _stopped(monkeypatch, pricing, 80.0, 0) is None

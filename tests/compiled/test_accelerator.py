@@ -13,7 +13,7 @@ import scipy.sparse as sp
 from examples.paper_robot.robot import RobotGrid, grid_model, start_state
 from formulations import MCMP, S3P, MaxProb
 from ssp_lp import ModelError, certify, solve
-from ssp_lp.column_generation import layered_pricing
+from ssp_lp.accumulated_cost import sweep
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import until
 from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
@@ -143,7 +143,7 @@ def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPat
     grid = RobotGrid(segments=10, headings=6)
     problem = S3P(grid_model(grid), start_state(grid), 0.2)
     kept = solve(problem)
-    monkeypatch.setattr(layered_pricing, "_KEPT_VALUES", 0)
+    monkeypatch.setattr(sweep, "_KEPT_VALUES", 0)
     dropped = solve(problem)
     assert np.isinf(dropped.value_function).all()
     assert dropped.value_function.shape == kept.value_function.shape
@@ -223,7 +223,7 @@ def test_all_layers_in_one_pass_are_as_layer_by_layer(
     accelerate(True)
     passed = solve(problem)
     assert certify(passed).accepted
-    monkeypatch.setattr(layered_pricing, "one_pass", lambda process: None)
+    monkeypatch.setattr(sweep.Sweep, "one_pass", None)
     layer_by_layer = solve(problem)
     accelerate(False)
     interpreted = solve(problem)

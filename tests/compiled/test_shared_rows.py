@@ -9,6 +9,7 @@ import scipy.sparse as sp
 from examples.domains.navigation import navigation
 from formulations import S3P
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExcessCharge
+from ssp_lp.accumulated_cost.sweep import Sweep
 from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost, CompiledProblem
 from ssp_lp.column_generation.layered_pricing import LayeredPricing
 from ssp_lp.dynamic_programming.bellman import (
@@ -140,7 +141,7 @@ def test_a_choice_is_worth_the_same_forwards_and_backwards(
     discount: float | None,
 ) -> None:
     model, start = navigation_at(costs)
-    monkeypatch.setattr(LayeredPricing, "_one_pass", None)
+    monkeypatch.setattr(Sweep, "one_pass", None)
     problem = S3P(model, start, 0.9, discount=discount, cost_cap=30.0)
     forwards, backwards = both(accelerate, lambda: measured(problem.compile()))
     assert forwards == pytest.approx(backwards, rel=1e-13)
@@ -152,7 +153,7 @@ def test_sums_of_steps_are_followed_likewise(
     monkeypatch: pytest.MonkeyPatch, accelerate: Switch, charge: Charge
 ) -> None:
     model, start = navigation_at((2.0**0.5, 1.0, 0.5))
-    monkeypatch.setattr(LayeredPricing, "_one_pass", None)
+    monkeypatch.setattr(Sweep, "one_pass", None)
     begins = np.zeros(model.n_states)
     begins[start] = 1.0
     compiled = CompiledArrivalCost(model, begins, charge, ratio=True, cap=14.0, by_sums=True)
@@ -167,7 +168,7 @@ def test_a_followed_choice_says_what_the_cap_costs(
 ) -> None:
     """Without a second sweep, and never less than the two sweeps find."""
     model, start = navigation(6, 5)
-    monkeypatch.setattr(LayeredPricing, "_one_pass", None)
+    monkeypatch.setattr(Sweep, "one_pass", None)
     accelerate(True)
     pricing = S3P(model, start, 0.9, cost_cap=cap).compile().pricing()
     assert isinstance(pricing, LayeredPricing)
