@@ -392,7 +392,7 @@ class LayeredTails:
         saved = charge.slope * (first.early - last.early)
         owed = (failure_price - charge.offset) * (first.goal - last.goal)
         owed = owed + charge.slope * (last.cost - first.cost)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             total = owed / saved
         return np.where(saved > 0, total, np.where(owed < 0, -np.inf, np.inf))
 

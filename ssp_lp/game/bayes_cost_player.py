@@ -12,12 +12,13 @@ from functools import cached_property
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.accumulated_cost.process import AccumulatedCost
+from ssp_lp.accumulated_cost.charges import TailValues
+from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess, LayeredTails
 from ssp_lp.accumulated_cost.totals import Totals
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.cost_player import CostPlayer, LayeredStrategy, Tail, cost_aware, undiscounted_tail
+from ssp_lp.game.cost_player import CostPlayer, followed_tails
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.remembering import TimedPolicy
 
@@ -35,7 +36,6 @@ class _TimedLayers:
 
     choice: IntArray  # [horizon, layers, nodes] position among the pairs of the node
     totals: Totals  # of the layers
-    cap: float  # in units
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +45,27 @@ class BayesCostPlayer:
     base: AccumulatedCost
 
     @cached_property
-    def tail(self) -> Tail:
-        """pi'_or, which is followed for good beyond cap and horizon, and bounds of all policies."""
-        return undiscounted_tail(self.base, self.stationary.tail)
+    def tails(self) -> LayeredTails:
+        """pi'_or, which is followed for good beyond cap and horizon, and bounds of all policies.
+
+        J_obj is undiscounted, while J_cond stays discounted (section 3.3).
+        """
+        tails, worst = self.stationary.tails, self.stationary.tail_pairs[1:]
+        goal, cost = followed_tails(self.base, worst, 1.0)
+        values = TailValues(*(each[1:] for each in tails.values))._replace(early=goal, cost=cost)
+        return replace(tails, decisions=tails.decisions[1:], values=values)
+
+    def _surplus(self, paid: FloatArray, weights: FloatArray) -> FloatArray:
+        """Lower bound of every policy's weighted cost less that of sure failure, [totals, nodes].
+
+        Whoever succeeds with weight E[gamma^T; goal] succeeds with at least that probability, and
+        pays for it what has been paid, undiscounted: linear in the success, which lies between two
+        bounds.
+        """
+        per_success = weights[0] * paid[:, None] - weights[1]
+        tails = self.tails
+        goal = np.where(per_success < 0.0, tails.greatest_goal, tails.least_goal)
+        return np.asarray(per_success * goal)
 
     @cached_property
     def stationary(self) -> CostPlayer:
@@ -67,7 +85,7 @@ class BayesCostPlayer:
         """
         weights = np.array([objective_weight, condition_weight])
         first = self.stationary.response(objective_weight, condition_weight, accuracy)
-        cap, horizon, sweeps, gap = first.strategy.cap, _FIRST_HORIZON, first.sweeps, np.inf
+        cap, horizon, sweeps, gap = first.strategy.process.end, _FIRST_HORIZON, first.sweeps, np.inf
         while True:
             response = self._response(weights, cap, horizon)
             sweeps += response.sweeps
@@ -88,12 +106,12 @@ class BayesCostPlayer:
         horizon, totals = len(strategy.choice), strategy.totals
         stage, worth = self._stage(totals), price * gamma * base.gain[:, None]
         weights, beyond_cap = np.array([1.0, price]), totals.beyond
-        lowest = self.tail.surplus(totals.with_beyond, weights * [1.0, gamma**horizon]).T
+        lowest = self._surplus(totals.with_beyond, weights * [1.0, gamma**horizon]).T
         for time in reversed(range(horizon)):
             saved = gamma**time * worth
             size = stage + saved + self._ahead(np.abs(lowest), totals)
             below = self._least(stage - saved + self._ahead(lowest, totals) - self._lost * size)[1]
-            beyond = self.tail.surplus(beyond_cap, weights * [1.0, gamma**time])
+            beyond = self._surplus(beyond_cap, weights * [1.0, gamma**time])
             lowest = np.hstack([below, beyond.T])
         terms = np.append(base.start * lowest[:, 0], -price * base.start_goal)
         return float(terms.sum() - len(terms) * MACHINE_EPSILON * np.abs(terms).sum())
@@ -104,15 +122,13 @@ class BayesCostPlayer:
         Successive stages that decide alike are one object.
         """
         strategy: _TimedLayers = response.strategy
-        worst = self.tail.choice[1] - self.base.pair_offsets[:-1]
+        worst = self.stationary.tail_pairs[1] - self.base.pair_offsets[:-1]
         after = np.broadcast_to(worst, strategy.choice.shape[1:])
         rows = [*strategy.choice, after.astype(strategy.choice.dtype)]
-        never = np.full(self.base.n_nodes, -np.inf)
         stages: list[CostAwarePolicy] = []
         for time, choice in enumerate(rows):
             if time == 0 or not np.array_equal(choice, rows[time - 1]):
-                layers = LayeredStrategy(choice, never, strategy.totals, strategy.cap)
-                stage = cost_aware(self.base, self.tail, layers)
+                stage = LayeredProcess(self.base, strategy.totals, self.tails).policy(choice, 0.0)
             stages.append(stage)
         return TimedPolicy(tuple(stages))
 
@@ -160,8 +176,9 @@ class BayesCostPlayer:
                 f"{horizon:,} steps x {cap:,} layers of accumulated cost on {base.n_nodes:,} "
                 "states are too many for the Bayes-adaptive iteration"
             )
-        attained = self.tail.attained(every, np.full(base.n_nodes, -np.inf))
-        objective, condition = attained[..., 0].T, attained[..., 1].T
+        last = self.tails.first
+        objective = np.asarray((every[:, None] * last.early + last.cost).T)
+        condition = np.repeat(last.failure[:, None], len(every), axis=1)
         beyond = objective[:, cap:], condition[:, cap:]
         lowest = self._beyond(totals, weights * [1.0, gamma**horizon])
         stage = self._stage(totals)
@@ -178,14 +195,14 @@ class BayesCostPlayer:
             )
             objective = np.hstack([on_objective, beyond[0]])
             condition = np.hstack([on_condition, beyond[1]])
-            lowest = np.hstack([below, self.tail.bound(every[cap:], now).T])
+            lowest = np.hstack([below, now[1] + self._surplus(every[cap:], now).T])
         start, failed = base.start, base.start_failure  # rounding of sums counts against the bound
         bound = float(start @ lowest[:, 0] + weights[1] * failed)
         return BestResponse(
             objective=float(start @ objective[:, 0]),
             failing=float(start @ condition[:, 0] + failed),
             bound=bound * (1.0 - (horizon + 1) * self._lost),
-            strategy=_TimedLayers(choice, totals, m),
+            strategy=_TimedLayers(choice, totals),
             sweeps=horizon * cap,
         )
 
@@ -198,9 +215,12 @@ class BayesCostPlayer:
             totals: the totals.
             weights: with that of J_cond as it has faded by then.
         """
-        bound, cap = self.tail.bound(totals.with_beyond, weights), totals.size
-        below = np.stack(list(self.stationary.lowest(weights, totals)))[::-1]
-        bound[:cap] = np.maximum(bound[:cap], below)
+        bound, cap = weights[1] + self._surplus(totals.with_beyond, weights), totals.size
+        if weights[0] > 0.0:
+            process = LayeredProcess(self.base, totals, self.stationary.tails)
+            price = float(weights[1] / weights[0])
+            below = weights[0] * self.stationary.bounds(process, price, price)[1]
+            bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 
     def _least(self, priced: FloatArray) -> tuple[IntArray, FloatArray]:
