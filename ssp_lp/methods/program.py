@@ -65,7 +65,7 @@ def program_of(
     total = compiled.ratio and isinstance(compiled.charge, TotalCostCharge)
     if total and compiled.budget is None and not has_rows(inner) and compiled.fixed_cap is None:
         augmented = _cost_given_success(compiled)  # where no total has to be remembered
-    elif compiled.charge is not None:
+    elif compiled.charge is not None and (compiled.fixed_cap is None or compiled.resolution):
         compiled = rows_optimum(compiled, CERTIFYING, truth_of(inner, compiled)).compiled
         if compiled.totals is not None and not compiled.totals.exact:
             raise ModelError(

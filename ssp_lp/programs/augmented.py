@@ -17,8 +17,9 @@ from ssp_lp.accumulated_cost.process import spread_layer
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
+from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.policy import GIVE_UP, Policy
+from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy, find_pair
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of
@@ -65,12 +66,13 @@ class Augmented(ABC):
     Its pairs are copies of the live part's, one after another, and then what lies beyond them.
     """
 
+    inner: FailureLabelled | OpenEnded  # what is written out
     start: FloatArray  # [states] distribution
 
     @property
-    @abstractmethod
     def process(self) -> ExplicitProcess:
         """The process, whose pairs are the columns."""
+        return self.inner.process
 
     @property
     @abstractmethod
@@ -137,20 +139,21 @@ class Augmented(ABC):
         inner = np.isin(quotient.pair_node, quotient.node_of[live])
         if action is GIVE_UP or action == STAY:
             inner &= quotient.gives_up
-        elif action is not None:  # copies out of time have no actions
-            acting = live if live.size else states
+        elif action is not None:
+            acts = np.diff(self.model.pair_offsets)[states] > 0  # none has a copy out of time
+            acting = states[acts] if isinstance(self.model, ProductSSP) else states
             taken = [find_pair(self.model, state, action) for state in acting]
             inner &= np.isin(quotient.pair_at, taken)
         firsts = np.arange(self.copies)[:, None] * len(quotient.pair_at)
         return np.asarray((firsts + inner.nonzero()[0]).ravel())
 
-    @abstractmethod
-    def policy(self, choice: IntArray) -> Policy:
+    def policy(self, choice: IntArray) -> DeterministicPolicy | CostAwarePolicy:
         """A deterministic choice as a policy on the model.
 
         Args:
             choice: one pair of each state of the process, [process states].
         """
+        return self.inner.policy(choice)
 
     @abstractmethod
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
@@ -166,33 +169,24 @@ class Augmented(ABC):
 class LabelledModel(Augmented):
     """The states that have not failed yet; what fails leaves the process."""
 
-    labelled: FailureLabelled
+    inner: FailureLabelled
     start: FloatArray  # [states]
     semantics: FailureSemantics
     discount: float | None
     copies = 1
 
     @property
-    def process(self) -> ExplicitProcess:
-        """The process of the label."""
-        return self.labelled.process
-
-    @property
     def quotient(self) -> Quotient:
         """The live part."""
-        return self.labelled.quotient
+        return self.inner.quotient
 
     def paid(self, copy: int) -> None:
         """Costs are not counted."""
 
-    def policy(self, choice: IntArray) -> DeterministicPolicy:
-        """One decision per state."""
-        return self.labelled.policy(choice)
-
     @property
     def departs(self) -> FloatArray:
         """As the rows of the label were divided."""
-        return self.labelled.departs
+        return self.inner.departs
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """One flow."""
@@ -219,7 +213,7 @@ class LabelledModel(Augmented):
         )
         whole = ExplicitProcess(offsets, rows, start, cost, failure, goal)
         ones = np.ones(len(single.pair_at))
-        return replace(self, labelled=FailureLabelled(whole, single, ones))
+        return replace(self, inner=FailureLabelled(whole, single, ones))
 
     def may_start(self, start: FloatArray) -> bool:
         """Whether start mass enters at places alone, here and from elsewhere, [states]."""
@@ -229,11 +223,11 @@ class LabelledModel(Augmented):
     def started(self, start: FloatArray) -> LabelledModel:
         """The same from another start, which may be one."""
         process = replace(self.process, start=self.quotient.gather(start))
-        return replace(self, labelled=replace(self.labelled, process=process), start=start)
+        return replace(self, inner=replace(self.inner, process=process), start=start)
 
     def counted(self, term: Term) -> FloatArray:
         """Counted under the label of failing, [process pairs]."""
-        counting = counting_of(self.labelled, self.start, self.semantics, self.discount)
+        counting = counting_of(self.inner, self.start, self.semantics, self.discount)
         return np.append(*term.at(counting))[: self.process.n_pairs]
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
@@ -247,30 +241,25 @@ class LabelledModel(Augmented):
 class LayeredModel(Augmented):
     """States and the cost paid so far; from the cap on one policy for all costs."""
 
-    layered: OpenEnded
+    inner: OpenEnded
     start: FloatArray  # [states]
-
-    @property
-    def process(self) -> ExplicitProcess:
-        """All layers, written out."""
-        return self.layered.process
 
     @property
     def quotient(self) -> Quotient:
         """The live part of a layer."""
-        return self.layered.base.quotient
+        return self.inner.base.quotient
 
     @property
     def departs(self) -> FloatArray:
         """As the rows of a layer were divided."""
-        return self.layered.base.departs
+        return self.inner.base.departs
 
     def flows(self, visits: FloatArray) -> Iterator[ModelFlow]:
         """One flow for each layer, the open end included; what enters a layer left another."""
-        base, quotient, below = self.layered.base, self.quotient, self.layered.leads[0]
+        base, quotient, below = self.inner.base, self.quotient, self.inner.leads[0]
         model, merged, n_pairs = quotient.model, bool(quotient.merged.any()), len(base.gain)
         entering = np.zeros((self.copies + base.width if merged else 0, model.n_states))
-        entering[:1] = self.layered.start
+        entering[:1] = self.inner.start
         for layer in range(self.copies):
             taken = visits[layer * n_pairs : (layer + 1) * n_pairs] / base.departs
             flow = model_flow(quotient, taken)
@@ -284,25 +273,21 @@ class LayeredModel(Augmented):
 
     def spread(self, spread: Spread) -> LayeredModel:
         """The layers spread out."""
-        base = spread_layer(self.layered.base, spread, self.start)
-        return replace(self, layered=replace(self.layered, base=base))
+        base = spread_layer(self.inner.base, spread, self.start)
+        return replace(self, inner=replace(self.inner, base=base))
 
     def counted(self, term: Term) -> FloatArray:
         """The same in all layers, [process pairs]."""
-        return self.layered.everywhere(*term.at(self.layered.counting()))
+        return self.inner.everywhere(*term.at(self.inner.counting()))
 
     @property
     def copies(self) -> int:
         """The layers up to the cap, which stands for all costs beyond it."""
-        return self.layered.cap + 1
+        return self.inner.cap + 1
 
     def paid(self, copy: int) -> float:
         """The layer's total; the last stands for more."""
-        return float(self.layered.totals.values[copy])
-
-    def policy(self, choice: IntArray) -> CostAwarePolicy:
-        """One decision for each state and accumulated cost."""
-        return self.layered.policy(choice)
+        return float(self.inner.totals.values[copy])
 
     def randomised_policy(self, visits: FloatArray, choice: IntArray) -> StochasticPolicy:
         """A policy on states and accumulated cost."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -164,18 +164,18 @@ class OccupationMeasure:
         value = self.objective if self.minimised is None else self.minimised
         return abs(value - self.optimal_value_from_dual) / max(abs(value), 1.0)
 
-    @cached_property
-    def balanced(self) -> FloatArray:
-        """Visits of the policy that draws each pair with its share of these, [pairs].
+    def balanced(self, noise: tuple[float, float] = NOISES[0]) -> OccupationMeasure:
+        """The measure of the policy that draws each pair with its share of these visits.
 
-        Equal to them where they balance, but for what goes round and is never come to.
+        They are the same where they balance, but for what goes round and is never come to.
 
-        Raises:
-            SolverError: the policy never leaves.
+        Args:
+            noise: outflow of a state, and share of it, up to which visits are none.
         """
         process = self.program.process
         otherwise = leaving_choice(process.dynamics, process.goal)
-        return balanced_visits(process, self.visits, otherwise)
+        visits = balanced_visits(process, self.visits, otherwise, noise=noise)
+        return replace(self, visits=visits)
 
     def randomised_policy(self) -> StochasticPolicy:
         """The policy that draws each action with its share of the visits: x / outflow.
@@ -210,13 +210,10 @@ class OccupationMeasure:
         if self.reduced is not None:
             return self.reduced.mixed_policy()
         process, refusal = self.program.process, ""
-        otherwise = leaving_choice(process.dynamics, process.goal)
         for noise in (None,) if self.imbalance <= _BALANCED else NOISES:
             try:
-                visits = self.visits
-                if noise is not None:
-                    visits = balanced_visits(process, visits, otherwise, noise=noise)
-                choices, weights, followed = decomposed(process, visits)
+                taken = self if noise is None else self.balanced(noise)
+                choices, weights, followed = decomposed(process, taken.visits)
             except SolverError as error:
                 refusal = refusal or str(error)
                 continue
@@ -458,12 +455,8 @@ def _within_support(process: ExplicitProcess, visits: FloatArray, safe: IntArray
     return _nearer_to_leaving(process, visits, safe)
 
 
-def _nearer_to_leaving(
-    process: ExplicitProcess, visits: FloatArray, otherwise: IntArray
-) -> IntArray:
-    """Visited pairs by which one that leaves comes nearer; ``otherwise`` where none does."""
-    supported = visits > 0.0
-    nearer = nearer_pairs(
-        process.dynamics.graph, supported & (process.dynamics.exits > 0.0), supported
-    )
-    return np.where(nearer >= 0, nearer, otherwise)
+def _nearer_to_leaving(process: ExplicitProcess, visits: FloatArray, safe: IntArray) -> IntArray:
+    """Visited pairs by which one that leaves comes nearer; ``safe`` where none does."""
+    supported, dynamics = visits > 0.0, process.dynamics
+    nearer = nearer_pairs(dynamics.graph, supported & (dynamics.exits > 0.0), supported)
+    return np.where(nearer >= 0, nearer, safe)

@@ -544,9 +544,20 @@ class OccupationProgram:
 
     @property
     def _columns(self) -> list[str]:
-        """Names of the columns of ``linear``."""
-        labels = map(self.label, range(self.process.n_pairs))
-        return [*map(str, labels), *["t"] * self.ratio]
+        """Names of the columns of ``linear``, as their labels, in bulk."""
+        augmented, quotient, model = self.augmented, self.augmented.quotient, self.augmented.model
+        states, actions = list(map(str, model.states)), list(map(str, model.action_names))
+        acting = np.maximum(quotient.pair_at, 0)
+        places = zip(
+            model.pair_state[acting].tolist(), model.pair_action[acting].tolist(), strict=True
+        )
+        names = [f"({states[state]}, {actions[action]})" for state, action in places]
+        for pair in np.flatnonzero(quotient.gives_up).tolist():
+            names[pair] = str(self.label(pair)._replace(cost=None))
+        copies = (ColumnLabel(None, None, augmented.paid(k)).paid for k in range(augmented.copies))
+        own = [f"{name}{paid}" for paid in copies for name in names]
+        beyond = map(self.label, range(len(own), self.process.n_pairs))
+        return [*own, *map(str, beyond), *["t"] * self.ratio]
 
     @property
     def _rows(self) -> list[str]:
