@@ -27,7 +27,6 @@ _ROUNDING = 2.0
 """A pair's loss of goal probability may be half of what is computed: the horizon then lies a little
 farther than it need, and no rounding matters."""
 
-
 _ONE = np.ones(1)
 
 

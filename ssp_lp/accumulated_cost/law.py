@@ -14,6 +14,7 @@ not raised to the power of the layers.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -23,6 +24,7 @@ from numbers import Rational
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 import scipy.sparse as sp
 from scipy.sparse.csgraph import connected_components
 
@@ -165,7 +167,6 @@ class FreeChainMoves:
 MOST_LEVELS = 62
 """Layers are counted up to 2^62, as far as integers of 64 bits go."""
 
-
 _MOSTLY_STAYS = 0.5
 """Exits up to which what stays is taken from them; above, the subtraction would lose digits."""
 
@@ -297,44 +298,128 @@ class LayerPlaces:
 
 
 _FIRST_LAYERS = 64
-
-
 _LAST_LAYER = 2**62  # as good as infinitely many
-
-
 _MOST_WAITING = 50_000_000  # masses kept at once, 400 MB
-
-
 _MOST_WORK = 3_000_000_000  # moves followed in all, some tens of seconds
-
-
 _WORK_OF_A_LAYER = 3_000  # moves that could be followed while one layer is begun
-
-
 _TOGETHER = 1_000_000  # moves that may be followed between two looks at the time
-
-
 _MOSTLY = 0.5  # share of a chain's nodes from which all of its moves are followed
-
-
 _TINY = 5e-324  # the least mass there is
-
-
 _MOST_PLACES = 800  # of a dense matrix of one layer, of which some sixty powers are kept, 300 MB
-
-
 _WORK_OF_POWERS = 0.125  # moves that could be followed while powers are taken, per places cubed
 
 
-class Arrivals:
-    """A sweep over the total cost in whole layers of the costs' common unit. Mutable: it grows.
+class ArrivalSweep(ABC):
+    """A sweep over the total cost of a chain in whole multiples of a unit. Mutable: it grows.
 
-    Mass waits at (layer, node) in a ring as wide as the costliest step. A layer is settled by
-    spreading its mass over the moves that cost nothing and sending it on along the others; what
-    is then at the goal is that layer's atom. All that is not settled is known exactly from the
-    linear solves of each node's prospects, so the tail is never a difference of large numbers.
-    Where the nodes are few, what lies far beyond the settled layers is had from powers of the
-    transition of one layer (:attr:`leaps`).
+    Mass waits for its total. A layer is settled by spreading its mass over the moves that cost
+    nothing and sending it on along the others; what is then at the goal is that layer's atom. All
+    that is not settled is known exactly from the linear solves of each node's prospects, so the
+    tail is never a difference of large numbers.
+    """
+
+    _number: npt.DTypeLike = np.int64
+    _first: int = _FIRST_LAYERS  # layers that are settled at least, once any are
+
+    def __init__(self, live: LiveChain, unit: Fraction, steps: IntArray, block: IntArray) -> None:
+        """Begin at total cost 0, nothing settled.
+
+        Args:
+            live: the chain.
+            unit: of which every cost is a multiple.
+            steps: how many each move costs, [moves].
+            block: of columns to which each move leads, [moves].
+        """
+        self.settled, self.unit = 0, unit  # layers 0 .. settled - 1 are
+        self._live, self._size = live, len(live.start)
+        goal = self._size - 1
+        free = np.asarray(steps == 0, dtype=np.bool_) & (live.target != goal)
+        self._free = FreeChainMoves(live, free) if free.any() else None
+        onward = live.source[~free], (block * self._size + live.target)[~free]
+        shape = goal, (int(block.max(initial=0)) + 1) * self._size
+        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
+        self._layers: list[int] = []
+        self._masses: list[float] = []
+
+    @property
+    @abstractmethod
+    def exhausted(self) -> bool:
+        """Whether no arrival is waited for any more: every atom is known."""
+
+    @abstractmethod
+    def settle(self, layers: int) -> None:
+        """Settle all layers below the given number.
+
+        Raises:
+            ModelError: this would take too long.
+            Stop: the time ended.
+        """
+
+    @abstractmethod
+    def remaining(self, layer: int | None = None) -> tuple[float, float]:
+        """Of the runs that arrive at a layer or later: Pr(goal), and E[C - that layer; goal].
+
+        Args:
+            layer: the first that is not settled if left out; a later one where :attr:`leaps`.
+        """
+
+    @abstractmethod
+    def last_layer(self, bound: float | Fraction) -> int:
+        """The last layer of a total cost of at most a finite bound, decided in whole numbers."""
+
+    def cost_of(self, layers: IntArray) -> FloatArray:
+        """Total cost of whole layers, rounded once, like ``layers``."""
+        return totals_of(layers, self.unit)
+
+    @property
+    def frontier(self) -> float:
+        """The total cost from which on nothing is settled."""
+        return float(self.settled * self.unit)
+
+    @property
+    def leaps(self) -> bool:
+        """Whether layers that are not settled can be asked for."""
+        return False
+
+    def atoms(self) -> tuple[IntArray, FloatArray]:
+        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
+        return np.array(self._layers, dtype=self._number), np.array(self._masses, dtype=np.float64)
+
+    def followed(self, enough: int | None = None) -> Iterator[int]:
+        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
+
+        Yields:
+            How many layers are settled; at least once.
+
+        Raises:
+            ModelError: this would take too long.
+        """
+        yield self.settled
+        while not self.exhausted:
+            ahead = max(2 * self.settled, self._first)
+            self.settle(ahead if enough is None else min(ahead, enough))
+            yield self.settled
+
+    def arrived(self, layer: int) -> float:
+        """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
+        layers, masses = self.atoms()
+        return float(masses[np.asarray(layers < layer, dtype=np.bool_)].sum())
+
+    def first_reaching(self, mass: float) -> int:
+        """The layer in which the arrivals reach a mass that the settled ones do not; where leaps.
+
+        Raises:
+            ModelError: there are more layers before it than can be counted.
+        """
+        raise ModelError(f"no leap to a mass of {mass:g}: sums are followed one by one")
+
+
+class Arrivals(ArrivalSweep):
+    """A sweep in layers of the costs' common unit, one after the other.
+
+    Mass waits at (layer, node) in a ring as wide as the costliest step. Where the nodes are few,
+    what lies far beyond the settled layers is had from powers of the transition of one layer
+    (:attr:`leaps`).
 
     Raises:
         ModelError: the costs have no common unit that gives a sane number of layers.
@@ -350,43 +435,29 @@ class Arrivals:
             exact_costs: float cost -> the fraction meant.
             unit: of which every cost is rounded up to a multiple; None: their common unit.
         """
-        self.settled = 0  # layers 0 .. settled - 1 are
-        self._work = 0
         paid = live.paid
         flat = paid.size > 0 and float(paid.min()) == float(paid.max())
         distinct = paid[:1] if flat else np.unique(paid)
         if unit is None:
-            self.unit = common_unit(distinct, exact_costs)
-            self._steps = layers_of(distinct, self.unit, exact_costs)
+            unit = common_unit(distinct, exact_costs)
+            self._steps = layers_of(distinct, unit, exact_costs)
         else:
-            self.unit = unit
             self._steps = np.ceil(distinct / float(unit) * (1.0 - SAME_TOTAL)).astype(np.int64)
-        self._width = int(self._steps.max(initial=0)) + 1
-        self._live, self._size = live, len(live.start)
-        if self._width * self._size > _MOST_WAITING:
+        self._work, self._width = 0, int(self._steps.max(initial=0)) + 1
+        if self._width * len(live.start) > _MOST_WAITING:
+            self.settled, self.unit, self._size = 0, unit, len(live.start)
             raise ModelError(self._too_large("one step passes too many layers"))
         step = self._steps[np.searchsorted(distinct, paid)]
-        goal = self._size - 1
-        free = (step == 0) & (live.target != goal)
-        self._free = FreeChainMoves(live, free) if free.any() else None
-        onward = (live.source[~free], (step * self._size + live.target)[~free])
-        shape = (goal, self._width * self._size)
-        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
-        self._waiting = np.zeros(shape[1])
+        super().__init__(live, unit, step, step)
+        self._waiting = np.zeros(self._width * self._size)
         self._waiting[: self._size] = live.start
         self._occupied = np.arange(self._width) == 0
         self._lists: tuple[Any, ...] = ()  # of what waits, and of moves, once loops are compiled
-        self._layers: list[int] = []
-        self._masses: list[float] = []
 
     @property
     def exhausted(self) -> bool:
         """Whether no arrival is waited for any more: every atom is known."""
         return not self._occupied.any()
-
-    def cost_of(self, layers: IntArray) -> FloatArray:
-        """Total cost of whole layers, rounded once, like ``layers``."""
-        return totals_of(layers, self.unit)
 
     def last_layer(self, bound: float | Fraction) -> int:
         """The last layer of a total cost of at most a finite bound, decided in whole numbers."""
@@ -394,10 +465,6 @@ class Arrivals:
         if not isinstance(bound, Rational) and not 0.0 < bound < far:
             return 0 if bound == 0.0 else -1 if bound < 0.0 else _LAST_LAYER
         return min(max(last_layer(bound, self.unit), -1), _LAST_LAYER)
-
-    def atoms(self) -> tuple[IntArray, FloatArray]:
-        """Settled layers at which mass arrives, increasing, and how much: [atoms] each."""
-        return np.array(self._layers, dtype=np.int64), np.array(self._masses, dtype=np.float64)
 
     def settle(self, layers: int) -> None:
         """Settle all layers below the given number.
@@ -419,26 +486,6 @@ class Arrivals:
                 self.settled += ahead
                 self._settle_one()
 
-    def followed(self, enough: int | None = None) -> Iterator[int]:
-        """Settle twice as many layers each time, up to ``enough`` or to the end of the support.
-
-        Yields:
-            How many layers are settled; at least once.
-
-        Raises:
-            ModelError: this would take too long.
-        """
-        yield self.settled
-        while not self.exhausted:
-            ahead = max(2 * self.settled, _FIRST_LAYERS)
-            self.settle(ahead if enough is None else min(ahead, enough))
-            yield self.settled
-
-    @property
-    def frontier(self) -> float:
-        """The total cost from which on nothing is settled."""
-        return float(self.cost_of(np.array(self.settled)))
-
     @property
     def leaps(self) -> bool:
         """Whether layers that are not settled can be asked for: the places are few.
@@ -451,8 +498,7 @@ class Arrivals:
 
     def arrived(self, layer: int) -> float:
         """Pr(goal, C lies below the layer); the layer is settled, or :attr:`leaps`."""
-        layers, masses = self.atoms()
-        known = float(masses[layers < layer].sum())
+        known = super().arrived(layer)
         return known + self._ahead(layer)[0] if layer > self.settled and self.leaps else known
 
     def first_reaching(self, mass: float) -> int:
@@ -595,29 +641,13 @@ class Arrivals:
 
 
 _FIRST_STEPS = 8  # of the dearest kind
-
-
 _MOST_SUMS = 50_000  # followed one by one, some seconds
-
-
 _MOST_SUMS_BESIDE = 5_000  # where a policy has a unit of its own: its chain is the larger
-
-
-_MOST_KINDS = 64  # of steps by cost
-
-
+_MOST_STEPS = 64  # of steps by cost
 _FINE = 2_000  # units in the mean of costs that are rounded
-
-
 _MOST_UNITS = 20_000  # in the dearest step
-
-
 _MOST_ROUNDED = 10_000_000  # masses kept at once, of rounded costs
-
-
 _EARLY = 2_000  # sums after which some of the runs must have arrived
-
-
 _SOME = 0.05  # share of those that succeed
 
 
@@ -625,34 +655,23 @@ class _TooManySumsError(ModelError):
     """A question needs more sums than are followed one by one."""
 
 
-class FollowedSums:
-    """A sweep over the sums of a chain's costs. Mutable: it grows.
+class FollowedSums(ArrivalSweep):
+    """A sweep over the sums of a chain's costs: whole numbers of a tiny unit, one by one."""
 
-    The interface is that of ``Arrivals``, a layer being a multiple of a tiny unit.
-    """
-
-    leaps = False
+    _number = object
 
     def __init__(self, live: LiveChain, exact_costs: Mapping[float, Fraction], most: int) -> None:
         """Begin at total cost 0, nothing settled, to follow at most so many sums."""
-        self.settled, self._followed, self._most = 0, 0, most
-        kinds, kind = np.unique(live.paid, return_inverse=True)
-        self.unit = common_unit(kinds, exact_costs)
-        exact = [exact_costs.get(c, exact_cost(c)) for c in kinds.tolist()]
-        self._steps = [int(c / self.unit) for c in exact]
-        self._live, self._size = live, len(live.start)
-        goal = self._size - 1
-        free = (live.paid == 0.0) & (live.target != goal)
-        self._free = FreeChainMoves(live, free) if free.any() else None
-        onward = (live.source[~free], kind[~free] * self._size + live.target[~free])
-        shape = (goal, len(kinds) * self._size)
-        self._onward = sp.csr_array((live.probability[~free], onward), shape=shape)
+        distinct, step = np.unique(live.paid, return_inverse=True)
+        unit = common_unit(distinct, exact_costs)
+        exact = [exact_costs.get(c, exact_cost(c)) for c in distinct.tolist()]
+        self._followed, self._most, self._steps = 0, most, [int(c / unit) for c in exact]
+        self._first = max(_FIRST_STEPS * max(self._steps, default=1), 1)
+        super().__init__(live, unit, np.array(self._steps, dtype=object)[step], step)
         nodes = np.flatnonzero(live.start)
         self._pending: dict[int, list[tuple[IntArray, FloatArray]]] = {}
         self._next: list[int] = []
         self._send(0, nodes, live.start[nodes])
-        self._layers: list[int] = []
-        self._masses: list[float] = []
 
     @property
     def exhausted(self) -> bool:
@@ -668,25 +687,6 @@ class FollowedSums:
     def last_layer(self, bound: float | Fraction) -> int:
         """The last sum of at most a bound, which may itself be a sum rounded otherwise."""
         return int(Fraction(bound) * (1 + Fraction(SAME_TOTAL) / 2) // self.unit)
-
-    def atoms(self) -> tuple[IntArray, FloatArray]:
-        """Followed sums at which mass arrives, increasing, and how much: [atoms] each."""
-        return np.array(self._layers, dtype=object), np.array(self._masses, dtype=np.float64)
-
-    def followed(self, enough: int | None = None) -> Iterator[int]:
-        """Follow twice as many sums each time, up to ``enough`` or to the end of the support.
-
-        Yields:
-            How many layers are settled; at least once.
-
-        Raises:
-            _TooManySumsError: there are too many sums before it.
-        """
-        yield self.settled
-        while not self.exhausted:
-            ahead = max(2 * self.settled, _FIRST_STEPS * max(self._steps, default=1), 1)
-            self.settle(ahead if enough is None else min(ahead, enough))
-            yield self.settled
 
     def settle(self, layers: int) -> None:
         """Settle all sums below the given layer.
@@ -707,20 +707,10 @@ class FollowedSums:
     def _are_few(self) -> bool:
         """Whether there is hope that the sums come to an end of what is asked."""
         if self._followed <= _EARLY:
-            return self._followed <= self._most and len(self._steps) <= _MOST_KINDS
+            return self._followed <= self._most and len(self._steps) <= _MOST_STEPS
         arrived = float(np.sum(self._masses)) + float(self._live.start[-1])
         goal = float(self._live.start @ self._live.goal)
         return self._followed <= self._most and arrived >= _SOME * goal
-
-    @property
-    def frontier(self) -> float:
-        """The total cost from which on no sum is settled."""
-        return float(self.settled * self.unit)
-
-    def arrived(self, layer: int) -> float:
-        """Pr(goal, C lies below the sum), which is settled."""
-        known = sum(1 for found in self._layers if found < layer)
-        return float(np.sum(self._masses[:known]))
 
     def remaining(self, layer: int | None = None) -> tuple[float, float]:
         """Of the runs that arrive at sums not settled: Pr(goal), and E[C - frontier; goal]."""
@@ -732,10 +722,6 @@ class FollowedSums:
                 goal += reached
                 cost += delay * reached + float(masses @ self._live.cost[nodes])
         return goal, cost
-
-    def first_reaching(self, mass: float) -> int:
-        """Where leaps only: never."""
-        raise ModelError(f"no leap to a mass of {mass:g}: sums are followed one by one")
 
     def _settle_one(self, layer: int) -> None:
         """Settle the least sum that is still followed."""
@@ -755,9 +741,9 @@ class FollowedSums:
             return
         moves = self._onward[active]
         share = moves.data * np.repeat(visits[active], np.diff(moves.indptr))
-        kind, target = np.divmod(moves.indices.astype(np.int64), self._size)
-        for one in np.unique(kind).tolist():
-            chosen, ahead = kind == one, layer + self._steps[one]
+        step, target = np.divmod(moves.indices.astype(np.int64), self._size)
+        for one in np.unique(step).tolist():
+            chosen, ahead = step == one, layer + self._steps[one]
             self._send(ahead, target[chosen], share[chosen])
 
     def _send(self, layer: int, nodes: IntArray, masses: FloatArray) -> None:
@@ -766,9 +752,6 @@ class FollowedSums:
             self._pending[layer] = []
             heappush(self._next, layer)
         self._pending[layer].append((nodes, masses))
-
-
-Sweep = Arrivals | FollowedSums
 
 
 Answer = TypeVar("Answer")
@@ -783,7 +766,7 @@ class Followed:
     typical: float  # a total cost
     rounded: LiveChain | None  # with costs rounded up to multiples of a unit worth counting in
 
-    def asked(self, question: Callable[[Sweep], Answer]) -> Answer:
+    def asked(self, question: Callable[[ArrivalSweep], Answer]) -> Answer:
         """The answer to a question: exact, or of rounded costs where it needs too many sums."""
         try:
             return question(self._exact)
@@ -793,7 +776,7 @@ class Followed:
             return question(self._rounded)
 
     @cached_property
-    def _exact(self) -> Sweep:
+    def _exact(self) -> ArrivalSweep:
         """The sums that costs make as they are, or layers of a common unit."""
         try:
             return Arrivals(self.live, self.exact_costs)
@@ -814,6 +797,6 @@ class Followed:
         return Arrivals(self.live, {}, unit)
 
 
-def cost_of(sweep: Sweep, layer: int) -> float:
+def cost_of(sweep: ArrivalSweep, layer: int) -> float:
     """Total cost of a layer or of a followed sum."""
     return float(sweep.cost_of(np.array(layer)))

@@ -19,7 +19,6 @@ import logging
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -57,10 +56,8 @@ HOPEFUL, OPEN, WRONG, ENDLESS, FAILS = 1, 2, 4, 8, 16
 """Bits: the goal can be reached; some end can; a decision that is missing or not allowed can;
 a loop that costs something and is never left can; failing can, where that is forbidden."""
 
-
 ENDED = -3
 """In place of a pair where an episode is over."""
-
 
 _NO_CLASSES = np.zeros(0, dtype=np.uint8)
 
@@ -78,7 +75,7 @@ class Staying:
 class LayerMoves:
     """A model's outcomes by the class of their cost, and which of its states act.
 
-    ``slots`` are where in a ring of layers each class of steps leads, -1 where it stays, [classes].
+    Layers ahead are rows of a ring: there each class of steps leads, -1 where it stays, [classes].
     """
 
     model: SSP
@@ -115,18 +112,18 @@ class LayerMoves:
         """The same moves under a tail."""
         return np.where(self.acting[states], self.layers.tails[number][states], ENDED)
 
-    def slots(self, layer: int) -> IntArray:
-        """Slots of a layer's moves."""
+    def ring(self, layer: int) -> IntArray:
+        """Rows of the ring to which a layer's classes of steps lead, -1: they stay, [classes]."""
         leads, room = self.layers.leads(layer), self.room
-        slots = leads + layer % room
-        slots[slots >= room] -= room  # no step leads beyond the ring
-        slots[leads <= 0] = -1
-        return slots
+        ring = leads + layer % room
+        ring[ring >= room] -= room  # no step leads beyond the ring
+        ring[leads <= 0] = -1
+        return ring
 
     def expect(
         self,
         pairs: IntArray,
-        slots: IntArray,
+        ring: IntArray,
         worth: FloatArray,
         marks: IntArray,
         priced: IntArray,
@@ -136,9 +133,9 @@ class LayerMoves:
 
         Args:
             pairs: of the states asked for, [k].
-            slots: [classes].
-            worth: [slots, states, columns].
-            marks: [slots, states].
+            ring: [classes].
+            worth: [rows, states, columns].
+            marks: [rows, states].
             priced: columns (from, to) of which one counts in the other, times a cost, [.., 2].
             costs: of each class, [.., classes].
         """
@@ -148,17 +145,17 @@ class LayerMoves:
             from ssp_lp.compiled.layers import stream_totals
 
             stream_totals(self.model.n_outcomes)(
-                pairs, *self._outcomes, slots, costs, worth, marks, priced, sums, found
+                pairs, *self._outcomes, ring, costs, worth, marks, priced, sums, found
             )
             return sums, found
-        source, outcome, kind = self._taken(pairs, slots >= 0)
-        place = slots[kind] * marks.shape[1] + self.model.successors[outcome]
+        source, outcome, step = self._taken(pairs, ring >= 0)
+        place = ring[step] * marks.shape[1] + self.model.successors[outcome]
         flat, shape = worth.reshape(-1, worth.shape[2]), (len(pairs), marks.size)
         share = self.model.probabilities[outcome]
         sums += sp.csr_array((share, (source, place)), shape=shape) @ flat
         for (begin, end), cost in zip(priced.tolist(), costs, strict=True):
             sums[:, end] += (
-                sp.csr_array((share * cost[kind], (source, place)), shape=shape) @ flat[:, begin]
+                sp.csr_array((share * cost[step], (source, place)), shape=shape) @ flat[:, begin]
             )
         np.bitwise_or.at(found, source, marks.reshape(-1)[place])
         return sums, found
@@ -194,69 +191,58 @@ class LayerMoves:
         everywhere = np.arange(model.n_states)
         for layer in reversed(range(begin, end)):
             pairs = self.pairs(layer, everywhere)
-            source, outcome, kind = self._taken(pairs, leads >= 0)
-            met = hopeful[layer + leads[kind], model.successors[outcome]]
+            source, outcome, step = self._taken(pairs, leads >= 0)
+            met = hopeful[layer + leads[step], model.successors[outcome]]
             hopeful[layer, source[met]] = True
             if (leads <= 0).any():
                 marks = np.where(hopeful[layer], HOPEFUL, 0)
-                spread_in_layer(marks, HOPEFUL, self.staying(everywhere, pairs, self.slots(layer)))
+                spread_in_layer(marks, HOPEFUL, self.staying(everywhere, pairs, self.ring(layer)))
                 hopeful[layer] = marks > 0
 
-    def reach(self, pairs: IntArray, slots: IntArray, arriving: BoolArray) -> None:
-        """Mark where pairs, [k], may lead in later layers, in place, [slots, states]."""
-        check_time()
-        if accelerated(self.model.n_outcomes):
-            from ssp_lp.compiled.layers import stream_arrivals
-
-            stream_arrivals(pairs, *self._outcomes, slots, arriving)
-            return
-        _, outcome, kind = self._taken(pairs, slots >= 0)
-        arriving[slots[kind], self.model.successors[outcome]] = True
-
-    def send(self, mass: FloatArray, pairs: IntArray, slots: IntArray, waiting: FloatArray) -> None:
-        """Send the mass of a layer, [states], on to later ones, in place, [slots, states]."""
+    def send(self, mass: FloatArray, pairs: IntArray, ring: IntArray, waiting: FloatArray) -> None:
+        """Send the mass of k states by their pairs on to later layers, in place, [rows, states]."""
         check_time()
         if accelerated(self.model.n_outcomes):
             from ssp_lp.compiled.layers import stream_mass
 
-            stream_mass(mass, pairs, *self._outcomes, slots, waiting)
+            stream_mass(mass, pairs, *self._outcomes, ring, waiting)
             return
-        source, outcome, kind = self._taken(np.where(mass > 0.0, pairs, -1), slots >= 0)
-        place = slots[kind], self.model.successors[outcome]
+        source, outcome, step = self._taken(np.where(mass > 0.0, pairs, -1), ring >= 0)
+        place = ring[step], self.model.successors[outcome]
         np.add.at(waiting, place, mass[source] * self.model.probabilities[outcome])
 
-    def within(self, pairs: IntArray, slots: IntArray, begins: IntArray) -> IntArray:
+    def within(self, pairs: IntArray, ring: IntArray, begins: IntArray) -> IntArray:
         """States to which moves that stay lead from some, these included, increasing.
 
         Args:
             pairs: of all states, [states].
-            slots: [classes].
+            ring: [classes].
             begins: increasing.
         """
-        source, outcome, _ = self._taken(pairs, slots < 0)
+        source, outcome, _ = self._taken(pairs, ring < 0)
         if not source.size:
             return begins
         offsets = offsets_of(np.bincount(source, minlength=len(pairs)))
         return np.flatnonzero(reached_along(self.model.successors[outcome], offsets, begins))
 
-    def staying(self, states: IntArray, pairs: IntArray, slots: IntArray) -> Staying | None:
+    def staying(self, states: IntArray, pairs: IntArray, ring: IntArray) -> Staying | None:
         """Moves within the layer; None: there are none.
 
         Args:
             states: increasing, from which all such moves lead to one of them, [k].
             pairs: [k].
-            slots: [classes].
+            ring: [classes].
         """
-        if (slots >= 0).all():
+        if (ring >= 0).all():
             return None
-        source, outcome, kind = self._taken(pairs, slots < 0)
+        source, outcome, step = self._taken(pairs, ring < 0)
         if not source.size:
             return None
         share, target = self.model.probabilities[outcome], self.model.successors[outcome]
         where, shape = (source, np.searchsorted(states, target)), (len(states), len(states))
-        paid = sp.csr_array((share * self.layers.costs[kind], where), shape=shape)
+        paid = sp.csr_array((share * self.layers.costs[step], where), shape=shape)
         onward = np.zeros(len(pairs))
-        source, outcome, _ = self._taken(pairs, slots >= 0)
+        source, outcome, _ = self._taken(pairs, ring >= 0)
         np.add.at(onward, source, self.model.probabilities[outcome])
         return Staying(sp.csr_array((share, where), shape=shape), paid, onward)
 
@@ -349,7 +335,7 @@ _LOG = logging.getLogger("ssp_lp.evaluation")
 
 
 @dataclass(frozen=True, eq=False)
-class Column:
+class TotalledReward:
     """One total: ``v(x) = reward + survival * E[v(next)]`` where something is still open."""
 
     ends: FloatArray  # [states] value at goals and dead-ends
@@ -371,7 +357,7 @@ class LayerSweep:
     """
 
     moves: LayerMoves
-    columns: tuple[Column, ...]
+    columns: tuple[TotalledReward, ...]
     forbidden: BoolArray  # [states] where the policy may not give up
     forbids_failing: bool
 
@@ -386,10 +372,10 @@ class LayerSweep:
         for layer in reversed(range(moves.layers.count)):
             over = 1.0 - layer / moves.layers.count
             _LOG.debug("layer %d of %d", layer, moves.layers.count, extra={"share": over})
-            here = _listed_in_layer(np.unpackbits(met[layer]))
-            pairs, slots = moves.pairs(layer, here), moves.slots(layer)
-            sums, found = moves.expect(pairs, slots, worth, marks, *self._priced)
-            staying = moves.staying(here, pairs, slots)
+            here = np.flatnonzero(np.unpackbits(met[layer]))
+            pairs, ring = moves.pairs(layer, here), moves.ring(layer)
+            sums, found = moves.expect(pairs, ring, worth, marks, *self._priced)
+            staying = moves.staying(here, pairs, ring)
             found = self._settled(here, pairs, staying, sums, found)
             worth[layer % room, here], marks[layer % room, here] = sums, found
         at = np.searchsorted(here, begins)
@@ -400,40 +386,41 @@ class LayerSweep:
 
         Returns:
             The bits of the states, [layers]; then, of the states that may be met in the layers from
-            there on, the totals, [slots, states, columns], and the marks, [slots, states].
+            there on, the totals, [rows, states, columns], and the marks, [rows, states].
         """
         moves, room, n = self.moves, self.moves.room, self.moves.model.n_states
-        arriving, met, everywhere = np.zeros((room, n), dtype=np.bool_), [], np.arange(n)
-        arriving[0, begins] = True
+        arriving, met, everywhere = np.zeros((room, n)), [], np.arange(n)  # > 0: it may arrive
+        arriving[0, begins] = 1.0
         for layer in range(moves.layers.count):
-            here, slots = _listed_in_layer(arriving[layer % room]), moves.slots(layer)
-            arriving[layer % room] = False
-            if (slots < 0).any():
-                here = moves.within(moves.pairs(layer, everywhere), slots, here)
-            moves.reach(moves.pairs(layer, here), slots, arriving)
+            here: IntArray = np.flatnonzero(arriving[layer % room])
+            ring = moves.ring(layer)
+            arriving[layer % room] = 0.0
+            if (ring < 0).any():
+                here = moves.within(moves.pairs(layer, everywhere), ring, here)
+            moves.send(np.ones(len(here)), moves.pairs(layer, here), ring, arriving)
             is_met = np.zeros(n, dtype=np.bool_)
             is_met[here] = True
             met.append(np.packbits(is_met))
         worth, marks = np.empty((room, n, len(self.columns))), np.empty((room, n), dtype=np.uint8)
         count = moves.layers.count
-        chosen = {slot % room: moves.layers.tail_at(slot) for slot in range(count, count + room)}
+        chosen = {row % room: moves.layers.tail_at(row) for row in range(count, count + room)}
         for number in range(len(moves.layers.tails)):
-            lands = [arriving[slot] & (tail == number) for slot, tail in chosen.items()]
-            begins = _listed_in_layer(np.logical_or.reduce(lands))
-            if begins.size:
-                here, totals, found = self._tail(number, begins)
-                for slot, tail in chosen.items():
+            lands = [(arriving[row] > 0.0) & (tail == number) for row, tail in chosen.items()]
+            landed = np.flatnonzero(np.logical_or.reduce(lands))
+            if landed.size:
+                here, totals, found = self._tail(number, landed)
+                for row, tail in chosen.items():
                     own = tail[here] == number
-                    worth[slot, here[own]], marks[slot, here[own]] = totals[own], found[own]
+                    worth[row, here[own]], marks[row, here[own]] = totals[own], found[own]
         return met, worth, marks
 
     def _tail(self, number: int, begins: IntArray) -> tuple[IntArray, FloatArray, IntArray]:
         """Where a tail may come to from some states on, all of whose moves stay: totals, marks."""
         moves = self.moves
-        slots, n = np.full(len(moves.layers.costs), -1), moves.model.n_states
-        here = moves.within(moves.tail(number, np.arange(n)), slots, begins)
+        ring, n = np.full(len(moves.layers.costs), -1), moves.model.n_states
+        here = moves.within(moves.tail(number, np.arange(n)), ring, begins)
         pairs, sums = moves.tail(number, here), np.zeros((len(here), len(self.columns)))
-        staying = moves.staying(here, pairs, slots)
+        staying = moves.staying(here, pairs, ring)
         none = np.zeros(len(here), dtype=np.uint8)
         return here, sums, self._settled(here, pairs, staying, sums, none)
 
@@ -502,7 +489,7 @@ class LayerSweep:
         return marks
 
     def _inside(
-        self, column: Column, hopeful: BoolArray, is_open: BoolArray, finite: BoolArray
+        self, column: TotalledReward, hopeful: BoolArray, is_open: BoolArray, finite: BoolArray
     ) -> BoolArray:
         """Where a total is still open, if anything happens there, [k]."""
         inside = hopeful if column.until_lost else is_open
@@ -583,11 +570,6 @@ def _chain_in_sweep(
     return nodes, rows, System(own, (1.0 - survival) + survival * left)
 
 
-def _listed_in_layer(chosen: npt.NDArray[Any]) -> IntArray:
-    """The states that are marked, increasing."""
-    return np.flatnonzero(chosen)
-
-
 _AT_ONCE = 1_000_000  # decisions between two looks at the time
 
 
@@ -631,7 +613,6 @@ def _stopping(policy: Policy) -> Policy:
 
 LARGE = 300_000
 """Nodes, states times layers, above which a chain is not written out."""
-
 
 _NOTHING = np.zeros(0, dtype=np.int64)
 

@@ -40,8 +40,6 @@ from ssp_lp.processes.quantities.conditions import UpperRow, free_pairs
 from ssp_lp.processes.quotient import Quotient, build_quotient
 
 _MOST_TURNS = 300  # to bound the steps within a layer
-
-
 _LAST_STEP = 0.4  # what another one adds by then; a half would do but for rounding
 
 

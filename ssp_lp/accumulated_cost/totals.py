@@ -30,11 +30,7 @@ from ssp_lp.model.graph.reachability import dead_ends
 from ssp_lp.processes.expectations import uniform_cost
 
 _MOST_LAYERS_PER_STEP = 1_000_000
-
-
 _SHORT = 9  # digits of a decimal that a person would write down
-
-
 _MEANT = 1e-12  # relative distance at which a cost is such a decimal
 
 
@@ -177,26 +173,15 @@ def multiples_of_unit(model: SSP, counted: BoolArray) -> StepClasses:
 MOST_SUMS = 20_000
 """Sums up to which all of them are told apart, where there is room."""
 
-
 _PRODUCTS = 50  # sums that are formed at once, times those that may be kept
-
-
 _MOST_PLACES = 300_000  # states times sums that are followed through a model
-
-
 _MOST_MARKS = 30_000_000  # sums times states, or times steps, whether they are met or not
-
-
 _UNKNOWN, _BEYOND = -2, -1  # in place of the number of a total
-
-
 _MOST_ROUNDS = 1_000
-
 
 _SAME = 1e-11
 """Totals this near to each other, relative to the cap, are one summed in two ways; yet never so far
 from each other as a small share of the cheapest step."""
-
 
 _SHARE = 1e-3  # of the cheapest step
 
@@ -328,8 +313,6 @@ def _steps_to_sum(model: SSP, steps: FloatArray) -> tuple[IntArray, IntArray, In
 
 
 _SUMS_PER_TOTAL = 5  # sums told apart rather than a grid of so many fewer
-
-
 _ULPS = 1e-15  # relative: the rounding of one sum
 
 
@@ -483,32 +466,16 @@ class Window:
 
 _MOST_ON_GRID = 1600  # of a grid, unless more are asked for
 
-
 FIRST_TOTALS = 200
 """Totals on a first grid."""
 
-
 _MARGIN = 1.02  # beyond what a price asks for: the price still moves a little
-
-
 _FEW = 16  # layers that a step may pass before sums are thought of
-
-
 _STEPS_AHEAD = 32  # steps whose sums are counted
-
-
 _FEWER = 4  # times as many layers as sums make the sums worth while
-
-
 _LEAST_STEPS = 4.0  # a cap allows for, of the dearest
-
-
 _MOST_ENTRIES = 200_000_000  # layers times pairs beyond which a grid is taken
-
-
 _NEARBY = 1.1  # times a cap: no reason to move it by less
-
-
 _GROWTH = 2.0  # of a cap that loses something
 
 

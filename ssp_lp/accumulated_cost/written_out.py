@@ -116,11 +116,7 @@ def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatA
 
 
 _FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
-
-
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
-
-
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
 
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailMeanOf, Utility, utilities
-from ssp_lp.accumulated_cost.law import ChainProspect, Followed, LiveChain, Sweep, cost_of
+from ssp_lp.accumulated_cost.law import ArrivalSweep, ChainProspect, Followed, LiveChain, cost_of
 from ssp_lp.accumulated_cost.policy_layers import chain_of_law
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError, in_short, wrong_argument
@@ -26,8 +26,6 @@ from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import as_percentage, start_distribution
 
 _NOTHING = 1e-17  # of a sum: less than its rounding
-
-
 _UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
 
 
@@ -153,7 +151,8 @@ class CostLaw:
             return self.goal
         _check_cost_number(bound, "bound")
 
-        def arrived(arrivals: Sweep) -> float:
+        def arrived(arrivals: ArrivalSweep) -> float:
+            """What arrives up to the bound."""
             last = arrivals.last_layer(bound)
             for settled in arrivals.followed(last + 1):
                 if settled > last or arrivals.leaps:
@@ -171,7 +170,8 @@ class CostLaw:
         if threshold == inf:
             return 0.0
 
-        def beyond(arrivals: Sweep) -> float:
+        def beyond(arrivals: ArrivalSweep) -> float:
+            """What arrivals beyond the threshold pay beyond it."""
             last = arrivals.last_layer(float(threshold))
             for settled in arrivals.followed(last + 1):
                 if settled > last:
@@ -203,7 +203,8 @@ class CostLaw:
             return nan
         needed = level * self.goal * (1.0 - QUANTILE)
 
-        def reached(arrivals: Sweep) -> float:
+        def reached(arrivals: ArrivalSweep) -> float:
+            """The first total by which the level is reached."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
                 total = np.cumsum(masses)
@@ -259,9 +260,11 @@ class CostLaw:
             return 0.0
 
         def gain(costs: FloatArray) -> FloatArray:
+            """The utility above what it falls to."""
             return utilities(utility, costs) - at_infinity
 
-        def gained(arrivals: Sweep) -> float:
+        def gained(arrivals: ArrivalSweep) -> float:
+            """The expected gain, followed until the rest cannot matter."""
             for _ in arrivals.followed():
                 layers, masses = arrivals.atoms()
                 known = float(masses @ gain(arrivals.cost_of(layers)))
@@ -279,7 +282,8 @@ class CostLaw:
             raise ModelError("give a finite bound, or all_but(mass)")
         _check_cost_number(bound, "bound")
 
-        def atoms(arrivals: Sweep) -> Atoms:
+        def atoms(arrivals: ArrivalSweep) -> Atoms:
+            """The atoms up to the bound."""
             last = arrivals.last_layer(bound)
             for settled in arrivals.followed(last + 1):
                 if settled > last:
@@ -300,7 +304,8 @@ class CostLaw:
         if not float(mass) > 0.0:
             raise wrong_argument("mass", "be above 0", mass, ": the support may be infinite")
 
-        def atoms(arrivals: Sweep) -> Atoms:
+        def atoms(arrivals: ArrivalSweep) -> Atoms:
+            """The atoms but the last ones, which are unlikely enough."""
             for _ in arrivals.followed():
                 if arrivals.remaining()[0] <= mass:
                     break

@@ -12,9 +12,9 @@ from ssp_lp.accumulated_cost.policy_layers import (
     FAILS,
     LARGE,
     WRONG,
-    Column,
     LayerMoves,
     LayerSweep,
+    TotalledReward,
 )
 from ssp_lp.analysis.cost_law import chain_as_counted, law_of_chains
 from ssp_lp.analysis.quantity_values import (
@@ -264,7 +264,6 @@ def _evaluated_ends(chain: Chain) -> dict[str, float]:
 _ROUNDING = 64 * MACHINE_EPSILON
 """As little wandering as this is rounding: it is what the other ends leave of 1."""
 
-
 _WORDS = {"dead_end": "dead-end", "gave_up": "gave up", "wandering": "wandering"}
 
 
@@ -467,7 +466,7 @@ def layered_measures(
 
 def _measured_columns(
     problem: Problem, charge: FloatArray, gives_up: bool
-) -> tuple[list[Column], list[str]]:
+) -> tuple[list[TotalledReward], list[str]]:
     """What is totalled: the first four undiscounted, then by end, then discounted.
 
     Args:
@@ -483,25 +482,25 @@ def _measured_columns(
     entering = dead_end_charges(model, dead_ends(model), semantics)
     goes_on, stage = semantics.give_up is GiveUp.DEAD_ENDS, cost_means(model)
 
-    def four(survival: float, first: int) -> list[Column]:
+    def four(survival: float, first: int) -> list[TotalledReward]:
         """Goal, failure, cost of success and cost until failure."""
         leak = 1.0 - survival
         return [
-            Column(goal, survival),
-            Column(dead, survival, each=leak, gives_up=survival, lost=1.0),
-            Column(0.0 * goal, survival, prices=first + GOAL),
-            Column(entering, survival, reward=stage, gives_up=charge, lost=charge,
+            TotalledReward(goal, survival),
+            TotalledReward(dead, survival, each=leak, gives_up=survival, lost=1.0),
+            TotalledReward(0.0 * goal, survival, prices=first + GOAL),
+            TotalledReward(entering, survival, reward=stage, gives_up=charge, lost=charge,
                    goes_on=goes_on),
         ]  # fmt: skip
 
-    marks, names, ends = end_marks(model), list[str](), list[Column]()
+    marks, names, ends = end_marks(model), list[str](), list[TotalledReward]()
     for number, name in enumerate((*model.state_labels, "dead_end"), start=1):
         if (marks == number).any():
             names.append(name)
-            ends.append(Column((marks == number).astype(np.float64), until_lost=False))
+            ends.append(TotalledReward((marks == number).astype(np.float64), until_lost=False))
     if gives_up:
         names.append("gave_up")
-        ends.append(Column(0.0 * goal, until_lost=False, gives_up=1.0))
+        ends.append(TotalledReward(0.0 * goal, until_lost=False, gives_up=1.0))
     found, gamma = four(1.0, 0) + ends, survival_of(problem.discount)
     if gamma < 1.0:
         found += four(gamma, len(found))

@@ -218,26 +218,26 @@ def sweep_layers(
 @njit(cache=True)
 def stream_mass(
     mass: Array, pairs: Array, offsets: Array, successors: Array, probabilities: Array,
-    classes: Array, slots: Array, waiting: Array,
+    classes: Array, ring: Array, waiting: Array,
 ) -> None:  # fmt: skip
     """Send the mass of a layer on to later ones, in place; one core: the sums keep their order.
 
     Args:
-        mass: [states].
-        pairs: of each state, negative where none is taken, [states].
+        mass: [k].
+        pairs: of the states that have it, negative where none is taken, [k].
         offsets: outcomes of each pair, [pairs + 1].
         successors: [outcomes].
         probabilities: [outcomes].
         classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
-        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
-        waiting: written, [slots, states].
+        ring: row of the layer that a class of steps leads to, -1: this one, [classes].
+        waiting: written, [rows, states].
     """
     for s in range(pairs.size):
         if pairs[s] >= 0 and mass[s] > 0.0:
             for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
-                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                if slots[kind] >= 0:
-                    waiting[slots[kind], successors[outcome]] += mass[s] * probabilities[outcome]
+                step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                if ring[step] >= 0:
+                    waiting[ring[step], successors[outcome]] += mass[s] * probabilities[outcome]
 
 
 @njit(cache=True)
@@ -331,30 +331,6 @@ def follow_layer(
             onward[indices[first + k]] += mass[s] * data[begin + k]
 
 
-@njit(cache=True)
-def stream_arrivals(
-    pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
-    slots: Array, arriving: Array,
-) -> None:  # fmt: skip
-    """Mark where the moves of a layer to later ones may arrive, in place.
-
-    Args:
-        pairs: of each state that is left, negative where none is taken, [k].
-        offsets: outcomes of each pair, [pairs + 1].
-        successors: [outcomes].
-        probabilities: [outcomes].
-        classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
-        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
-        arriving: marked, [slots, states].
-    """
-    for s in range(pairs.size):
-        if pairs[s] >= 0:
-            for outcome in range(offsets[pairs[s]], offsets[pairs[s] + 1]):
-                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                if slots[kind] >= 0 and probabilities[outcome] > 0.0:
-                    arriving[slots[kind], successors[outcome]] = True
-
-
 @one_or_all_cores
 def stream_hope(
     decision: Array, acting: Array, pair_offsets: Array,
@@ -388,8 +364,8 @@ def stream_hope(
                 if decision[layer, s] >= 0 and acting[s] and not hopeful[layer, s]:
                     pair = pair_offsets[s] + decision[layer, s]
                     for outcome in range(offsets[pair], offsets[pair + 1]):
-                        kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                        later = layer + leads[kind]
+                        step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                        later = layer + leads[step]
                         if probabilities[outcome] > 0.0 and hopeful[later, successors[outcome]]:
                             hopeful[layer, s] = True
                             marked += 1
@@ -401,7 +377,7 @@ def stream_hope(
 @one_or_all_cores
 def stream_totals(
     pairs: Array, offsets: Array, successors: Array, probabilities: Array, classes: Array,
-    slots: Array, costs: Array, worth: Array, marks: Array, priced: Array,
+    ring: Array, costs: Array, worth: Array, marks: Array, priced: Array,
     sums: Array, found: Array,
 ) -> None:  # fmt: skip
     """Expected totals after moves to later layers, and the marks that may be met there.
@@ -412,10 +388,10 @@ def stream_totals(
         successors: [outcomes].
         probabilities: [outcomes].
         classes: of the step costs, [outcomes]; empty: all outcomes are of class 0.
-        slots: where the layer lies that a class of steps leads to, -1: this one, [classes].
+        ring: row of the layer that a class of steps leads to, -1: this one, [classes].
         costs: [totals that are priced, classes].
-        worth: totals from there on, [slots, states, columns].
-        marks: bits, [slots, states].
+        worth: totals from there on, [rows, states, columns].
+        marks: bits, [rows, states].
         priced: columns (from, to): the worth in one, times the cost, counts in the other, [.., 2].
         sums: written, [k, columns].
         found: written, [k].
@@ -433,24 +409,24 @@ def stream_totals(
             second, third, fourth = min(first + 1, last), min(first + 2, last), min(first + 3, last)
             one, two, three, four = 0.0, 0.0, 0.0, 0.0
             for outcome in range(begin, end):
-                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                slot, share = slots[kind], probabilities[outcome]
-                if slot < 0 or share <= 0.0:
+                step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                row, share = ring[step], probabilities[outcome]
+                if row < 0 or share <= 0.0:
                     continue
                 to = successors[outcome]
                 if first == 0:
-                    found[s] |= marks[slot, to]
-                one += share * worth[slot, to, first]
-                two += share * worth[slot, to, second]
-                three += share * worth[slot, to, third]
-                four += share * worth[slot, to, fourth]
+                    found[s] |= marks[row, to]
+                one += share * worth[row, to, first]
+                two += share * worth[row, to, second]
+                three += share * worth[row, to, third]
+                four += share * worth[row, to, fourth]
             sums[s, first], sums[s, second] = one, two
             sums[s, third], sums[s, fourth] = three, four
         for j in range(priced.shape[0]):
             paid = 0.0
             for outcome in range(begin, end):
-                kind = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
-                slot, share = slots[kind], probabilities[outcome]
-                if slot >= 0 and share > 0.0:
-                    paid += share * costs[j, kind] * worth[slot, successors[outcome], priced[j, 0]]
+                step = np.int64(classes[outcome]) if classes.size > 0 else np.int64(0)
+                row, share = ring[step], probabilities[outcome]
+                if row >= 0 and share > 0.0:
+                    paid += share * costs[j, step] * worth[row, successors[outcome], priced[j, 0]]
             sums[s, priced[j, 1]] += paid
