@@ -14,11 +14,12 @@ import scipy.sparse as sp
 
 from ssp_lp.accumulated_cost.charges import TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, LayeredProcess, LayeredTails
+from ssp_lp.accumulated_cost.sweep import Sweep
 from ssp_lp.accumulated_cost.totals import Totals
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, least_integer_type
 from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.cost_player import CostPlayer, followed_tails
+from ssp_lp.game.cost_player import CostPlayer, followed_tails, lower_bounds
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.remembering import TimedPolicy
 
@@ -219,7 +220,7 @@ class BayesCostPlayer:
         if weights[0] > 0.0:
             process = LayeredProcess(self.base, totals, self.stationary.tails)
             price = float(weights[1] / weights[0])
-            below = weights[0] * self.stationary.bounds(process, price, price)[1]
+            below = weights[0] * lower_bounds(Sweep(process), price, price)[1]
             bound[:cap] = np.maximum(bound[:cap], below)
         return np.asarray(bound.T)
 

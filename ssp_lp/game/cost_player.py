@@ -139,7 +139,7 @@ class CostPlayer:
         the rounding of ``price``. The sign says whether ``J_obj / (1 - J_cond) >= price`` for all.
         """
         best: LayeredStrategy = self.response(1.0, price, accuracy).strategy
-        return float(self.bounds(best.process, price, 0.0)[0][0])
+        return float(lower_bounds(Sweep(best.process), price, 0.0)[0][0])
 
     def policy(self, response: BestResponse) -> CostAwarePolicy:
         """The response's policy on the model's states, with the cost paid as its memory."""
@@ -178,27 +178,27 @@ class CostPlayer:
             price = float(weights[1] / weights[0])
             failing = 0.0 if self.origin else price
             objective, failure, goal = sweep.minimise(price, failing, choice).tolist()
-            bound = weights[0] * self.bounds(process, price, failing)[0][0]
+            bound = weights[0] * lower_bounds(sweep, price, failing)[0][0]
             bound = max(bound, -weights[1] * self.origin)  # J_obj is never negative
         failed = settled - goal if self.origin else settled + failure
         strategy = LayeredStrategy(process, choice, price)
         return BestResponse(objective, failed, float(bound), strategy, 2 * process.cap, self.origin)
 
-    def bounds(
-        self, process: LayeredProcess, price: float, failing: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """Lower bounds of what every policy has of J_obj and, at a price, of J_cond.
 
-        Args:
-            process: cut at M.
-            price: of J_cond.
-            failing: the price, or 0 where J_cond is counted from 1.
+def lower_bounds(sweep: Sweep, price: float, failing: float) -> tuple[FloatArray, FloatArray]:
+    """Lower bounds of what every policy has of J_obj and, at a price, of J_cond.
 
-        Returns:
-            If a run began in each layer, [layers]; and of each state, [layers, nodes].
-        """
-        anything = np.broadcast_to(np.inf, (process.cap, self.base.n_nodes))
-        return Sweep(process).bound(price, failing, anything, process.beyond_bound(price, failing))
+    Args:
+        sweep: over the process cut at M.
+        price: of J_cond.
+        failing: the price, or 0 where J_cond is counted from 1.
+
+    Returns:
+        If a run began in each layer, [layers]; and of each state, [layers, nodes].
+    """
+    process = sweep.process
+    anything = np.broadcast_to(np.inf, (process.cap, process.base.n_nodes))
+    return sweep.bound(price, failing, anything, process.beyond_bound(price, failing))
 
 
 def _larger_cost_cap(lost: Mapping[float, float], wanted: float) -> float:
