@@ -347,9 +347,8 @@ def improve_states(
 
 @njit(cache=True)
 def sweep_reach(
-    rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, follows: bool,
-    choice: Array, values: Array,
-) -> float:  # fmt: skip
+    rows: Rows, order: Array, wanted: Array, epsilon: float, up: bool, choice: Array, values: Array
+) -> float:
     """Back up greatest probabilities of leaving as is wanted, in turn, in place, rounded.
 
     Rounded down they only rise, and a state that rises takes the pair that it rises by; rounded up
@@ -361,7 +360,6 @@ def sweep_reach(
         wanted: probability of leaving so, [pairs].
         epsilon: of the machine.
         up: whether to round up.
-        follows: look at the chosen pairs alone.
         choice: pair of each state, [states].
         values: [states].
 
@@ -371,10 +369,8 @@ def sweep_reach(
     offsets, indptr, indices, data, _ = rows
     most, sign = 0.0, 1.0 if up else -1.0
     for s in order:
-        greatest, pick, first, past = -1.0, choice[s], offsets[s], offsets[s + np.uint32(1)]
-        if follows:
-            first, past = pick, pick + np.uint32(1)
-        for pair in range(first, past):
+        greatest, pick = -1.0, choice[s]
+        for pair in range(offsets[s], offsets[s + np.uint32(1)]):
             total, begin, end = wanted[pair], indptr[pair], indptr[pair + np.uint32(1)]
             for k in range(begin, end):
                 total += data[k] * values[indices[k]]
@@ -388,6 +384,22 @@ def sweep_reach(
         elif rise > LEAST_RISE:
             values[s], choice[s] = greatest, pick
     return most
+
+
+@njit(cache=True)
+def follow_reach(
+    rows: Rows, order: Array, wanted: Array, epsilon: float, choice: Array, values: Array
+) -> None:
+    """The same along the chosen pairs alone, rounded down."""
+    _, indptr, indices, data, _ = rows
+    for s in order:
+        pair = choice[s]
+        total, begin, end = wanted[pair], indptr[pair], indptr[pair + np.uint32(1)]
+        for k in range(begin, end):
+            total += data[k] * values[indices[k]]
+        total *= 1.0 - (float(end - begin) + 5.0) * epsilon
+        if total - values[s] > LEAST_RISE:
+            values[s] = total
 
 
 @njit(cache=True)

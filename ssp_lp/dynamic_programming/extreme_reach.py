@@ -9,6 +9,7 @@ hardly ever left, may lose everything.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import cycle
@@ -43,11 +44,12 @@ from ssp_lp.model.graph.reachability import nearer_pairs
 
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2
-_SWEEPS = 40  # before the first evaluation: more than most distances take to spread both ways
-_MOST_SWEEPS = 500  # where sweeps alone are to enclose the optimum
-_FOLLOWED = 4  # sweeps along the policy after each one over all pairs
+_SWEEPS = 25  # before the first evaluation: more than most distances take to spread both ways
+_MOST_SWEEPS = 300  # where sweeps alone are to enclose the optimum
+_FOLLOWED = 8  # sweeps along the policy after each one over all pairs
 _NEARER = 0.1  # so much nearer it is before it is tried again from above
 _SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
+_QUICK = 0.1  # the same below which states that nobody asked for are waited for, too
 _STEPS = 1_000  # over which it is gathered what is lost where cost decides
 
 
@@ -210,35 +212,30 @@ def _swept_towards(
     order = np.argsort(distance, kind="stable").astype(np.uint32)
     order = order[~stuck[order]]
     directions = cycle((order, np.ascontiguousarray(order[::-1])))
-
-    def sweep(values: FloatArray, *, up: bool = False, follows: bool = False) -> float:
-        """The greatest rise of a value."""
-        if not is_compiled:
-            return _sweep_all_at_once(dynamics, wanted, order, up, choice, values)
-        from ssp_lp.compiled.improvement import sweep_reach
-
-        direction, rise = next(directions), 0.0
-        for some in pieces(order.size, dynamics.transitions.nnz):
-            rise = max(rise, sweep_reach(
-                dynamics.rows, direction[some], wanted, MACHINE_EPSILON, up, follows,
-                choice.view(np.uint32), values,
-            ))  # fmt: skip
-        return rise
-
-    rise, near, size = 1.0, _NEARER * PROVED, 0.0
+    sweep = partial(_sweep, dynamics, wanted, directions, is_compiled, choice)
+    near, size, most, rate = 0.5 * PROVED, 0.0, 1.0, 1.0
     try:
         for turn in range(_SWEEPS if last_digits else _MOST_SWEEPS):
-            rise_before, rise, size_before = rise, sweep(low), size
-            size, left = float(low[asked].min(initial=1.0)), 1.0 - rise / max(rise_before, rise)
-            if not last_digits and rise <= near * size * max(left, 1.0 - _SLOWEST):
-                high, near = np.minimum(low + 0.5 * PROVED * size, 1.0), _NEARER * near
-                for _ in range(max(turn, _SWEEPS)):
-                    if sweep(high, up=True) <= 0.0:
-                        return choice, low, high
+            begun, size_before, most_before, rate_before = low.copy(), size, most, rate
+            rise = sweep(low)
+            step, size = low - begun, float(low[asked].min(initial=1.0))
+            most = float(step.max(initial=0.0))
+            rate = most / max(most_before, most, LEAST_RISE)
+            # values go on to rise by that share of the last rise; where that is quick, all settle
+            slower = max(rate, rate_before)
+            if not last_digits and size > 0.0 and slower < _SLOWEST:
+                ahead = step * (2.0 * slower / (1.0 - slower))
+                waiting = ahead[asked] if slower > _QUICK else ahead
+                if float(waiting.max(initial=0.0)) <= near * size:
+                    high, near = np.minimum(low + ahead + 0.5 * PROVED * size, 1.0), _NEARER * near
+                    for _ in range(max(turn, _SWEEPS)):
+                        settled = sweep(high, up=True) <= 0.0
+                        if ((high - low)[asked] > PROVED * size).any():
+                            break
+                        if settled:
+                            return choice, low, high
             if rise == 0.0 or (turn > _SWEEPS and size >= 2.0 * size_before):
                 break  # all is settled, or most of the way is still ahead
-            for _ in range(_FOLLOWED):
-                sweep(low, follows=True)
     except STOPS as stop:
         if last_digits or not low[asked].all():
             raise
@@ -246,34 +243,52 @@ def _swept_towards(
     return choice, low, None
 
 
-def _sweep_all_at_once(
+def _sweep(
     dynamics: Dynamics,
     wanted: FloatArray,
-    states: IntArray,
-    up: bool,
+    directions: Iterator[IntArray],
+    is_compiled: bool,
     choice: IntArray,
     values: FloatArray,
+    *,
+    up: bool = False,
 ) -> float:
-    """The greatest rise of a value in a sweep by numpy: of all states from the values before it.
+    """The greatest rise of a value in a sweep over all pairs; more along the chosen ones follow it.
 
     Args:
         dynamics: the process.
         wanted: probability of leaving as is wanted, [pairs].
-        states: those to be swept.
-        up: round up, and keep the choice; else round down.
-        choice: pairs by which values rose, changed in place, [states].
+        directions: the states to be swept, in turn there and back.
+        is_compiled: run compiled; else numpy sweeps all states at once.
+        choice: pairs by which values rise, changed in place, [states].
         values: changed in place, [states].
+        up: round up, and keep the choice; else round down.
     """
-    longest = int(np.diff(dynamics.transitions.indptr).max(initial=0))
-    slack = (longest + 5.0) * MACHINE_EPSILON
-    backup = best_pairs(dynamics.pair_offsets, dynamics.transitions, -wanted, -values)
-    greatest = np.minimum(-(1.0 + slack if up else 1.0 - slack) * backup.minima[states], 1.0)
-    rises = greatest - values[states]
-    moved = rises != 0.0 if up else rises > LEAST_RISE
-    values[states[moved]] = greatest[moved]
-    if not up:
-        choice[states[moved]] = backup.choice[states[moved]]
-    return float(rises.max(initial=0.0))
+    order, rows, rise = next(directions), dynamics.transitions, 0.0
+    if not is_compiled:
+        slack = (int(np.diff(rows.indptr).max(initial=0)) + 5.0) * MACHINE_EPSILON
+        for _ in range(1 if up else 1 + _FOLLOWED):
+            backup = best_pairs(dynamics.pair_offsets, rows, -wanted, -values)
+            greatest = np.minimum(-(1.0 + slack if up else 1.0 - slack) * backup.minima[order], 1.0)
+            rises = greatest - values[order]
+            moved = rises != 0.0 if up else rises > LEAST_RISE
+            values[order[moved]] = greatest[moved]
+            if not up:
+                choice[order[moved]] = backup.choice[order[moved]]
+            rise = max(rise, float(rises.max(initial=0.0)))
+        return rise
+    from ssp_lp.compiled.improvement import follow_reach, sweep_reach
+
+    pairs = choice.view(np.uint32)
+    for some in pieces(order.size, rows.nnz):
+        rise = max(rise, sweep_reach(
+            dynamics.rows, order[some], wanted, MACHINE_EPSILON, up, pairs, values
+        ))  # fmt: skip
+    for _ in range(0 if up or rise == 0.0 else _FOLLOWED):
+        order = next(directions)
+        for some in pieces(order.size, order.size):
+            follow_reach(dynamics.rows, order[some], wanted, MACHINE_EPSILON, pairs, values)
+    return rise
 
 
 def attaining_pairs(found: ExtremeReach) -> BoolArray:
