@@ -21,6 +21,7 @@ from ssp_lp.linear_programming.convex_rows import (
     measured_rows,
 )
 from ssp_lp.linear_programming.convex_solving import Conflict, contradicting, solve_stated, stated
+from ssp_lp.processes.failure_semantics import AS_ASKED
 from ssp_lp.processes.quantities.quantity import Quantity
 from ssp_lp.programs.occupation_measure import NOISES, OccupationMeasure
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 _ATOMS: Any = cp  # which mypy knows in part
 _ACCEPTED = 1e-5  # of a row's bound: what an answer may break of it
 _NOISES = (0.0, 1e-9, 1e-7, 1e-5)  # of a solver's prices
+_OBJECTIVE = "the objective's value"
 
 
 class ConvexProgram:
@@ -169,10 +171,9 @@ class ConvexProgram:
         if name in solvers:
             raise SolverError(f"cvxpy: the answer breaks {name!r} {told}; another solver, or its "
                               "options, may keep it")  # fmt: skip
-        raise SolverError(
-            f"constraint {name!r} is kept only by visits that go round for ever and that no policy "
-            f"comes to: those of the policy break it {told}"
-        )
+        kept = _OBJECTIVE if name == _OBJECTIVE else f"constraint {name!r}"
+        raise SolverError(f"{kept} is kept only by visits that go round for ever and that no "
+                          f"policy comes to: those of the policy break it {told}")  # fmt: skip
 
     def _answer(self, began: float) -> tuple[OccupationMeasure, dict[str, float], set[str]]:
         """The variables' values as a policy's, by how much rows are broken, and which before.
@@ -194,13 +195,15 @@ class ConvexProgram:
                 self.x.value = measure.visits * scale
             stated = {row.name: row.violation(measure.activity[row.name]) for row in program.rows}
             broken = {"balance": measure.imbalance, **stated, **broken_rows(self._added)}
+            if not as_stated:
+                value = float(np.ravel(self._minimised.value)[0])
+                broken[_OBJECTIVE] = max(value - problem.value, 0.0) / (1.0 + abs(value))
             if max(broken.values()) <= _ACCEPTED:
                 break
         if not as_stated:
             added = tuple(measured_rows(self._added, self.x, self.scale, scale))
-            value = None if self._minimises_cost else float(np.ravel(self._minimised.value)[0])
-            proved = self._least_proved()
-            measure = replace(measure, own=added, minimised=value, optimal_value_from_dual=proved)
+            proved, known = self._least_proved(), None if self._minimises_cost else value
+            measure = replace(measure, own=added, minimised=known, optimal_value_from_dual=proved)
         by_solver = {"balance", *stated, *(name for name, off in solvers.items() if off > 0.0)}
         return measure, broken, by_solver
 
@@ -209,18 +212,18 @@ class ConvexProgram:
 
         Objective and rows at their prices make one linear function of the visits, to be minimised
         over all that balance. Prices of what is to be enough, too high by a solver's tolerance, may
-        make going round gainful and prove nothing: then they are lowered by as much.
+        make going round gainful and prove nothing: then they are lowered by as much, what is as
+        small is left out, and a ratio is asked a little less.
 
         Returns:
             None where a row or the objective is not linear, or counts other variables than the
             program's; where a row has no dual, as in integer programs; or nothing is proved.
         """
         program, rows = self._bounded, dict(self.constraints)
-        kept = ("balance", "normaliser")[: 1 + program.ratio]
-        if not all(self._is_stated(name) and rows.pop(name) is not None for name in kept):
+        own, priced = affine_parts(self._minimised, self.x, self.scale), list[FloatArray]()
+        kept, prices = ("balance", "normaliser")[: 1 + program.ratio], list[float]()
+        if own is None or not all(self._is_stated(n) and rows.pop(n) is not None for n in kept):
             return None
-        own, prices = affine_parts(self._minimised, self.x, self.scale), list[float]()
-        priced = list[FloatArray]()
         for row in rows.values():
             if not isinstance(row, Equality | Inequality) or row.dual_value is None:
                 return None
@@ -229,20 +232,19 @@ class ConvexProgram:
                 return None
             priced.append(part)
             prices.append(float(np.abs(row.dual_value).max(initial=0.0)))
-        if own is None:
-            return None
         for noise in _NOISES:
             lagrangian = own
             for part, price in zip(priced, prices, strict=True):
                 gainful = part[:-2].min(initial=0.0) < 0.0
                 less = noise * (1.0 + max(prices) / price) if gainful else 0.0
-                lagrangian = lagrangian + max(1.0 - less, 0.0) * part
+                if less < 1.0 and np.abs(part).max() > noise * np.abs(own).max():
+                    lagrangian = lagrangian + (1.0 - less) * part
             cost, (by_scale, constant) = lagrangian[:-2], lagrangian[-2:].tolist()
             ratio = float(cost @ np.asarray(self.x.value)) + by_scale * self._scale
-            _, value = program.least_of_visits(cost, by_scale, ratio if program.ratio else 0.0)
+            ratio = (ratio - noise * abs(ratio)) * program.ratio
+            _, value = program.least_of_visits(cost, by_scale, ratio)
             if np.isfinite(value):
-                value += constant
-                return program.sense.worth(value) if self._minimises_cost else value
+                return (program.sense if self._minimises_cost else AS_ASKED).worth(value + constant)
         return None
 
     @property

@@ -293,6 +293,11 @@ def test_visits_that_no_policy_comes_to_keep_no_row() -> None:
     convex.constraints["often"] = convex.visits("a", "round") >= 1.0
     with pytest.raises(SolverError, match="'often' is kept only by visits that go round"):
         convex.solve(solver=cp.CLARABEL)
+    del convex.constraints["often"]
+    convex.objective = convex.objective - cp.sqrt(convex.visits("a", "round"))
+    convex.constraints["seldom"] = convex.visits("a") <= 4.0
+    with pytest.raises(SolverError, match="the objective's value is kept only by visits that go"):
+        convex.solve(solver=cp.CLARABEL)
 
 
 def test_two_programs_share_one_budget() -> None:
