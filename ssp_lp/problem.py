@@ -179,8 +179,7 @@ def requirements(problem: Problem) -> Requirements:
 def compiled_constrained(problem: Problem) -> CompiledExplicit:
     """The process of a problem with constraints, and its rows."""
     logging.getLogger("ssp_lp.compiling").info("%r, with its rows", problem)
-    measure, objective = problem.semantics.measure, objective_of(problem)
-    charge = TOTAL_COST if problem.ratio else None
+    objective = objective_of(problem)
     return CompiledExplicit(
         model=problem.model,
         start=start_distribution(problem.model, problem.start),
@@ -188,7 +187,7 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
         discount=problem.discount,
         side=tuple(row for condition in conditions_of(problem) for row in condition.rows),
         budget=problem.failure_budget,
-        charge=charge if measure is None else measure.charge,
+        charge=problem.semantics.charge(problem.ratio),
         ratio=problem.ratio,
         fixed_cap=getattr(problem, "cost_cap", None),
         objective=None if objective is None else objective.minimised(),
@@ -198,9 +197,9 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
 
 def compiled_totals(problem: Problem) -> CompiledArrivalCost:
     """The process of a problem that counts totals, failure alone being limited."""
-    start, measure = start_distribution(problem.model, problem.start), problem.semantics.measure
-    charge, totals = TOTAL_COST if measure is None else measure.charge, requirements(problem).totals
-    by_sums = totals is TotalScale.SUMS
+    start = start_distribution(problem.model, problem.start)
+    charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
+    by_sums = requirements(problem).totals is TotalScale.SUMS
     return CompiledArrivalCost(problem.model, start, charge, problem.ratio, by_sums=by_sums)
 
 
@@ -218,8 +217,8 @@ class Restated:
 
     def compile(self) -> CompiledArrivalCost:
         """The process on the lattice of its costs."""
-        start, measure = start_distribution(self.model, self.start), self.semantics.measure
-        charge = TOTAL_COST if measure is None else measure.charge
+        start = start_distribution(self.model, self.start)
+        charge = self.semantics.charge(self.ratio) or TOTAL_COST
         return CompiledArrivalCost(self.model, start, charge, self.ratio)
 
 
@@ -246,7 +245,7 @@ _FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as 
 
 
 class _Shared(float):
-    """A budget that a share made: handed on to a copy of its problem, it states nothing."""
+    """A budget computed from reach_fraction; ``replace`` must not take it for the user's."""
 
 
 class FailureBudget:

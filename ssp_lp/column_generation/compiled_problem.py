@@ -834,14 +834,13 @@ class CompiledExplicit:
     @property
     def sense(self) -> ObjectiveSense:
         """How what is minimised stands for what is asked."""
-        measure, charge = self.semantics.measure, self.charge
-        shift = 0.0 if charge is None else max(-charge.lowest, 0.0)
+        shift = 0.0 if self.charge is None else max(-self.charge.lowest, 0.0)
         if self.objective is not None:
             return ObjectiveSense(None, shift, self.objective.offset)
         if self.semantics.aim is Aim.GREATEST_GOAL:
             return ObjectiveSense(1.0, shift)
-        maximised = measure is not None and measure.maximised
-        return ObjectiveSense(measure.failing + shift if measure and maximised else None, shift)
+        failing = self.semantics.failing_worth + shift
+        return ObjectiveSense(failing if self.semantics.maximises else None, shift)
 
     @property
     def wants_ends(self) -> bool:

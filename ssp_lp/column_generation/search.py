@@ -292,7 +292,10 @@ class Secant:
         return self.proof or Proof(price, price, -np.inf, anything)
 
     def _align(self, price: float) -> None:
-        """Let both columns fix what a price fixes by the same one, if they still bracket."""
+        """Re-evaluate both columns with the tails of this price.
+
+        They are kept if one is still on each side of the budget.
+        """
         if self.outside is None or not has_time_for(self.took):
             return
         with WithIncumbent(), closing():
@@ -324,10 +327,7 @@ def columns_at(pricing: PricingProblem, least: LeastFailure, row: FailureRow) ->
 
 
 def columns_by_pricing(
-    compiled: CompiledProblem,
-    row: FailureRow,
-    guess: DualGuess | None,
-    options: SolveOptions,
+    compiled: CompiledProblem, row: FailureRow, guess: DualGuess | None, options: SolveOptions
 ) -> Secant | None:
     """Price failure up and down until the columns found lie on both sides of the budget.
 

@@ -313,10 +313,7 @@ class RefinedOutcome:
 
 
 def refined_optimum(
-    compiled: CompiledProblem,
-    budget: float,
-    options: SolveOptions,
-    guess: DualGuess | None = None,
+    compiled: CompiledProblem, budget: float, options: SolveOptions, guess: DualGuess | None = None
 ) -> RefinedOutcome:
     """Search on finer and finer compiled problems until the gap is met, or refining does not help.
 

@@ -499,10 +499,7 @@ _OPTIONS: HighsOptions = {
     "dual_feasibility_tolerance": 1e-9,
 }
 
-_OVER = {
-    highspy.HighsModelStatus.kInfeasible,
-    highspy.HighsModelStatus.kUnboundedOrInfeasible,
-}
+_OVER = {highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible}
 
 
 def _run_integer_program(solver: highspy.Highs) -> None:

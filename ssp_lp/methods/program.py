@@ -9,13 +9,13 @@ from typing import Any, cast
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf, TotalCostCharge
+from ssp_lp.accumulated_cost.charges import TotalCostCharge
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.column_generation.compiled_problem import CompiledExplicit
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.rows import rows_optimum, truth_of
 from ssp_lp.options import CERTIFYING
-from ssp_lp.problem import Problem, compiled_constrained, has_rows, unrolled
+from ssp_lp.problem import Problem, compiled_constrained, has_rows, requirements, unrolled
 from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
@@ -52,7 +52,7 @@ def program_of(
         ModelError: the criterion is no linear program (a quantile or a tail mean of the cost).
         InfeasibleError: the budget is below the least failure.
     """
-    if isinstance(problem.semantics.measure, CostQuantileOf | TailMeanOf):
+    if requirements(problem).is_risk:
         raise ModelError(
             f"{type(problem).__name__} is no linear program but a search over many: "
             "CostBoundedReach(...).program() is the one at a fixed cost"

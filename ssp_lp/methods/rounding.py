@@ -628,10 +628,10 @@ def _with_rounded_costs(problem: Problem, unit: Fraction, *, up: bool) -> Restat
 
 def _no_worse(problem: Problem) -> float:
     """What is known of the optimum before anything is solved."""
-    measure = problem.semantics.measure
-    if measure is None or not measure.maximised:
+    semantics, charge = problem.semantics, problem.semantics.charge(problem.ratio)
+    if charge is None or not semantics.maximises:
         return 0.0
-    return problem.semantics.failing_worth - measure.charge.lowest
+    return semantics.failing_worth - charge.lowest
 
 
 def _rounded_solution(problem: Problem, attempt: _Rounded, options: SolveOptions) -> Solution:

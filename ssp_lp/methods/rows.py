@@ -141,10 +141,7 @@ def rows_optimum(
 
 
 def _rows_attempts(
-    stated: CompiledExplicit,
-    options: SolveOptions,
-    truth: Truth | None,
-    guess: RowsOptimum | None,
+    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: RowsOptimum | None
 ) -> Iterator[RowsOptimum]:
     """Optima on finer and finer totals, and in the end in twice the precision."""
     calls, work, gaps = 0, Work(), list[float]()
@@ -191,10 +188,7 @@ def _with_remark(found: RowsOptimum) -> RowsOptimum:
 
 
 def _rows_attempt(
-    stated: CompiledExplicit,
-    options: SolveOptions,
-    truth: Truth | None,
-    guess: RowsOptimum | None,
+    stated: CompiledExplicit, options: SolveOptions, truth: Truth | None, guess: RowsOptimum | None
 ) -> RowsOptimum:
     """One search for the rows' optimum, in the precision that the compiled problem says."""
     finer = 1.0 if stated.sense.constant is None else _FINER
@@ -722,11 +716,7 @@ def rows_bound(
 
 
 def _beyond_paid(
-    compiled: CompiledExplicit,
-    prices: FloatArray,
-    bounds: FloatArray,
-    ratio: float,
-    proof: Proof,
+    compiled: CompiledExplicit, prices: FloatArray, bounds: FloatArray, ratio: float, proof: Proof
 ) -> float:
     """By how much every lottery within the rows exceeds what every episode pays, at least."""
     paid, less = ratio if compiled.ratio else compiled.sense.shift, -np.inf

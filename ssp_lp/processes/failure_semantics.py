@@ -9,7 +9,7 @@ from numbers import Real
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.charges import Measure
+from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, Measure
 from ssp_lp.arrays import LEAST_BUDGET, BoolArray, FloatArray, segment_minima
 from ssp_lp.errors import (
     Argument,
@@ -78,6 +78,12 @@ class FailureSemantics:
     def maximises(self) -> bool:
         """Whether what is asked for is a worth, the greater the better."""
         return self.measure is not None and self.measure.maximised
+
+    def charge(self, ratio: bool) -> Charge | None:
+        """What arriving is charged for the total cost; None: no total is counted (case M)."""
+        if self.measure is not None:
+            return self.measure.charge
+        return TOTAL_COST if ratio else None
 
     @property
     def sense(self) -> ObjectiveSense:
