@@ -214,9 +214,9 @@ class ExplicitPricing:
         priced = weighted(self.rewards, weights)
         priced -= _pricing_rounding(self.rewards, weights) * np.abs(priced)  # a bound rounds down
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
-        found = bound_of(process, self._contracted(weights), priced, values, choice=choice)
+        proof = bound_of(process, self._contracted(weights), priced, values, choice=choice)
         failing = float(weights[1])
-        return Proof(failing, failing, found.at(process.start), found.values)
+        return Proof(failing, failing, proof.at(process.start), proof.values)
 
     def check_less(
         self, weights: FloatArray, ratio: float, cost: FloatArray, paid: float, values: FloatArray

@@ -208,39 +208,39 @@ class Secant:
         self.last = last
         return last
 
-    def learn(self, found: Column, tolerance: float) -> bool:
+    def learn(self, column: Column, tolerance: float) -> bool:
         """Put a column that lies below the line in the place of one end.
 
         One that never succeeds has no ratio: the price was too low, nothing is learnt. Where none
         lies below the line and the budget is slack, Dinkelbach's iteration goes on.
         """
         price = self.slope
-        if not self._improved_by(found, price, tolerance):
+        if not self._improved_by(column, price, tolerance):
             slack = self.row.ratio and self.outside is not None and price < self.objective
             self.outside = None if slack else self.outside
             return not slack
-        if self._has(found):
+        if self._has(column):
             return True
-        if self.row.breaks(found):
-            self.outside = found
-        elif self.row.objective(found.cost, found.goal) < np.inf:
-            self.inside = found
+        if self.row.breaks(column):
+            self.outside = column
+        elif self.row.objective(column.cost, column.goal) < np.inf:
+            self.inside = column
         return False
 
-    def _improved_by(self, found: Column, price: float, tolerance: float) -> bool:
+    def _improved_by(self, column: Column, price: float, tolerance: float) -> bool:
         """Whether a column lies below the line through ``inside`` at this price."""
-        below = self.inside.cost - found.cost - price * excess_failure(found, self.inside)
+        below = self.inside.cost - column.cost - price * excess_failure(column, self.inside)
         scale = abs(self.objective) * (self.inside.goal if self.row.ratio else 1.0)
         return below > 0.1 * tolerance * max(scale, 1e-300)
 
-    def _has(self, found: Column) -> bool:
+    def _has(self, column: Column) -> bool:
         """Whether a column is the one beyond the budget again, up to rounding."""
         known = self.outside
         if known is None:
             return False
         same = min(_SAME_FAILURE, _SAME_SMALL * min(known.failure, known.goal))
-        is_near = abs(excess_failure(found, known)) <= same
-        return is_near and found.cost >= known.cost - _SAME_COST * abs(known.cost)
+        is_near = abs(excess_failure(column, known)) <= same
+        return is_near and column.cost >= known.cost - _SAME_COST * abs(known.cost)
 
     def concluded(self, tolerance: float, *, finished: bool) -> Generated:
         """The lottery of both ends, and a certified bound at the slope."""
@@ -511,14 +511,14 @@ class StabilisedMaster:
         failure = float(self.tried[self.rows.index == 1].sum())
         return failure, np.inf if self.elastic else self.master.value
 
-    def learn(self, found: Column, tolerance: float) -> bool:
+    def learn(self, column: Column, tolerance: float) -> bool:
         """Keep the better bound and a policy that lies below the master's valuation."""
         best, near = self.master.value, self._near(tolerance)
-        value = self._value(found, self.tried)
-        beyond = np.abs(found.figures[self.rows.index] - self.rows.bounds)
-        rounding = _ROUNDING * (self._objective(found) + float(self.master.prices @ beyond))
-        below = best - self._value(found, self.master.prices)
-        new = below > max(near, rounding) and self.pool.add(found)
+        value = self._value(column, self.tried)
+        beyond = np.abs(column.figures[self.rows.index] - self.rows.bounds)
+        rounding = _ROUNDING * (self._objective(column) + float(self.master.prices @ beyond))
+        below = best - self._value(column, self.master.prices)
+        new = below > max(near, rounding) and self.pool.add(column)
         finished = self.share == 0.0 and (not new or best - value <= near)
         if finished or value > self.bound:
             self.prices, self.bound = self.tried, value
@@ -559,14 +559,14 @@ class StabilisedMaster:
         weights[kept] = best.weights
         return replace(best, weights=weights)
 
-    def _value(self, found: Column, prices: FloatArray) -> float:
+    def _value(self, column: Column, prices: FloatArray) -> float:
         """Lagrangian value of a policy; what it takes of a row is counted from the bound."""
-        beyond = found.figures[self.rows.index] - self.rows.bounds
-        return self._objective(found) + float(prices @ beyond)
+        beyond = column.figures[self.rows.index] - self.rows.bounds
+        return self._objective(column) + float(prices @ beyond)
 
-    def _objective(self, found: Column) -> float:
+    def _objective(self, column: Column) -> float:
         """The objective of a policy in the master."""
-        return 0.0 if self.elastic else float(self.rows.objective(found.figures))
+        return 0.0 if self.elastic else float(self.rows.objective(column.figures))
 
 
 def violation_in_master(pool: Pool, rows: Rows) -> StabilisedMaster:
@@ -662,20 +662,20 @@ class Pool:
 
     def priced(self, weights: FloatArray) -> Column:
         """Price anew: a policy of least weighted totals, improved from the best known one."""
-        found = self.pricing.minimise(weights, self.best(weights))
-        self.calls, self.work = self.calls + 1, self.work + found.work
-        return found
+        column = self.pricing.minimise(weights, self.best(weights))
+        self.calls, self.work = self.calls + 1, self.work + column.work
+        return column
 
     def proved(self, weights: FloatArray) -> Proof:
         """A checked lower bound of every policy's weighted totals, lowered as little as can be."""
         best = self.pricing.minimise(weights, self.best(weights))
         return self.pricing.check(weights, weighted(required(best.totals), weights))
 
-    def add(self, found: Column) -> bool:
+    def add(self, column: Column) -> bool:
         """Keep a policy; false where one with the same totals is known."""
-        if any(np.array_equal(found.figures, known.figures) for known in self.columns):
+        if any(np.array_equal(column.figures, known.figures) for known in self.columns):
             return False
-        self.columns.append(found)
+        self.columns.append(column)
         return True
 
     def rows(self, index: IntArray, bounds: FloatArray) -> Rows:

@@ -64,9 +64,9 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
         reason, program = "the full linear program agrees with policy iteration", optimum.report
     policy = DeterministicPolicy(problem.model, reach.decision)
     sign = -1.0 if greatest else 1.0
-    found = Found(policy, sign * objective, sign * bound, max(1.0 - objective, 0.0))
+    answer = Found(policy, sign * objective, sign * bound, max(1.0 - objective, 0.0))
     run = Run(options.method, reason, 1, 0.0, program=program)
-    return assembled(problem, found, run, ObjectiveSense(0.0 if greatest else None))
+    return assembled(problem, answer, run, ObjectiveSense(0.0 if greatest else None))
 
 
 def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Solution:
@@ -81,8 +81,8 @@ def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Soluti
     objective = row.objective(least.column.cost, least.column.goal)
     then = "greatest worth" if problem.semantics.maximises else "least cost"
     reason = f"two stages: greatest goal probability, then {then}"
-    found = Found(least.policy, objective, least.objective_bound, least.column.failure)
-    return assembled(problem, found, Run("columns", reason, 2, 0.0), problem.semantics.sense)
+    answer = Found(least.policy, objective, least.objective_bound, least.column.failure)
+    return assembled(problem, answer, Run("columns", reason, 2, 0.0), problem.semantics.sense)
 
 
 _LEAST_TOLERANCE = 1e-15
@@ -103,15 +103,16 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     budget, sense = problem.failure_budget, problem.semantics.sense
     budget = 1.0 if budget is None else budget
     outcome = refined_optimum(problem.compile(), budget, options)
-    found = outcome.found
-    worth, bound = sense.worth(found.objective), sense.worth(found.lower_bound)
-    is_met = relative_gap(bound, worth) <= options.tolerance
-    if sense.constant and 0.0 < abs(worth) < -found.objective and not is_met:  # a small difference
-        finer = max(options.tolerance * abs(worth) / -found.objective, _LEAST_TOLERANCE)
+    generated = outcome.found
+    worth, bound = sense.worth(generated.objective), sense.worth(generated.lower_bound)
+    gained, is_met = -generated.objective, relative_gap(bound, worth) <= options.tolerance
+    if sense.constant and 0.0 < abs(worth) < gained and not is_met:  # a difference of larger worths
+        finer = max(options.tolerance * abs(worth) / gained, _LEAST_TOLERANCE)
         exactly = replace(options, tolerance=finer)
         outcome = outcome.followed_by(refined_optimum(outcome.compiled, budget, exactly))
-        found = outcome.found
-    price = max(found.price - found.objective, 0.0) if outcome.row.ratio else found.price
+        generated = outcome.found
+    beyond = generated.objective if outcome.row.ratio else 0.0
+    price = max(generated.price - beyond, 0.0)
     compiled, unlimited = outcome.compiled, not problem.ratio and outcome.row.budget >= 1.0
     reason = _REASONS["unlimited" if unlimited and options.program is None else options.method]
     if sense.constant is not None:
@@ -119,7 +120,7 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
         if compiled.cost_horizon > 0.0:
             reason = f"{reason}, exact from cost {compiled.cost_horizon:.6g} on"
     reason = f"{reason}, {outcome.calls} pricing calls"
-    notes = [remarks(problem, outcome.row.budget, found.finished)]
+    notes = [remarks(problem, outcome.row.budget, generated.finished)]
     if compiled.charge is not None and compiled.charge.settled is None:
         notes += [_UNSETTLED] * (outcome.gap > options.tolerance)
     answer = outcome.answer(price, "; ".join(note for note in notes if note))
@@ -133,13 +134,13 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     return replace(single, run=replace(single.run, reason=reason))
 
 
-def prove_goal(solution: Solution, found: Evaluation, attained: float) -> Proved:
+def prove_goal(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
     """A checked bound of the goal probability that can be had, above or below."""
     del attained
     problem = solution.problem
     start = start_distribution(problem.model, problem.start)
     reach = extreme_goal_reach(problem.model, problem.semantics.aim, start)
-    return Proved(found.objective, float(start @ reach.bound), 1.0)
+    return Proved(evaluation.objective, float(start @ reach.bound), 1.0)
 
 
 _STEEP_PRICES = (1e1, 1e3, 1e5)
@@ -149,7 +150,7 @@ _LITTLE = 1e-13  # of the bound: less than this is not looked for beyond the cap
 _SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
 
 
-def prove_least_failure(solution: Solution, found: Evaluation, attained: float) -> Proved:
+def prove_least_failure(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
     """At least failure: a bound at finite prices of failure, which holds for every policy.
 
     Where rounding at such prices leaves a gap, the bound is that of the second stage over the pairs
@@ -159,36 +160,38 @@ def prove_least_failure(solution: Solution, found: Evaluation, attained: float) 
     compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
     least = compiled.least_failure()
     allowed, bound = least.column.failure, least.objective_bound
-    if compiled.charge is None and np.isfinite(found.objective):
+    if compiled.charge is None and np.isfinite(evaluation.objective):
         pricing, column = compiled.pricing(), None
         for steps in _STEEP_PRICES:
-            price = steps * max(found.objective, 1.0)
+            price = steps * max(evaluation.objective, 1.0)
             column = pricing.minimise(price, column)
             priced = lagrange_bound(
                 pricing.prove(price, column).bound, np.array([price]), np.array([allowed])
             )
-            if relative_gap(found.objective, priced) <= RELATIVE_GAP:
+            if relative_gap(evaluation.objective, priced) <= RELATIVE_GAP:
                 bound = priced
                 break
-    return _proved_as_asked(sense, found, bound, allowed)
+    return _proved_as_asked(sense, evaluation, bound, allowed)
 
 
 def _proved_as_asked(
-    sense: ObjectiveSense, found: Evaluation, bound: float, allowed: float, tail: float = 0.0
+    sense: ObjectiveSense, evaluation: Evaluation, bound: float, allowed: float, tail: float = 0.0
 ) -> Proved:
     """What a bound of what is minimised says of what is asked; rounding apart, it is attained."""
-    value = found.objective if sense.constant is None else sense.constant - found.objective
+    value = (
+        evaluation.objective if sense.constant is None else sense.constant - evaluation.objective
+    )
     if sense.constant is not None and sense.settled_bound(value, bound) == value:
-        return Proved(found.objective, found.objective, allowed)
-    return Proved(found.objective, sense.worth(bound), allowed, tail=tail)
+        return Proved(evaluation.objective, evaluation.objective, allowed)
+    return Proved(evaluation.objective, sense.worth(bound), allowed, tail=tail)
 
 
-def prove_within_budget(solution: Solution, found: Evaluation, attained: float) -> Proved:
+def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
     """The bound that the price of the budget proves.
 
     Args:
         solution: what is certified.
-        found: what its policy attains.
+        evaluation: what its policy attains.
         attained: the failure of some policy, the least that is known.
 
     Raises:
@@ -202,8 +205,10 @@ def prove_within_budget(solution: Solution, found: Evaluation, attained: float) 
     price = 0.0 if price == penalty else price - penalty
     if not (np.isfinite(price) and price >= 0.0):
         reason = f"the price is not a number >= {penalty:g}"
-        return Proved(found.objective, sense.worth(0.0), budget, reason)
-    kappa = price + (found.objective if problem.ratio and found.goal_probability > 0 else 0.0)
+        return Proved(evaluation.objective, sense.worth(0.0), budget, reason)
+    kappa = price + (
+        evaluation.objective if problem.ratio and evaluation.goal_probability > 0 else 0.0
+    )
     levels = levels_of(solution.policy.policies, len(values))
     compiled, least = problem.compile().matching(np.asarray(values), levels), None
     row = FailureRow(budget, problem.ratio, compiled.lowest)
@@ -216,11 +221,15 @@ def prove_within_budget(solution: Solution, found: Evaluation, attained: float) 
         # it may be less beyond the cap with better policies there
         bound, tail = _bound_by_values(exact, row, kappa, price == 0.0, solution)
     if least is not None and row.leaves_only(least.column) and least.column.failure < 1.0:
-        kept = found.limited_failure <= budget  # to the last digit, which tells it from others
-        value = found.objective if sense.constant is None else sense.constant - found.objective
+        kept = evaluation.limited_failure <= budget  # to the last digit, which tells it from others
+        value = (
+            evaluation.objective
+            if sense.constant is None
+            else sense.constant - evaluation.objective
+        )
         if not (kept and value < least.objective_bound):
             bound = max(bound, least.objective_bound)
-    return _proved_as_asked(sense, found, bound, row.budget, tail)
+    return _proved_as_asked(sense, evaluation, bound, row.budget, tail)
 
 
 def _bound_by_values(
@@ -241,19 +250,21 @@ def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     """The paper's own construction, which knows neither columns nor programs."""
     from ssp_lp.game.stationary import stationary_game, value_function
 
-    found = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
-    replies = found.threshold.responses
-    reason = f"the paper's game, {found.threshold.games} values of c"
+    equilibrium = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
+    replies = equilibrium.threshold.responses
+    reason = f"the paper's game, {equilibrium.threshold.games} values of c"
     work = Work(backups=sum(r.sweeps for r in replies))
-    price = max(found.price - found.objective, 0.0) if problem.ratio else found.price
+    price = (
+        max(equilibrium.price - equilibrium.objective, 0.0) if problem.ratio else equilibrium.price
+    )
     answer = Found(
-        policy=found.policy,
-        value=found.objective,
-        bound=found.lower_bound,
-        failure=found.threshold.condition,
+        policy=equilibrium.policy,
+        value=equilibrium.objective,
+        bound=equilibrium.lower_bound,
+        failure=equilibrium.threshold.condition,
         price=price,
-        values=value_function(found),
-        note=remarks(problem, found.threshold.budget, found.threshold.in_time),
+        values=value_function(equilibrium),
+        note=remarks(problem, equilibrium.threshold.budget, equilibrium.threshold.in_time),
     )
     return assembled(problem, answer, Run(Game.name, reason, len(replies), 0.0, work))
 
@@ -299,9 +310,17 @@ class RefinedOutcome:
             price: multiplier of the failure row.
             note: what a reader should know.
         """
-        found = self.found
-        lottery, bound = self.lottery, found.lower_bound
-        return Found(lottery, found.objective, bound, found.failure, price, found.values, note=note)
+        generated = self.found
+        lottery, bound = self.lottery, generated.lower_bound
+        return Found(
+            lottery,
+            generated.objective,
+            bound,
+            generated.failure,
+            price,
+            generated.values,
+            note=note,
+        )
 
     def run(self, options: SolveOptions, reason: str) -> Run:
         """What was done, and why."""
@@ -382,19 +401,19 @@ def _finer_outcome(
     outcome: RefinedOutcome, gaps: list[float], options: SolveOptions
 ) -> RefinedOutcome:
     """A finer search's outcome; with what was found before where refining does not help."""
-    found, here = outcome.found, outcome.compiled
-    if outcome.least is None and found.columns[0].failure >= outcome.row.budget - _NEAR:
+    generated, here = outcome.found, outcome.compiled
+    if outcome.least is None and generated.columns[0].failure >= outcome.row.budget - _NEAR:
         outcome = _at_least_failure(outcome, options)
-        if outcome.found is not found:
+        if outcome.found is not generated:
             return outcome
     is_stagnant = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]  # rounding?
-    if is_stagnant and here.tail_loss(found.price) == 0.0:
+    if is_stagnant and here.tail_loss(generated.price) == 0.0:
         return outcome
-    finer = here.refined(found.price)
+    finer = here.refined(generated.price)
     if finer is None:
         return outcome
     spread = _TRIAL_TOLERANCE if here.is_trial else _SPREAD
-    guess = DualGuess(found.price, spread, slack=len(found.columns) == 1)
+    guess = DualGuess(generated.price, spread, slack=len(generated.columns) == 1)
     later = options.after(outcome.calls)
     return outcome.followed_by(_attempt(finer, outcome.row, outcome.least, later, guess))
 
@@ -412,8 +431,8 @@ def _safest_outcome(
     with WithIncumbent(), closing():
         least = checked_least_failure(compiled, row.budget)
         rule = columns_at(compiled.pricing(), least, row)
-        found = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
-        return RefinedOutcome(replace(found, finished=False), compiled, rule.row, least)
+        generated = generate(rule, SolveOptions(_TRIAL_TOLERANCE))
+        return RefinedOutcome(replace(generated, finished=False), compiled, rule.row, least)
     told = stop.told if isinstance(stop, Stop) else ""
     raise Stop(told=told or "no policy was measured by then") from stop
 
@@ -458,10 +477,12 @@ def _attempt(
         least = checked_least_failure(compiled, row.budget) if least is None else least
         rule = columns_at(compiled.pricing(), least, row)
     finer = _TRIAL_TOLERANCE if compiled.is_trial else options.tolerance
-    found = generate(rule, replace(options, tolerance=finer))
-    if optimum is not None and found.finished:
-        check_agreement(optimum, found.objective)
+    generated = generate(rule, replace(options, tolerance=finer))
+    if optimum is not None and generated.finished:
+        check_agreement(optimum, generated.objective)
     if least is not None and rule.row.budget <= least.column.failure < 1.0:
-        found = replace(found, lower_bound=max(found.lower_bound, least.objective_bound))
+        generated = replace(
+            generated, lower_bound=max(generated.lower_bound, least.objective_bound)
+        )
     report = "" if optimum is None else optimum.report
-    return RefinedOutcome(found, compiled, rule.row, least, rule.calls, rule.work, report)
+    return RefinedOutcome(generated, compiled, rule.row, least, rule.calls, rule.work, report)

@@ -179,32 +179,32 @@ def best_single_policy(
     Raises:
         ModelError: the process is of no known kind, or too large.
     """
-    found, row, pricing = outcome.found, outcome.row, outcome.compiled.pricing()
-    inside = [c for c in found.columns if c.failure <= _largest_failure(row)]
+    generated, row, pricing = outcome.found, outcome.row, outcome.compiled.pricing()
+    inside = [c for c in generated.columns if c.failure <= _largest_failure(row)]
     first = min(inside, key=lambda c: row.objective(c.cost, c.goal))
     value = row.objective(first.cost, first.goal)
-    start = Found(pricing.policy(first), value, found.lower_bound, first.failure)
-    if len(found.columns) == 1 or is_late():
-        return start, len(found.columns) == 1 and found.finished
+    start = Found(pricing.policy(first), value, generated.lower_bound, first.failure)
+    if len(generated.columns) == 1 or is_late():
+        return start, len(generated.columns) == 1 and generated.finished
     search: _PolicySearch | None = None
     with WithIncumbent():
-        relaxation = deterministic_relaxation(outcome.compiled, found.price)
+        relaxation = deterministic_relaxation(outcome.compiled, generated.price)
         search = _PolicySearch(relaxation, row, start, tolerance, deadline)
-        return _searched_policies(search, found)
+        return _searched_policies(search, generated)
     return start if search is None else search.best, False
 
 
-def _searched_policies(search: _PolicySearch, found: Generated) -> tuple[Found, bool]:
+def _searched_policies(search: _PolicySearch, generated: Generated) -> tuple[Found, bool]:
     """Walk between two policies, then solve the programs; the search keeps the best policy."""
     relaxation, tolerance = search.relaxation, search.tolerance
-    _walk_between_members(search, found.price)
-    if relative_gap(search.best.value, found.lower_bound) <= tolerance:
+    _walk_between_members(search, generated.price)
+    if relative_gap(search.best.value, generated.lower_bound) <= tolerance:
         return search.best, True
     bound, finished = _integer_bound(search, relaxation.process, is_relaxed=False)
     if relaxation.may_randomise.any():
         bound, finished = _integer_bound(search, relaxation.relaxed, is_relaxed=True)
     best = search.best
-    return replace(best, bound=min(max(bound, found.lower_bound), best.value)), finished
+    return replace(best, bound=min(max(bound, generated.lower_bound), best.value)), finished
 
 
 def _largest_failure(row: FailureRow) -> float:

@@ -138,20 +138,20 @@ def _judged(
         room: beyond the budget, of what fails least; for others there is rounding alone.
         judge: evaluates it, exactly or for the worse.
     """
-    found, budget = judge(policy, problem), problem.failure_budget
-    failure = found.discounted_failure
-    failure = found.failure_probability if failure is None else failure
+    evaluation, budget = judge(policy, problem), problem.failure_budget
+    failure = evaluation.discounted_failure
+    failure = evaluation.failure_probability if failure is None else failure
     allowed = 1.0 if budget is None else max(budget * (1.0 + ATTAINABLE), budget + room)
-    if not np.isfinite(found.objective) or failure > allowed:
+    if not np.isfinite(evaluation.objective) or failure > allowed:
         return None
-    if broken_limit(problem, found, ATTAINABLE):
+    if broken_limit(problem, evaluation, ATTAINABLE):
         return None
     bound, sense, sign = worth_bound(problem), AS_ASKED, 1.0
     if problem.semantics.maximises:
         sense, sign = ObjectiveSense(0.0), -1.0
     reason = "a policy of case M, as the search had none so good by then"
     note = CUT_SHORT if judge is evaluate else f"{CUT_SHORT}; {_MOMENTS}"
-    answer = Found(policy, sign * found.objective, sign * bound, failure, note=note)
+    answer = Found(policy, sign * evaluation.objective, sign * bound, failure, note=note)
     return assembled(problem, answer, Run("columns", reason, 0, 0.0), sense)
 
 
@@ -171,7 +171,7 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
     """
     model, semantics, measure = problem.model, problem.semantics, problem.semantics.measure
     asked = problem.start, True, problem.failure_budget, replace(semantics, measure=None)
-    found = evaluate(policy, Restated(model, *asked, conditions_of(problem)))
+    evaluation = evaluate(policy, Restated(model, *asked, conditions_of(problem)))
     start, squares = start_distribution(model, problem.start), 0.0
     for member, weight in zip(policy.policies, policy.weights.tolist(), strict=True):
         chain = policy_chain(model, member, start)
@@ -179,42 +179,42 @@ def by_moments(policy: MixedPolicy, problem: Problem) -> Evaluation:
         later = chain.cost * ahead.goal[chain.target] + 2.0 * ahead.cost[chain.target]
         square = chain.accumulate(chain.per_node(chain.cost * later), ahead.alive)
         squares += weight * float(chain.start @ square)
-    goal, mean = found.goal_probability, found.conditional_cost
+    goal, mean = evaluation.goal_probability, evaluation.conditional_cost
     if measure is None or goal == 0.0:
-        return replace(found, objective=np.nan)
+        return replace(evaluation, objective=np.nan)
     spread = np.sqrt(max(squares / goal - mean**2, 0.0) + (_VARIANCE * mean) ** 2)
     match measure:
         case CostQuantileOf(level) | TailMeanOf(level):
-            return replace(found, objective=mean + spread * np.sqrt(level / (1.0 - level)))
+            return replace(evaluation, objective=mean + spread * np.sqrt(level / (1.0 - level)))
     charge = measure.charge
     if charge.slope > 0.0:  # at most what the line's beginning costs, and what lies beyond it
         line = charge.settled or 0.0
         beyond = 0.5 * (np.hypot(spread, line - mean) - (line - mean))
         first = float(charge.at(np.array([line]))[0])
-        return replace(found, objective=first + charge.slope * beyond)
+        return replace(evaluation, objective=first + charge.slope * beyond)
     away = spread * np.append(0.0, np.geomspace(1e-2, 1e4, 601))
     if charge.settled is not None:
         away = np.append(away, max(charge.settled - mean, 0.0))
     in_time = away**2 / np.maximum(spread**2 + away**2, 1e-300)
     charged = in_time * charge.at(mean + away) + (1.0 - in_time) * charge.offset
-    return replace(found, objective=semantics.failing_worth - goal * float(charged.min()))
+    return replace(evaluation, objective=semantics.failing_worth - goal * float(charged.min()))
 
 
-def prove_by_cheapest_way(problem: Problem, found: Evaluation) -> Proved:
+def prove_by_cheapest_way(problem: Problem, evaluation: Evaluation) -> Proved:
     """The bound that needs no search: ``worth_bound``."""
-    return Proved(found.objective, worth_bound(problem), problem.failure_budget or 0.0)
+    return Proved(evaluation.objective, worth_bound(problem), problem.failure_budget or 0.0)
 
 
-def broken_limit(problem: Problem, found: Evaluation, room: float = 2.0 * ATTAINABLE) -> str:
+def broken_limit(problem: Problem, evaluation: Evaluation, room: float = 2.0 * ATTAINABLE) -> str:
     """Which limit a policy breaks, in words; empty: none.
 
     Args:
         problem: the problem.
-        found: what its policy attains.
+        evaluation: what its policy attains.
         room: beyond the bound, relative to it.
     """
     for condition in conditions_of(problem):
-        spent = found.secondary_costs[condition.name]
+        spent = evaluation.secondary_costs[condition.name]
         for row in condition.rows:
             taken = row.activity(spent)
             if taken > row.bound + room * max(abs(row.bound), _NOTHING):

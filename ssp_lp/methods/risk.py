@@ -103,16 +103,16 @@ def least_risk(
     raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
 
 
-def prove_risk(solution: Solution, found: Evaluation, attained: float) -> Proved:
+def prove_risk(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
     """A lower bound of the least risk, proved afresh, from the model alone.
 
     Args:
         solution: of the problem.
-        found: what its policy attains.
+        evaluation: what its policy attains.
         attained: the least failure of a member.
     """
     del attained
-    problem, value = solution.problem, found.objective
+    problem, value = solution.problem, evaluation.objective
     question = question_of(problem)
     match problem.semantics.measure:
         case CostQuantileOf(level):
@@ -257,9 +257,13 @@ class _QuestionWithinBudget:
             return Trial(value, min(self._bound(compiled, 0.0), value), policy, 0.0, 2)
         guess = DualGuess(kappa, _NEARBY) if kappa > 0.0 else None
         outcome = refined_optimum(compiled, self.budget, options, guess)
-        found = outcome.found
+        generated = outcome.found
         return Trial(
-            found.objective, found.lower_bound, outcome.lottery, found.price, outcome.calls
+            generated.objective,
+            generated.lower_bound,
+            outcome.lottery,
+            generated.price,
+            outcome.calls,
         )
 
     def refuted_below(
@@ -369,9 +373,11 @@ class _QuestionWithinRows:
     def attempt(self, charge: Charge, options: SolveOptions, kappa: float = 0.0) -> Trial:
         """Minimise E[charge | goal] by column generation with all rows."""
         del kappa  # the table grows until its gap is closed
-        found = rows_optimum(self.compiled.charging(charge), options, self._truth(charge))
-        failing = found.prices.get(FAILURE_ROW, 0.0) + found.value
-        return Trial(found.value, found.bound, found.policy, failing, found.calls, found.prices)
+        optimum = rows_optimum(self.compiled.charging(charge), options, self._truth(charge))
+        failing = optimum.prices.get(FAILURE_ROW, 0.0) + optimum.value
+        return Trial(
+            optimum.value, optimum.bound, optimum.policy, failing, optimum.calls, optimum.prices
+        )
 
     def refuted_below(
         self, charge: Charge, kappa: float, prices: Mapping[str, float], *, slack: bool = False
@@ -412,9 +418,9 @@ class _QuestionWithinRows:
 
         def figures(policy: Policy) -> FloatArray:
             """Charge, failure and rows of one policy."""
-            law, found = success_costs(policy, self.problem), evaluate(policy, self.problem)
-            spent = row_activities(self.compiled, found)
-            return np.array([_expected_charge(charge, law), found.failure_probability, *spent])
+            law, evaluation = success_costs(policy, self.problem), evaluate(policy, self.problem)
+            spent = row_activities(self.compiled, evaluation)
+            return np.array([_expected_charge(charge, law), evaluation.failure_probability, *spent])
 
         return Truth(value, figures)
 
@@ -537,7 +543,7 @@ def least_quantile(
         raise Stop(told=f"no policy's quantile lies below {below:g}")
     law = success_costs(kept.policy, problem)
     objective = law.quantile(level)
-    found = Found(
+    answer = Found(
         policy=kept.policy,
         value=objective,
         bound=min(_beyond_refuted(question, refuted), objective),
@@ -545,7 +551,7 @@ def least_quantile(
         note=question_remarks(question, in_time=high - low <= 1),
     )
     reason = f"{tried} cost bounds, {calls} pricing calls"
-    return assembled(problem, found, Run(options.method, reason, calls, 0.0))
+    return assembled(problem, answer, Run(options.method, reason, calls, 0.0))
 
 
 def quantile_bound(
@@ -734,7 +740,7 @@ def least_tail_mean(
     reason = f"{len(search.tried)} thresholds, {best.calls} pricing calls{sweeps}"
     price = None if question.budget is None else best.price
     note = question_remarks(question, in_time=search.in_time)
-    found = Found(
+    answer = Found(
         best.policy,
         best.value,
         min(bound, best.value),
@@ -744,7 +750,7 @@ def least_tail_mean(
         best.prices,
         note,
     )
-    return assembled(problem, found, Run(options.method, reason, best.calls, 0.0))
+    return assembled(problem, answer, Run(options.method, reason, best.calls, 0.0))
 
 
 def tail_mean_bound(

@@ -159,7 +159,7 @@ def _incumbent_split(problem: Problem) -> _Split:
     return _Split(lottery, known.objective, known.budget_used, known.lower_bound)
 
 
-def prove_on_split_costs(solution: Solution, found: Evaluation, attained: float) -> Proved:
+def prove_on_split_costs(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
     """A bound worked out afresh, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that,
@@ -167,13 +167,13 @@ def prove_on_split_costs(solution: Solution, found: Evaluation, attained: float)
 
     Args:
         solution: of a problem with split costs.
-        found: what its policy attains.
+        evaluation: what its policy attains.
         attained: the least failure of a member.
     """
     del attained
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
     enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
-    return refine(_split_proofs(solution.problem, found.objective, enough, rough), enough)
+    return refine(_split_proofs(solution.problem, evaluation.objective, enough, rough), enough)
 
 
 def _split_proofs(
@@ -199,10 +199,10 @@ def _split_proofs(
 
 def _with_split_bound(best: _Split, outcome: RefinedOutcome) -> _Split:
     """The best that is known with the bound that one unit gives."""
-    found, calls, work = outcome.found, best.calls + outcome.calls, best.work + outcome.work
-    note = "" if found.finished else CUT_SHORT
-    bound, process = max(best.bound, found.lower_bound), layers_of_split(outcome).process
-    known = replace(best, bound=bound, price=found.price, calls=calls, work=work, note=note)
+    generated, calls, work = outcome.found, best.calls + outcome.calls, best.work + outcome.work
+    note = "" if generated.finished else CUT_SHORT
+    bound, process = max(best.bound, generated.lower_bound), layers_of_split(outcome).process
+    known = replace(best, bound=bound, price=generated.price, calls=calls, work=work, note=note)
     return replace(known, layers=process.cap, end=process.cap * process.base.unit)
 
 
@@ -240,18 +240,18 @@ def _true_points(problem: Problem, outcome: RefinedOutcome) -> list[Column]:
     Raises:
         Stop: the time ended before one within the budget was measured.
     """
-    compiled, found = layers_of_split(outcome), outcome.found
+    compiled, generated = layers_of_split(outcome), outcome.found
     pricing, one_sided = compiled.pricing(), len(outcome.found.columns) == 1
     points: list[Column] = []
-    last = found.columns[0]
+    last = generated.columns[0]
     with WithIncumbent() as search:
-        for column in found.columns:
+        for column in generated.columns:
             points.append(_true_point(problem, outcome, pricing.policy(column)))
         for factor in _BESIDE:
             within = [_keeps_to_budget(point, outcome.row) for point in points]
             if is_late() or (any(within) and (one_sided or not all(within))):
                 break
-            price = found.price * factor if not any(within) else found.price / factor
+            price = generated.price * factor if not any(within) else generated.price / factor
             last = pricing.minimise(price, last)
             points.append(_true_point(problem, outcome, pricing.policy(last)))
     if search.stop and not any(_keeps_to_budget(point, outcome.row) for point in points):
@@ -280,11 +280,11 @@ def _true_point(problem: Problem, outcome: RefinedOutcome, policy: Policy) -> Co
         )
     elif isinstance(policy, DeterministicPolicy):
         policy = replace(policy, model=problem.model)
-    found = evaluate(policy, problem)
-    failure, goal = found.failure_probability, found.goal_probability
-    if found.discounted_failure is not None:
-        failure, goal = found.discounted_failure, 1.0 - found.discounted_failure
-    cost = found.objective * goal if goal > 0.0 else 0.0
+    evaluation = evaluate(policy, problem)
+    failure, goal = evaluation.failure_probability, evaluation.goal_probability
+    if evaluation.discounted_failure is not None:
+        failure, goal = evaluation.discounted_failure, 1.0 - evaluation.discounted_failure
+    cost = evaluation.objective * goal if goal > 0.0 else 0.0
     return Column(cost, failure, goal, None, policy=policy)
 
 
@@ -332,8 +332,8 @@ def _split_solution(problem: Problem, best: _Split, options: SolveOptions) -> So
     price = max(best.price - best.value, 0.0)
     reason = f"costs split between {best.layers:,} layers, {best.calls} pricing calls"
     run = Run(options.method, reason, best.calls, 0.0, best.work)
-    found = Found(best.lottery, best.value, best.bound, best.failure, price, note=note)
-    return assembled(problem, found, run)
+    answer = Found(best.lottery, best.value, best.bound, best.failure, price, note=note)
+    return assembled(problem, answer, run)
 
 
 _WIDEST = 1_000.0  # times as dear may one step be as another, or a unit rounds too much to nothing
@@ -517,13 +517,13 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Roun
         try:
             near = None if best is None else _starting_point(problem, best)
             # the best policy of costs rounded up, on the model itself
-            found = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
-            members = tuple(_rounding_up(p, problem.model, unit) for p in found.policy.policies)
-            found = replace(
-                found, policy=MixedPolicy(members, found.policy.weights), value_function=None
+            solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
+            members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
+            solution = replace(
+                solution, policy=MixedPolicy(members, solution.policy.weights), value_function=None
             )
-            if best is None or sign * found.objective < sign * best.objective:
-                best = found
+            if best is None or sign * solution.objective < sign * best.objective:
+                best = solution
             with WithIncumbent():
                 proved = lattice_bound(problem, unit, finer, near)[0]
                 bound = sign * max(sign * bound, sign * proved)
@@ -535,20 +535,20 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Roun
         yield attempt
 
 
-def prove_on_rounded_costs(solution: Solution, found: Evaluation, attained: float) -> Proved:
+def prove_on_rounded_costs(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
     """A bound worked out afresh, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that.
 
     Args:
         solution: of ``solve_on_rounded_costs``.
-        found: what its policy attains.
+        evaluation: what its policy attains.
         attained: the least failure of a member.
     """
     del attained
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
     enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
-    return refine(_rounded_proofs(solution.problem, found.objective, rough), enough)
+    return refine(_rounded_proofs(solution.problem, evaluation.objective, rough), enough)
 
 
 def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> Iterator[Proved]:
@@ -577,10 +577,10 @@ def lattice_bound(
         options: tolerance and limits.
         near: where a search may begin; None: unknown.
     """
-    found = _solved_on_lattice(_with_rounded_costs(problem, unit, up=False), options, near)
-    bound = found.lower_bound if found.upper_bound is None else found.upper_bound
+    solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=False), options, near)
+    bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
     budget = problem.failure_budget
-    return bound, found.budget_used if budget is None else max(budget, found.budget_used)
+    return bound, solution.budget_used if budget is None else max(budget, solution.budget_used)
 
 
 def _starting_point(problem: Problem, best: Solution) -> Near | None:

@@ -101,16 +101,16 @@ def solve_constrained(problem: Problem, options: SolveOptions) -> Solution:
             answer fails its check.
     """
     stated = compiled_constrained(problem)
-    found = rows_optimum(stated, options, truth_of(problem, stated))
-    compiled = found.compiled
+    optimum = rows_optimum(stated, options, truth_of(problem, stated))
+    compiled = optimum.compiled
     many = int(np.isfinite(compiled.bounds).sum())
-    reason = f"column generation with {many} rows, {found.calls} pricing calls"
-    if found.program:
+    reason = f"column generation with {many} rows, {optimum.calls} pricing calls"
+    if optimum.program:
         reason = f"the full linear program, as asked, then {reason}"
     if compiled.charge is not None:
         reason = f"{reason}, {compiled.layers:,} layers of accumulated cost"
-    run = Run(options.method, reason, found.calls, 0.0, found.work, found.program)
-    return assembled(problem, found, run, compiled.sense)
+    run = Run(options.method, reason, optimum.calls, 0.0, optimum.work, optimum.program)
+    return assembled(problem, optimum, run, compiled.sense)
 
 
 def rows_optimum(
@@ -147,44 +147,44 @@ def _rows_attempts(
     calls, work, gaps = 0, Work(), list[float]()
     while True:
         try:
-            found = _rows_attempt(stated, options.after(calls), truth, guess)
+            optimum = _rows_attempt(stated, options.after(calls), truth, guess)
         except SolverError:
             if gaps and is_late():
                 return
             raise
-        calls, work = calls + found.calls, work + found.work
-        gaps.append(found.gap)
-        yield replace(found, calls=calls, work=work)
+        calls, work = calls + optimum.calls, work + optimum.work
+        gaps.append(optimum.gap)
+        yield replace(optimum, calls=calls, work=work)
         stuck = len(gaps) > _PATIENCE and gaps[-1] > 0.5 * gaps[-1 - _PATIENCE]
-        finer = None if stuck or stated.charge is None else found.compiled.refined(found.kappa)
-        if finer is None and not (stated.precise or found.compiled.is_rounded or options.program):
+        finer = None if stuck or stated.charge is None else optimum.compiled.refined(optimum.kappa)
+        if finer is None and not (stated.precise or optimum.compiled.is_rounded or options.program):
             finer = replace(stated, precise=True)
         if finer is None:
             return
         stated = finer
-        if found.compiled.totals is not None and np.isfinite(found.value):
-            guess = found
+        if optimum.compiled.totals is not None and np.isfinite(optimum.value):
+            guess = optimum
 
 
-def _with_remark(found: RowsOptimum) -> RowsOptimum:
+def _with_remark(optimum: RowsOptimum) -> RowsOptimum:
     """The optimum with a remark on rounded totals, if some policy keeps to the rows.
 
     Raises:
         SolverError: none was found that does so on the model itself.
     """
-    if np.isfinite(found.value) and (found.note or not found.compiled.is_rounded):
-        return found
-    levels = f"{found.compiled.layers:,} levels"
-    if found.compiled.totals is not None:
-        levels = f"{levels} up to {found.compiled.totals.values[-1]:.6g}"
-    if not np.isfinite(found.value):
+    if np.isfinite(optimum.value) and (optimum.note or not optimum.compiled.is_rounded):
+        return optimum
+    levels = f"{optimum.compiled.layers:,} levels"
+    if optimum.compiled.totals is not None:
+        levels = f"{levels} up to {optimum.compiled.totals.values[-1]:.6g}"
+    if not np.isfinite(optimum.value):
         raise SolverError(
             f"no policy on {levels} of accumulated cost keeps to the limits: more ",
             Argument("cost_levels"),
             ", or more time, make them finer",
         )
     told = f"totals are rounded to {levels}: more of them leave a smaller gap"
-    return replace(found, note=told)
+    return replace(optimum, note=told)
 
 
 def _rows_attempt(
@@ -209,20 +209,20 @@ def _proved_optimum(
     compiled: CompiledExplicit,
     stated: CompiledExplicit,
     opened: StabilisedMaster,
-    found: Generated,
+    generated: Generated,
     ratio: float,
     truth: Truth | None,
     program: ProgramOptimum | None,
 ) -> RowsOptimum:
     """The lottery, and a certified bound at the prices that the search ended with."""
     pool, rows = opened.pool, opened.rows
-    cost, failure = found.figures[:2].tolist()
-    value = found.ratio if compiled.ratio else cost
-    if program is not None and found.finished:
+    cost, failure = generated.figures[:2].tolist()
+    value = generated.ratio if compiled.ratio else cost
+    if program is not None and generated.finished:
         check_agreement(program, value)
-    prices = without_trifles(found.prices, pool.sizes(rows), cost + ratio * failure)
+    prices = without_trifles(generated.prices, pool.sizes(rows), cost + ratio * failure)
     bound, values = bound_in_time(compiled, rows, prices, ratio, pool)
-    policy = found.lottery(compiled.pricing())
+    policy = generated.lottery(compiled.pricing())
     if truth is not None and truth.figures is not None and compiled.is_rounded:
         kept = true_lottery(compiled, rows, pool, rows.weights(prices), truth.figures)
         policy, failure = kept or (policy, failure)
@@ -245,7 +245,7 @@ def _proved_optimum(
         values=values,
         calls=pool.calls,
         work=pool.work,
-        note=_remarks(compiled, stated, rows, found.finished),
+        note=_remarks(compiled, stated, rows, generated.finished),
         program="" if program is None else program.report,
     )
 
@@ -295,8 +295,8 @@ def best_lottery(
     rule, best, ratio = opened, None, opened.rows.ratio
     for _ in range(_RATIOS):
         rule = replace(rule, rows=replace(opened.rows, ratio=ratio))
-        found = generate(rule, options)
-        attained = found.ratio
+        generated = generate(rule, options)
+        attained = generated.ratio
         if best is None and not np.isfinite(attained):
             ratio *= _STEEP
             if ratio > _STEEPEST:
@@ -309,9 +309,9 @@ def best_lottery(
             rule = opened
             continue
         if best is not None and not attained < ratio * (1.0 - _SETTLED):
-            return replace(found, columns=best.columns, weights=best.weights), ratio
-        best, ratio, rule = found, attained, replace(rule, prices=found.prices, bound=0.0)
-        if not found.finished or ratio == 0.0:
+            return replace(generated, columns=best.columns, weights=best.weights), ratio
+        best, ratio, rule = generated, attained, replace(rule, prices=generated.prices, bound=0.0)
+        if not generated.finished or ratio == 0.0:
             break
     if best is None:
         raise SolverError("no policy that reaches the goal was found within the time limit")
@@ -352,11 +352,11 @@ def true_lottery(
     if not np.isfinite(ratio):
         ratio = float((cost / np.maximum(1.0 - failure, 1e-300)).max()) + 1.0
     for _ in range(_TRUE_RATIOS):
-        found = solve_master(cost + ratio * failure, taken, *limits, elastic=False)
-        attained = _cost_given_success(cost, failure, found.weights)
+        optimum = solve_master(cost + ratio * failure, taken, *limits, elastic=False)
+        attained = _cost_given_success(cost, failure, optimum.weights)
         if not attained < ratio * (1.0 - _TRUE_SETTLED):
             break
-        chosen, ratio = found.weights, attained
+        chosen, ratio = optimum.weights, attained
     return _lottery_of(policies, chosen), float(failure @ chosen)
 
 
@@ -406,20 +406,20 @@ def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
 
     def figures(policy: Policy) -> FloatArray:
         """Cost, failure and rows of one policy."""
-        found = evaluate(policy, problem)
-        failure = found.discounted_failure
-        failure = found.failure_probability if failure is None else failure
-        cost = found.objective * (1.0 - failure) if failure < 1.0 else 0.0
+        evaluation = evaluate(policy, problem)
+        failure = evaluation.discounted_failure
+        failure = evaluation.failure_probability if failure is None else failure
+        cost = evaluation.objective * (1.0 - failure) if failure < 1.0 else 0.0
         if not stated.ratio:
             cost = value(MixedPolicy((policy,), np.ones(1)))
-        return np.array([cost, failure, *row_activities(stated, found)])
+        return np.array([cost, failure, *row_activities(stated, evaluation)])
 
     return Truth(value, figures)
 
 
-def row_activities(stated: CompiledExplicit, found: Evaluation) -> list[float]:
+def row_activities(stated: CompiledExplicit, evaluation: Evaluation) -> list[float]:
     """What a policy of the lottery takes of each row beside failure."""
-    spent = found.secondary_costs
+    spent = evaluation.secondary_costs
     return [row.activity(spent[row.condition.name]) for row in stated.side]
 
 
@@ -539,17 +539,17 @@ class _Conflict:
         )
 
 
-def _proved_conflict(pool: Pool, rows: Rows, found: Generated) -> _Conflict | None:
+def _proved_conflict(pool: Pool, rows: Rows, generated: Generated) -> _Conflict | None:
     """The conflict that phase 1 ended with, if its bound can be certified.
 
     Args:
         pool: the policies that it found.
         rows: the rows that it was about.
-        found: how it ended.
+        generated: how it ended.
     """
     sizes = pool.sizes(rows)
-    matters = found.prices * sizes > ATTAINABLE * min(found.objective, 1.0)
-    prices = np.where(matters, found.prices, 0.0)
+    matters = generated.prices * sizes > ATTAINABLE * min(generated.objective, 1.0)
+    prices = np.where(matters, generated.prices, 0.0)
     total = float(prices.sum())
     if total <= 0.0:
         return None
@@ -625,9 +625,9 @@ def begun_at_duals(
     if compiled.ratio:
         rows = replace(rows, ratio=program.objective or rows.ratio)
     weights = rows.weights(prices)
-    found = opened.pool.priced(weights)
-    opened.pool.add(found)
-    bound = float(found.figures @ weights) - float(prices @ rows.bounds)
+    column = opened.pool.priced(weights)
+    opened.pool.add(column)
+    bound = float(column.figures @ weights) - float(prices @ rows.bounds)
     return program, replace(opened, rows=rows, prices=prices, bound=bound)
 
 
@@ -746,9 +746,9 @@ def least_goal_within(compiled: CompiledExplicit, bounds: FloatArray) -> float:
         opened = phase_one(reach, reach, CERTIFYING)
     except InfeasibleError:
         return 0.0  # then no lottery is within the rows, and nothing is to be proved
-    found, rows = generate(opened, CERTIFYING), opened.rows
+    generated, rows = generate(opened, CERTIFYING), opened.rows
     prices = np.zeros(len(bounds))
-    prices[rows.index - 1] = found.prices
+    prices[rows.index - 1] = generated.prices
     return rows_bound(reach, prices, bounds, 0.0, opened.pool.proved)[0]
 
 
@@ -771,7 +771,7 @@ def bound_at(
     return rows_bound(compiled, known, bounds, ratio, pool.proved, least_goal)[0]
 
 
-def prove_limits(solution: Solution, found: Evaluation, attained: float) -> Proved:
+def prove_limits(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
     """The bound that the prices of all rows prove.
 
     Raises:
@@ -782,34 +782,36 @@ def prove_limits(solution: Solution, found: Evaluation, attained: float) -> Prov
     compiled = stated.settled()
     if values is None:
         raise ModelError("a certificate needs the prices and their value function")
-    if not np.isfinite(found.objective):
-        return Proved(found.objective, 0.0, 1.0, f"the policy's objective is {found.objective}")
+    if not np.isfinite(evaluation.objective):
+        return Proved(
+            evaluation.objective, 0.0, 1.0, f"the policy's objective is {evaluation.objective}"
+        )
     values = np.asarray(values)
     levels = levels_of(solution.policy.policies)
     if levels is not None:
         compiled = replace(compiled, resolution=Resolution(fixed=tuple(levels.tolist())))
     compiled = compiled.matching(values)
     least = compiled.least.column.failure if compiled.budget is None else 0.0
-    budget, spent = max(stated.budget or 0.0, least), [found.limited_failure]
-    spent += row_activities(stated, found)
+    budget, spent = max(stated.budget or 0.0, least), [evaluation.limited_failure]
+    spent += row_activities(stated, evaluation)
     prices = np.array([solution.prices.get(name, 0.0) for name in compiled.names])
     if not ((prices >= 0.0) & (prices <= LARGEST)).all():
-        return Proved(found.objective, 0.0, budget, "a price is not a number >= 0")
+        return Proved(evaluation.objective, 0.0, budget, "a price is not a number >= 0")
     limited = np.isfinite(compiled.bounds)
     bounds = np.where(limited, compiled.bounds, 0.0)
     room = ATTAINABLE * np.maximum(np.abs(bounds), 0.0)
     raised = np.where(limited, np.clip(spent, bounds, bounds + room), 0.0)
-    claims = found.objective, solution.lower_bound
+    claims = evaluation.objective, solution.lower_bound
     known = None if solution.method == Game.name else values  # a game's are of its own layers
     lower = _bound_by_row_values(compiled, prices * limited, raised, known, claims)
     budget = float(raised[0]) if limited[0] else budget
-    attained = found.objective - compiled.sense.worth(0.0)
+    attained = evaluation.objective - compiled.sense.worth(0.0)
     lower = compiled.sense.settled_bound(
         attained if compiled.sense.constant is None else -attained,
         lower,
         float(prices[limited] @ np.abs(bounds[limited])),
     )
-    return Proved(found.objective, compiled.sense.worth(lower), budget)
+    return Proved(evaluation.objective, compiled.sense.worth(lower), budget)
 
 
 def _bound_by_row_values(

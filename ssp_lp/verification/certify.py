@@ -70,17 +70,17 @@ def certify(
     return certificate
 
 
-def _proved(solution: Solution, found: Evaluation, members: list[Evaluation]) -> Proved:
+def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation]) -> Proved:
     """The bound that the approach to the problem proves; without a search that of no search."""
     case = Case.of_solution(solution)
     approach = approach_to(case)
     unsearched = solution.value_function is None and solution.status is not Status.OPTIMAL
     if unsearched and not approach.afresh and case.has_cheapest_way:
-        return prove_by_cheapest_way(solution.problem, found)
-    proved = approach.prove(solution, found, min(member.limited_failure for member in members))
+        return prove_by_cheapest_way(solution.problem, evaluation)
+    proved = approach.prove(solution, evaluation, min(member.limited_failure for member in members))
     if proved.gap <= RELATIVE_GAP or proved.reason or not case.has_cheapest_way:
         return proved
-    other = prove_by_cheapest_way(solution.problem, found)
+    other = prove_by_cheapest_way(solution.problem, evaluation)
     return replace(proved, bound=other.bound) if other.gap < proved.gap else proved
 
 
@@ -122,7 +122,7 @@ class Certificate:
 
 
 def certificate_of(
-    found: Evaluation,
+    evaluation: Evaluation,
     bound: float,
     budget: float,
     reason: str = "",
@@ -133,28 +133,28 @@ def certificate_of(
     """The verdict on a policy.
 
     Args:
-        found: what it attains.
+        evaluation: what it attains.
         bound: of every policy's objective.
         budget: the largest failure allowed.
         reason: why it is refused, if that is known already.
         tail: the part of the relative gap that a cap leaves.
         above: whether the bound is one from above.
     """
-    failure = found.limited_failure
-    if not reason and np.isnan(found.objective) and found.goal_probability == 0.0:
+    failure = evaluation.limited_failure
+    if not reason and np.isnan(evaluation.objective) and evaluation.goal_probability == 0.0:
         reason = "the goal is never reached"
     if not reason and failure > budget + _BUDGET_ROUNDING:
         reason = f"the policy fails with {failure:.12g}, above the budget {budget:.12g}"
-    if not reason and not np.isfinite(found.objective):
-        reason = f"the policy's objective is {found.objective}"
-    beyond = (found.objective - bound) if above else (bound - found.objective)
-    if not reason and beyond > CONTRADICTION * abs(found.objective) + _BUDGET_ROUNDING:
+    if not reason and not np.isfinite(evaluation.objective):
+        reason = f"the policy's objective is {evaluation.objective}"
+    beyond = (evaluation.objective - bound) if above else (bound - evaluation.objective)
+    if not reason and beyond > CONTRADICTION * abs(evaluation.objective) + _BUDGET_ROUNDING:
         side = "above" if above else "below"
-        reason = f"the policy's value {found.objective!r} lies {side} its bound {bound!r}"
+        reason = f"the policy's value {evaluation.objective!r} lies {side} its bound {bound!r}"
     return Certificate(
-        objective=found.objective,
-        lower_bound=bound if reason and not above else min(bound, found.objective),
-        upper_bound=max(bound, found.objective) if above else None,
+        objective=evaluation.objective,
+        lower_bound=bound if reason and not above else min(bound, evaluation.objective),
+        upper_bound=max(bound, evaluation.objective) if above else None,
         failure=failure,
         budget=budget,
         budget_slack=budget - failure,
