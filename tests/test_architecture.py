@@ -126,3 +126,12 @@ def test_the_page_on_solving_lists_every_logger() -> None:
     ]
     named = {name for text in texts for name in re.findall(r'getLogger\([^)]*\.(\w+)"\)', text)}
     assert set(re.split(r",\s+", listed[1])) == named
+
+
+def test_stops_and_kinds_of_compiled_problems_are_known_in_few_places() -> None:
+    """Loops go on with what they have by ``WithIncumbent``; compiled problems say what they are."""
+    texts = [
+        path.read_text(encoding="utf-8") for path in files_of("ssp_lp") + files_of("formulations")
+    ]
+    assert sum(text.count("except STOPS") for text in texts) <= 8
+    assert not any(re.search(r"isinstance\([^)]*Compiled", text) for text in texts)

@@ -69,13 +69,12 @@ def extreme_goal(problem: Problem, options: SolveOptions) -> Solution:
     return assembled(problem, answer, run, ObjectiveSense(0.0 if greatest else None))
 
 
-def cheapest_at_least_failure(problem: Problem, options: SolveOptions) -> Solution:
+def cheapest_at_least_failure(problem: Problem, _: SolveOptions) -> Solution:
     """The best of the policies that fail least, by two stages.
 
     Raises:
         InfeasibleError: case S, and the goal cannot be reached.
     """
-    del options  # nothing is searched
     least = checked_least_failure(problem.compile(), None)
     row = FailureRow(least.column.failure, problem.ratio)
     objective = row.objective(least.column.cost, least.column.goal)
@@ -134,9 +133,8 @@ def best_within_budget(problem: Problem, options: SolveOptions) -> Solution:
     return replace(single, run=replace(single.run, reason=reason))
 
 
-def prove_goal(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
+def prove_goal(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """A checked bound of the goal probability that can be had, above or below."""
-    del attained
     problem = solution.problem
     start = start_distribution(problem.model, problem.start)
     reach = extreme_goal_reach(problem.model, problem.semantics.aim, start)
@@ -150,13 +148,12 @@ _LITTLE = 1e-13  # of the bound: less than this is not looked for beyond the cap
 _SURELY = 1.0 - 1e-9  # of the budget: a policy that fails less shows it to be above the least
 
 
-def prove_least_failure(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
+def prove_least_failure(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """At least failure: a bound at finite prices of failure, which holds for every policy.
 
     Where rounding at such prices leaves a gap, the bound is that of the second stage over the pairs
     that were decided to maximise.
     """
-    del attained
     compiled, sense = solution.problem.compile(), solution.problem.semantics.sense
     least = compiled.least_failure()
     allowed, bound = least.column.failure, least.objective_bound

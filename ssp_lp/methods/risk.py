@@ -103,15 +103,13 @@ def least_risk(
     raise ModelError(f"{problem.semantics.measure!r} is no measure of risk")
 
 
-def prove_risk(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
+def prove_risk(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """A lower bound of the least risk, proved afresh, from the model alone.
 
     Args:
         solution: of the problem.
         evaluation: what its policy attains.
-        attained: the least failure of a member.
     """
-    del attained
     problem, value = solution.problem, evaluation.objective
     question = question_of(problem)
     match problem.semantics.measure:

@@ -159,7 +159,7 @@ def _incumbent_split(problem: Problem) -> _Split:
     return _Split(lottery, known.objective, known.budget_used, known.lower_bound)
 
 
-def prove_on_split_costs(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
+def prove_on_split_costs(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """A bound worked out afresh, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that,
@@ -168,9 +168,7 @@ def prove_on_split_costs(solution: Solution, evaluation: Evaluation, attained: f
     Args:
         solution: of a problem with split costs.
         evaluation: what its policy attains.
-        attained: the least failure of a member.
     """
-    del attained
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
     enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
     return refine(_split_proofs(solution.problem, evaluation.objective, enough, rough), enough)
@@ -535,7 +533,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Roun
         yield attempt
 
 
-def prove_on_rounded_costs(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
+def prove_on_rounded_costs(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """A bound worked out afresh, and the failure that is allowed.
 
     Units get smaller until the gap is what the solution says, which is taken for no more than that.
@@ -543,9 +541,7 @@ def prove_on_rounded_costs(solution: Solution, evaluation: Evaluation, attained:
     Args:
         solution: of ``solve_on_rounded_costs``.
         evaluation: what its policy attains.
-        attained: the least failure of a member.
     """
-    del attained
     rough = replace(CERTIFYING, tolerance=max(CERTIFYING.tolerance, _SHARE * solution.gap))
     enough = max(CERTIFYING.tolerance, (1.0 + _SHARE) * solution.gap)
     return refine(_rounded_proofs(solution.problem, evaluation.objective, rough), enough)

@@ -771,13 +771,12 @@ def bound_at(
     return rows_bound(compiled, known, bounds, ratio, pool.proved, least_goal)[0]
 
 
-def prove_limits(solution: Solution, evaluation: Evaluation, attained: float) -> Proved:
+def prove_limits(solution: Solution, evaluation: Evaluation, _: float) -> Proved:
     """The bound that the prices of all rows prove.
 
     Raises:
         ModelError: the value function does not fit.
     """
-    del attained
     stated, values = compiled_constrained(solution.problem), solution.value_function
     compiled = stated.settled()
     if values is None:
