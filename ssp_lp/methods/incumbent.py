@@ -240,8 +240,11 @@ def worth_bound(problem: Problem) -> float:
     totals = csgraph.dijkstra(graph, indices=np.flatnonzero(start > 0.0), min_only=True)
     least = _DEAREST * float(totals[model.goal_mask].min(initial=np.inf))
     least = least if np.isfinite(least) else 0.0
-    if measure is None or not measure.maximised:
+    if measure is None or not measure.is_expectation:
         return least
-    charge = min(float(measure.charge.at(np.array([least]))[0]), 0.0)
+    charge = float(measure.charge.at(np.array([least]))[0])
+    if not measure.maximised:
+        return charge
+    charge = min(charge, 0.0)
     greatest = float(start @ greatest_goal_reach(problem.model).bound)
     return problem.semantics.failing_worth - charge * min(greatest, 1.0)

@@ -11,6 +11,7 @@ import pytest
 
 from examples.solver_comparison.instances.families import corridor, grid, layered, scattered
 from formulations import EGUBS, MCMP, S3P, CostBoundedReach, CostQuantile, CVaR
+from own_criteria import Lateness
 from ssp_lp import SSP, ModelError, OutOfTimeError, Status, certify, evaluate, solve, visits
 from ssp_lp.compiled import deadline
 from ssp_lp.compiled.deadline import Stop
@@ -279,3 +280,11 @@ def test_a_better_policy_from_beside_keeps_the_proof_of_the_search() -> None:
     proof = certify(improved)
     assert proof.accepted
     assert proof.lower_bound == pytest.approx(best.lower_bound, rel=1e-9)
+
+
+def test_the_cheapest_way_is_charged_what_its_total_costs() -> None:
+    """Two steps of 1 and 2: late by 1 beyond a due time of 2, and in time for 4."""
+    steps = {"a": {"go": [(1.0, "b", 1.0)]}, "b": {"go": [(1.0, "g", 2.0)]}}
+    model = SSP.from_transitions(steps, goal={"g"})
+    assert worth_bound(Lateness(model, "a", 2.0)) == pytest.approx(1.0, rel=1e-11)
+    assert worth_bound(Lateness(model, "a", 4.0)) == 0.0
