@@ -160,93 +160,47 @@ def backup_rounding(transitions: SparseRows) -> FloatArray:
 
 
 def chosen_product(transitions: SparseRows, choice: IntArray, x: FloatArray) -> FloatArray:
-    """``transitions[choice] @ x``, once; picking rows costs more than products of few entries."""
+    """``transitions[choice] @ x``, once, for one vector, [columns], or several, [columns, vectors].
+
+    Picking rows costs more than products of few entries.
+    """
+    check_time()
     if len(transitions.indices) <= _FEW_ENTRIES:
         return np.asarray((transitions @ x)[choice])
-    return ChosenRows(transitions, choice) @ x
+    if not accelerated(len(transitions.indices)):
+        return np.asarray(chosen_rows(transitions, choice) @ x)
+    from ssp_lp.compiled import rows as compiled
+
+    result = np.empty((len(choice), *x.shape[1:]))
+    run = compiled.row_product if x.ndim == 1 else compiled.row_products
+    share = len(choice) / max(int(transitions.shape[0]), 1)
+    entries = int(share * len(transitions.indices))
+    run(entries)(unsigned(choice), *row_parts(transitions), x, result)
+    return result
 
 
-class ChosenRows:
-    """The rows of one pair per state, ``transitions[choice]``: an operator that counts its uses."""
+def chosen_rows(transitions: SparseRows, choice: IntArray) -> sp.csr_array:
+    """The rows of one pair per state, ``transitions[choice]``, copied one after the other.
 
-    def __init__(
-        self, transitions: SparseRows, choice: IntArray, is_compiled: bool | None = None
-    ) -> None:
-        """Choose rows.
+    Args:
+        transitions: [pairs, columns].
+        choice: [states].
 
-        Args:
-            transitions: [pairs, columns].
-            choice: [states].
-            is_compiled: run compiled loops; None: where there are many entries.
-        """
-        self._transitions, self._choice = transitions, choice
-        self._is_compiled = (
-            accelerated(len(transitions.indices)) if is_compiled is None else is_compiled
-        )
-        self._is_gathered = False
-        self.shape = (len(choice), int(transitions.shape[1]))
-        self.products = 0  # how often all rows were multiplied by vectors
+    Returns:
+        [states, columns].
+    """
+    if not accelerated(len(transitions.indices)):
+        return sp.csr_array(written_out(transitions)[choice])
+    from ssp_lp.compiled import rows as compiled
 
-    @property
-    def matrix(self) -> sp.csr_array:
-        """The rows as a matrix of their own, [states, columns]."""
-        return written_out(self._transitions) if self._is_gathered else self._copied()
-
-    def gathered(self) -> ChosenRows:
-        """The same rows, copied one after the other for repeated use.
-
-        Reading them where they are, among the rows of all pairs, takes as long as copying them.
-        """
-        return self if self._is_gathered else all_rows(self._copied(), self._is_compiled)
-
-    def _copied(self) -> sp.csr_array:
-        """The chosen rows, copied out of the matrix."""
-        if not self._is_compiled:
-            return sp.csr_array(written_out(self._transitions)[self._choice])
-        from ssp_lp.compiled import rows as compiled
-
-        begin = self._transitions.indptr
-        lengths = begin[self._choice + 1] - begin[self._choice]
-        indptr = offsets_of(lengths).astype(begin.dtype)
-        indices = np.empty(int(indptr[-1]), dtype=self._transitions.indices.dtype)
-        data = np.empty(indices.size)
-        run, (choice, *arrays) = compiled.copy_rows(indices.size), self._arrays
-        own = unsigned(indptr)
-        for some in pieces(len(choice), indices.size):
-            ends = own[some.start : some.stop + 1]
-            run(choice[some], *arrays, ends, unsigned(indices), data)
-        return csr_of(data, indices, indptr, self.shape)
-
-    def __matmul__(self, x: FloatArray) -> FloatArray:
-        """Product with one vector, [columns], or several, [columns, vectors]."""
-        check_time()
-        self.products += 1
-        if not self._is_compiled:
-            return np.asarray(self.matrix @ x)
-        from ssp_lp.compiled import rows as compiled
-
-        result = np.empty((self.shape[0], *x.shape[1:]))
-        run = compiled.row_product if x.ndim == 1 else compiled.row_products
-        run(self._entries)(*self._arrays, x, result)
-        return result
-
-    @property
-    def _arrays(self) -> tuple[IntArray, IntArray, IntArray, IntArray, FloatArray]:
-        """Which rows are chosen, and the matrix, as compiled backups read them."""
-        return unsigned(self._choice), *row_parts(self._transitions)
-
-    @property
-    def _entries(self) -> int:
-        """About how many entries the chosen rows have."""
-        share = self.shape[0] / max(int(self._transitions.shape[0]), 1)
-        return int(share * len(self._transitions.indices))
-
-
-def all_rows(chain: sp.csr_array, is_compiled: bool | None = None) -> ChosenRows:
-    """The chosen rows of a chain given as a matrix of its own."""
-    rows = ChosenRows(chain, np.arange(chain.shape[0], dtype=np.int32), is_compiled)
-    rows._is_gathered = True
-    return rows
+    begin = transitions.indptr
+    indptr = offsets_of(begin[choice + 1] - begin[choice]).astype(begin.dtype)
+    indices = np.empty(int(indptr[-1]), dtype=transitions.indices.dtype)
+    data, run = np.empty(indices.size), compiled.copy_rows(indices.size)
+    chosen, own, parts = unsigned(choice), unsigned(indptr), row_parts(transitions)
+    for some in pieces(len(choice), indices.size):
+        run(chosen[some], *parts, own[some.start : some.stop + 1], unsigned(indices), data)
+    return csr_of(data, indices, indptr, (len(choice), int(transitions.shape[1])))
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from ssp_lp.arrays import (
     sorted_unique,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import ChosenRows, unsigned_parts
+from ssp_lp.dynamic_programming.bellman import chosen_rows, unsigned_parts
 from ssp_lp.dynamic_programming.equations import (
     DIRECT_STATES,
     EXACTLY_SOLVED,
@@ -142,8 +142,7 @@ class Dynamics:
 
     def _chain(self, choice: IntArray) -> System:
         """The equations of one pair per state of the dynamics."""
-        rows = ChosenRows(self.transitions, choice).gathered()
-        return System(rows.matrix, self.exits[choice])
+        return System(chosen_rows(self.transitions, choice), self.exits[choice])
 
     @cached_property
     def _chains(self) -> dict[bytes, System]:

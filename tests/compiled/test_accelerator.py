@@ -16,7 +16,14 @@ from ssp_lp import ModelError, certify, solve
 from ssp_lp.accumulated_cost import sweep
 from ssp_lp.compiled import accelerator
 from ssp_lp.compiled.deadline import until
-from ssp_lp.dynamic_programming.bellman import ChosenRows, PairCost, best_pairs, safe_minima
+from ssp_lp.dynamic_programming import bellman
+from ssp_lp.dynamic_programming.bellman import (
+    PairCost,
+    best_pairs,
+    chosen_product,
+    chosen_rows,
+    safe_minima,
+)
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
 from ssp_lp.processes.live_rows import RowChoice, live_rows
@@ -54,15 +61,18 @@ def test_backups_are_the_same_to_the_last_bit(accelerate: Switch, seed: int) -> 
 
 
 @pytest.mark.parametrize("vectors", [1, 2, 3, 4])
-def test_chains_are_the_same(accelerate: Switch, vectors: int) -> None:
+def test_chains_are_the_same(
+    accelerate: Switch, vectors: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bellman, "_FEW_ENTRIES", 0)
     rng = np.random.default_rng(vectors)
     _, transitions = random_pairs(rng, 3_000)
     choice = rng.integers(0, transitions.shape[0], 3_000).astype(np.int32)
     reward = rng.random((3_000, vectors))
 
     def work() -> tuple[np.ndarray, ...]:
-        rows = ChosenRows(transitions, choice)
-        return rows @ reward, rows.gathered() @ reward
+        copied = chosen_rows(transitions, choice)
+        return chosen_product(transitions, choice, reward), copied @ reward
 
     compiled, plain = both(accelerate, work)
     assert_same(compiled, plain)

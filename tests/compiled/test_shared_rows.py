@@ -12,11 +12,13 @@ from ssp_lp.accumulated_cost.charges import TOTAL_COST, Charge, ExcessCharge
 from ssp_lp.accumulated_cost.sweep import Sweep
 from ssp_lp.column_generation.compiled_problem import CompiledArrivalCost, CompiledProblem
 from ssp_lp.column_generation.layered_pricing import LayeredPricing
+from ssp_lp.dynamic_programming import bellman
 from ssp_lp.dynamic_programming.bellman import (
-    ChosenRows,
     PairCost,
     SharedRows,
     best_pairs,
+    chosen_product,
+    chosen_rows,
     safe_minima,
 )
 from ssp_lp.model import SSP
@@ -73,7 +75,8 @@ def test_shared_rows_are_the_rows(survival: float, width: int) -> None:
 
 
 @pytest.mark.usefixtures("sharing")
-def test_compiled_loops_read_both_kinds_of_rows_alike() -> None:
+def test_compiled_loops_read_both_kinds_of_rows_alike(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(bellman, "_FEW_ENTRIES", 0)
     rng = np.random.default_rng(5)
     model = repeating_model(rng)
     every, pairs = np.arange(201, dtype=np.int32), np.arange(400, dtype=np.int32)
@@ -87,9 +90,10 @@ def test_compiled_loops_read_both_kinds_of_rows_alike() -> None:
     for matrix in (shared, written):
         backup = best_pairs(offsets, matrix, cost, values)
         safe = safe_minima(offsets, matrix, cost, fixed, fixed, values)
-        some = ChosenRows(matrix, choice)
-        products = [some @ rng_values for rng_values in (values, values[:, None] * [1, 2, 3, 4])]
-        found.append((backup.minima, backup.choice, safe, *products, some.matrix))
+        products = [
+            chosen_product(matrix, choice, x) for x in (values, values[:, None] * [1, 2, 3, 4])
+        ]
+        found.append((backup.minima, backup.choice, safe, *products, chosen_rows(matrix, choice)))
     assert_same(*found)
 
 
