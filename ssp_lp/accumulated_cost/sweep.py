@@ -206,7 +206,7 @@ class Sweep:
             nonlocal inner
             most, asked = given[layer], bool(np.isposinf(given[layer]).all())
             if not asked:
-                most = np.maximum(np.nan_to_num(most, nan=floor, posinf=np.inf), floor)
+                most = _at_least(most, floor)
             pair_cost, size, alone = cost(layer)
             if self.is_acyclic:
                 position = None if choice is None else choice[layer]
@@ -334,6 +334,11 @@ class Sweep:
         return approach_leaving(base.instant_dynamics, leaving)
 
 
+def _at_least(values: FloatArray, floor: float) -> FloatArray:
+    """Values that are not below a floor, which stands for what is no number as well."""
+    return np.maximum(np.nan_to_num(values, nan=floor, posinf=np.inf), floor)
+
+
 def _last(items: Iterable[_Item]) -> _Item:
     """The last one of all, which alone is kept."""
     return deque(items, maxlen=1)[0]
@@ -422,11 +427,9 @@ class OnePass:
                 part[many:] = known
             given = np.zeros((0, 0))
             if limits is not None:
-                given = np.nan_to_num(limits[0][some], nan=limits[1], posinf=np.inf)
-                given = np.maximum(given, limits[1])
-            steps_within = _NONE if self.within is None else self.within
+                given = _at_least(limits[0][some], limits[1])
             own = parts[0].ravel(), parts[1].reshape(-1, 3), position[some], keeps
-            run(layers, owed, saved, *own, steps_within, given)
+            run(layers, owed, saved, *own, _NONE if self.within is None else self.within, given)
             yield some, parts[0][:many], parts[1][:many]
             ahead = [part[: totals.span] for part in parts]
 

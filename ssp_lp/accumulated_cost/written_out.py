@@ -41,7 +41,7 @@ def materialise(process: LayeredProcess) -> ExplicitProcess:
     n_beyond = len(process.totals.beyond) * n
     n_states = cap * n + n_beyond + 1
     tails_cost, tails_failure, tails_goal = _tail_pairs(process)
-    steps = _layer_steps(process, n_states)
+    steps = _written_steps(base, process.totals.reached, None, n_states)
     entry = sp.csr_array(
         (base.start, (np.zeros(n, dtype=np.int64), np.arange(n))), shape=(1, n_states)
     )
@@ -82,20 +82,33 @@ def chosen_pairs(process: LayeredProcess, choice: IntArray, tail_price: float) -
     return np.concatenate([within.ravel(), beyond, [source]])
 
 
-def _layer_steps(process: LayeredProcess, n_states: int) -> sp.csr_array:
-    """Transitions of the pairs of all layers of the process, [cap * pairs, states]."""
-    base, n, cap = process.base, process.base.n_nodes, process.cap
-    n_pairs, per_layer = len(base.gain), base.steps.nnz
-    ahead, node = np.divmod(base.steps.indices.astype(np.int64), max(n, 1))
-    columns = (process.totals.reached[:, ahead] * n + node).ravel()
-    row_ends = np.tile(base.steps.indptr[1:].astype(np.int64), cap)
-    row_ends += np.repeat(np.arange(cap, dtype=np.int64) * per_layer, n_pairs)
+def _written_steps(
+    base: AccumulatedCost, leads: IntArray, share: FloatArray | None, n_states: int
+) -> sp.csr_array:
+    """Transitions of the pairs of all layers, [layers * pairs, states].
+
+    Args:
+        base: one layer.
+        leads: layer to which each class of steps leads, [layers, classes].
+        share: of it that goes to the layer after that one, likewise; None: nothing does.
+        n_states: of the process.
+    """
+    steps, n, layers = base.steps, base.n_nodes, len(leads)
+    ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
+    columns = (leads[:, ahead] * n + node).ravel()
+    row_ends = np.tile(steps.indptr[1:].astype(np.int64), layers)
+    row_ends += np.repeat(np.arange(layers, dtype=np.int64) * steps.nnz, len(base.gain))
     index = np.int32 if max(n_states, columns.size) <= np.iinfo(np.int32).max else np.int64
-    indptr = np.concatenate([[0], row_ends]).astype(index)
-    return sp.csr_array(
-        (np.tile(base.steps.data, cap), columns.astype(index), indptr),
-        shape=(cap * n_pairs, n_states),
-    )
+    indptr, shape = np.append(0, row_ends).astype(index), (layers * len(base.gain), n_states)
+    data: FloatArray = np.tile(steps.data, layers)
+    if share is None or not share.any():
+        return sp.csr_array((data, columns.astype(index), indptr), shape=shape)
+    upper = share[:, ahead].ravel()
+    following = np.where(upper > 0.0, columns + n, columns).astype(index)
+    below: sp.csr_array
+    below = sp.csr_array((data * (1.0 - upper), columns.astype(index), indptr), shape=shape)
+    above: sp.csr_array = sp.csr_array((data * upper, following, indptr), shape=shape)
+    return sp.csr_array(below + above)
 
 
 def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -104,11 +117,7 @@ def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatA
     Returns:
         3 x [layers * nodes, tails].
     """
-    tails = process.tails
-    values = tails.values
-    each = TailValues(
-        values.goal.T, values.failure.T, values.early.T, values.cost.T, values.moment.T
-    )
+    each = TailValues(*(values.T for values in process.tails.values))
     cost = process.charge.beyond(process.totals.beyond[:, None, None], each)
     all_three = (cost, *(np.broadcast_to(v[None], cost.shape) for v in (each.failure, each.goal)))
     failed, reached = (v.reshape(-1, cost.shape[-1]) for v in all_three[1:])
@@ -225,23 +234,9 @@ class OpenEnded:
 
     def _steps(self, n_states: int) -> sp.csr_array:
         """Transitions of the pairs of all layers; whatever passes the cap stays beyond it."""
-        base, n, copies = self.base, self.n_nodes, self.cap + 1
-        steps = sp.csr_array(base.steps)
-        ahead, node = np.divmod(steps.indices.astype(np.int64), max(n, 1))
-        below, share = self.leads
-        pair = np.repeat(np.arange(len(base.gain)), np.diff(steps.indptr))
-        rows = np.arange(copies)[:, None] * len(base.gain) + pair
-        upper = share[:, ahead] > 0.0
-        entry = np.broadcast_to(steps.data, rows.shape)
-        data = np.concatenate(
-            [(entry * (1.0 - share[:, ahead])).ravel(), (entry * share[:, ahead])[upper]]
-        )
-        columns = below[:, ahead] * n + node
-        places = np.concatenate([columns.ravel(), columns[upper] + n])
-        index = np.int32 if max(n_states, places.size) <= np.iinfo(np.int32).max else np.int64
-        taken = np.concatenate([rows.ravel(), rows[upper]]).astype(index)
-        shape = copies * len(base.gain), n_states
-        return sp.csr_array((data, (taken, places.astype(index))), shape=shape)
+        steps = _written_steps(self.base, *self.leads, n_states)
+        steps.sum_duplicates()
+        return steps
 
     @cached_property
     def leads(self) -> tuple[IntArray, FloatArray]:
