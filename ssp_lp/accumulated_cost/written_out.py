@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,6 +22,7 @@ from ssp_lp.accumulated_cost.charges import Charge, TailValues
 from ssp_lp.accumulated_cost.process import AccumulatedCost, ArrivalCharges, LayeredProcess
 from ssp_lp.accumulated_cost.totals import Totals, layers_within
 from ssp_lp.arrays import FloatArray, IntArray
+from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.processes.counting import Counting
 from ssp_lp.processes.expectations import cost_means
@@ -125,8 +127,13 @@ def _tail_pairs(process: LayeredProcess) -> tuple[FloatArray, FloatArray, FloatA
 
 
 _FIRST_LAYERS = 64  # of accumulated cost, where nothing says how many are needed
+_MOST_AT_FIRST = 1_000  # layers of a first attempt: a policy of higher cost may be a long shot
 _TYPICAL = 2.5  # layers of a first attempt, in costs given success of the safest policy
 _BEYOND = 1e-9  # relative distance of a total that lies beyond another
+
+
+MOST_WRITTEN: Final = 20_000_000
+"""Pairs of a process that is written out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +159,8 @@ class OpenEnded:
 
     @cached_property
     def process(self) -> ExplicitProcess:
-        """All layers written out."""
+        """All layers written out; ModelError: there is no room for it."""
+        check_room(self.base, self.cap, MOST_WRITTEN)
         base, n, copies = self.base, self.n_nodes, self.cap + 1
         counts = np.append(np.tile(np.diff(base.pair_offsets), copies), 1)
         start = np.zeros(copies * n + 1)
@@ -206,13 +214,24 @@ class OpenEnded:
     @cached_property
     def own_cost(self) -> FloatArray:
         """Charges of arriving, [process pairs]."""
-        charges = ArrivalCharges(self.base, self.charge, self.totals.values)
-        each = [charges.from_layer(layer).total for layer in range(self.cap + 1)]
-        if self.charge.slope > 0.0 and self.totals.values[-1] >= (self.charge.settled or 0.0):
-            each[-1] = each[-1] + self.charge.slope * self._beyond()
-        return np.append(np.concatenate(each), charges.at_start)
+        each = [self.own_cost_from(layer) for layer in range(self.cap + 1)]
+        return np.append(np.concatenate(each), self.charges.at_start)
 
-    def _beyond(self) -> FloatArray:
+    @cached_property
+    def charges(self) -> ArrivalCharges:
+        """What arriving is charged from each layer."""
+        return ArrivalCharges(self.base, self.charge, self.totals.values)
+
+    def own_cost_from(self, layer: int) -> FloatArray:
+        """Charges of arriving from a layer, [pairs]."""
+        charged = self.charges.from_layer(layer).total
+        if layer < self.cap or self.charge.slope == 0.0:
+            return charged
+        counts = self.totals.values[-1] >= (self.charge.settled or 0.0)
+        return charged + self.charge.slope * self._step_beyond if counts else charged
+
+    @cached_property
+    def _step_beyond(self) -> FloatArray:
         """What a step beyond the cap costs those that succeed, at least, [pairs].
 
         However a policy goes on, it reaches the goal with the least probability that there is.
@@ -223,14 +242,34 @@ class OpenEnded:
         going_on = np.where(quotient.node_of >= 0, self.least_goal, 0.0)
         return quotient.at_pairs(cost_means(quotient.model, going_on)) / base.departs
 
-    def _cost(self) -> FloatArray:
-        """Charges of arriving, with the shift, [process pairs]."""
+    @cached_property
+    def shift_of_ends(self) -> tuple[FloatArray, float]:
+        """What every episode is charged on top, where it ends, [pairs], and at the source."""
         base = self.base
         ends = base.survival * base.gain + base.failure
-        shift = self.everywhere(
-            self.shift * ends, self.shift * (base.start_goal + base.start_failure)
+        return self.shift * ends, self.shift * (base.start_goal + base.start_failure)
+
+    def _cost(self) -> FloatArray:
+        """Charges of arriving, with the shift, [process pairs]."""
+        return self.own_cost + self.everywhere(*self.shift_of_ends)
+
+    @cached_property
+    def beyond(self) -> LastLayer:
+        """The place of all costs beyond the cap by itself."""
+        base, n = self.base, self.n_nodes
+        steps = sp.csr_array(base.steps)
+        onward = steps.data.copy(), steps.indices % max(n, 1), steps.indptr.copy()
+        rows = sp.csr_array(onward, shape=(len(base.gain), n))
+        rows.sum_duplicates()  # in place: hence the copies
+        process = ExplicitProcess(
+            pair_offsets=base.pair_offsets,
+            transitions=rows,
+            start=np.zeros(n),
+            cost=self.own_cost_from(self.cap) + self.shift_of_ends[0],
+            failure=base.failure,
+            goal=base.survival * base.gain,
         )
-        return self.own_cost + shift
+        return LastLayer(process, self)
 
     def _steps(self, n_states: int) -> sp.csr_array:
         """Transitions of the pairs of all layers; whatever passes the cap stays beyond it."""
@@ -247,6 +286,41 @@ class OpenEnded:
         """
         below, share = self.totals.leads
         return below, share if self.charge.is_concave else np.zeros_like(share)
+
+
+@dataclass(frozen=True, eq=False)
+class LastLayer:
+    """The open end by itself: whatever is paid there, one stays in it until the episode ends."""
+
+    process: ExplicitProcess
+    layered: OpenEnded
+
+    @property
+    def own_cost(self) -> FloatArray:
+        """Charges of arriving, [pairs]."""
+        return self.layered.own_cost_from(self.layered.cap)
+
+    def policy(self, choice: IntArray) -> CostAwarePolicy:
+        """One decision for each state, whatever has been paid.
+
+        Args:
+            choice: one pair of each node, [nodes].
+        """
+        return self.layered.policy(np.tile(choice, self.layered.cap + 1))
+
+    def nearer_goal(self, *, safely: bool = False) -> None:
+        """None: such pairs have to be found on the process itself."""
+        return
+
+
+def check_room(base: AccumulatedCost, layers: int, most: int) -> None:
+    """Raise :class:`ModelError` where so many layers have more pairs than there is room for."""
+    n_pairs = (layers + 1) * len(base.gain)
+    if n_pairs > most:
+        raise ModelError(
+            f"{layers:,} layers of accumulated cost (unit {base.unit:g}) make {n_pairs:,} pairs, "
+            f"of which there is room for {most:,}; a coarser grid of costs makes it less"
+        )
 
 
 def first_cap(
@@ -269,7 +343,7 @@ def first_cap(
     needed = max(layers_within(settled, base.exact_unit), 1)
     if charge.slope == 0.0:
         return needed
-    return needed + int(min(_TYPICAL * typical / base.unit, 1e15)) + base.width
+    return needed + int(min(_TYPICAL * typical / base.unit, _MOST_AT_FIRST)) + base.width
 
 
 def first_total(charge: Charge, typical: float) -> float:

@@ -34,7 +34,9 @@ from ssp_lp.accumulated_cost.totals import (
     sums_in,
 )
 from ssp_lp.accumulated_cost.written_out import (
+    MOST_WRITTEN,
     OpenEnded,
+    check_room,
     chosen_pairs,
     first_cap,
     first_total,
@@ -45,6 +47,7 @@ from ssp_lp.arrays import LEAST_BUDGET, MACHINE_EPSILON, BoolArray, FloatArray, 
 from ssp_lp.column_generation.column import Column, PricingProblem, Proof, relative_gap, required
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
 from ssp_lp.column_generation.layered_pricing import LayeredPricing
+from ssp_lp.column_generation.open_ended_pricing import OpenEndedPricing
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import READING, check_time, limited
 from ssp_lp.errors import Argument, InfeasibleError, ModelError
@@ -792,11 +795,14 @@ class CompiledArrivalCost(CompiledLayered):
 ATTAINABLE = 1e-10
 """A bound this much below the least attainable total, relative to it, counts as equal to it."""
 
-_MOST_PAIRS = 20_000_000
-"""Pairs of a process that is written out."""
+_MOST_SWEPT = 400_000_000
+"""Pairs of all layers of a process that is not written out: a choice takes a byte for each node."""
+
+_WORTH_SWEEPING = 400  # entries of a layer from which pricing by layers pays
 
 _ROOM = 6_000_000  # pairs of a process on levels, each of which is priced many times
-_OWN = {"augmented", "_pricing", "totals", "layers"}  # what depends on charge, cap or resolution
+_OWN = {"augmented", "explicit_pricing", "_layer_pricing", "totals", "layers"}
+"""What depends on the charge, the cap or the resolution."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -984,28 +990,38 @@ class CompiledExplicit:
         """How many levels of the total a constrained problem has room for."""
         return max(_ROOM // max(len(self.base.gain), 1), 2)  # levels
 
-    def pricing(self) -> ExplicitPricing:
-        """Policy iteration on the process with a price for each row.
+    def pricing(self) -> ExplicitPricing | OpenEndedPricing:
+        """Of the process with a price for each row: layer by layer where that pays.
 
         Raises:
             InfeasibleError: failing is forbidden and cannot be avoided.
         """
-        return self._pricing
+        return self._layer_pricing or self.explicit_pricing
 
     @cached_property
-    def _pricing(self) -> ExplicitPricing:
-        """The pricing problem, made once."""
+    def _layer_pricing(self) -> OpenEndedPricing | None:
+        """The pricing problem by layers; None where the process is written out."""
+        layered = self.augmented
+        if not isinstance(layered, OpenEnded) or not self._is_swept:
+            return None
+        counting = layered.counting()
+        return OpenEndedPricing(layered, self.precise, tuple(row.at(counting) for row in self.side))
+
+    @property
+    def _is_swept(self) -> bool:
+        """Whether layers are priced one by one: nothing in them is free, and they are large."""
+        if self.charge is None or self.base.by_steps or self.base.instant.nnz > 0:
+            return False
+        return self.base.later.nnz >= _WORTH_SWEEPING
+
+    @cached_property
+    def explicit_pricing(self) -> ExplicitPricing:
+        """Policy iteration on the process with a price for each row."""
         counted = None
         if self.objective is not None:
             (counted,) = self.row_coefficients((self.objective,))
         rows = tuple(self.row_coefficients(self.side))
         return ExplicitPricing(self.augmented, self.precise, rows, counted)
-
-    @property
-    def own_cost(self) -> FloatArray:
-        """What is minimised without the shift, [process pairs]."""
-        augmented = self.augmented
-        return augmented.own_cost if isinstance(augmented, OpenEnded) else augmented.process.cost
 
     def row_coefficients(self, rows: Sequence[UpperRow]) -> list[FloatArray]:
         """What rows take of each pair of the process, [process pairs] each."""
@@ -1046,13 +1062,13 @@ class CompiledExplicit:
         layers = self.cap if self.totals is None else self.totals.size
         if layers is None:
             layers = first_cap(self.base, self.charge, self.typical_cost, self.fixed_cap)
-        n_pairs = (layers + 1) * len(self.base.gain)
-        if n_pairs > _MOST_PAIRS:
-            raise ModelError(
-                f"{layers:,} layers of accumulated cost (unit {self.base.unit:g}) make {n_pairs:,} "
-                "pairs, too many to be written out with rows; a coarser grid of costs makes it less"
-            )
+        check_room(self.base, layers, self._most_pairs)
         return layers
+
+    @property
+    def _most_pairs(self) -> int:
+        """Pairs of all layers together that there is room for."""
+        return _MOST_SWEPT if self._is_swept else MOST_WRITTEN
 
     def refined(self, price: float) -> CompiledExplicit | None:
         """More layers, or more digits in comparing pairs where no total is counted; None: no more.
@@ -1078,8 +1094,10 @@ class CompiledExplicit:
                 if resolution is None
                 else self._handing_on(replace(self, resolution=resolution))
             )
-        wanted = 2 * self.layers
-        if not cut or (wanted + 1) * len(self.base.gain) > _MOST_PAIRS:
+        here = self.layers
+        lossless = int(np.ceil(_MARGIN * self.charge.lossless(price) / self.base.unit)) + 1
+        wanted = min(lossless, _MOST_GROWTH * here) if lossless > here else 2 * here
+        if not cut or (wanted + 1) * len(self.base.gain) > self._most_pairs:
             return None
         return self.with_layers(wanted)
 

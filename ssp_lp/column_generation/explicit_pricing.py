@@ -23,11 +23,12 @@ from typing import Any
 
 import numpy as np
 
-from ssp_lp.accumulated_cost.written_out import OpenEnded
+from ssp_lp.accumulated_cost.written_out import LastLayer, OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, FloatArray, IntArray, expected, weighted
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.compiled.deadline import Stop, is_limited
 from ssp_lp.dynamic_programming.bellman import Work
+from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.dynamic_programming.dynamics import leaving_choice
 from ssp_lp.dynamic_programming.equations import DIRECT_STATES
 from ssp_lp.dynamic_programming.evaluation import evaluate_policy
@@ -55,7 +56,7 @@ class ExplicitPricing:
     row, the weights of cost, failure and all rows, >= 0, [rewards].
     """
 
-    augmented: FailureLabelled | OpenEnded  # the process, and the way back to the model
+    augmented: FailureLabelled | OpenEnded | LastLayer  # the process, and the way back to the model
     precise: bool = False  # compare pairs in twice the working precision
     rows: tuple[FloatArray, ...] = ()  # [pairs] each: what is counted besides cost and failure
     counted: FloatArray | None = None  # [pairs] in place of the process's cost
@@ -66,6 +67,11 @@ class ExplicitPricing:
     def process(self) -> ExplicitProcess:
         """The process that is minimised over."""
         return self.augmented.process
+
+    @property
+    def n_rewards(self) -> int:
+        """Cost, failure and rows."""
+        return 2 + len(self.rows)
 
     @cached_property
     def rewards(self) -> FloatArray:
@@ -107,9 +113,9 @@ class ExplicitPricing:
 
         What is free at the price is contracted first: rounding would find policies that stay.
         """
-        weights = _pricing_weights(price)
+        weights = pricing_weights(price)
         choice, guess = self._begun(weights, warm)
-        smaller, at = self._contracted(weights), None if isinstance(price, np.ndarray) else price
+        smaller, at = self.contracted(weights), None if isinstance(price, np.ndarray) else price
         run = partial(iterate_policy, precise=self.precise or None)
         if smaller is None:
             settled = run(self.process.dynamics, self.rewards, weights, choice, guess)
@@ -148,7 +154,7 @@ class ExplicitPricing:
             return choice, totals[0]
         return choice, np.stack(totals)[follows, np.arange(len(choice))]
 
-    def _contracted(self, weights: FloatArray) -> Contraction | None:
+    def contracted(self, weights: FloatArray) -> Contraction | None:
         """The process without what is free at the weights, kept; None where nothing is."""
         priced = weights > 0.0
         key = priced.tobytes()
@@ -193,7 +199,7 @@ class ExplicitPricing:
     def prove(self, price: float | FloatArray, best: Column, *, slack: bool = False) -> Proof:
         """Prove a lower bound from the values of a policy of least priced cost."""
         column = best if best.totals is not None else self.minimise(price, best)
-        values = weighted(required(column.totals), _pricing_weights(price))
+        values = weighted(required(column.totals), pricing_weights(price))
         return self._checked(price, values, column.choice)
 
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
@@ -210,18 +216,35 @@ class ExplicitPricing:
         self, price: float | FloatArray, values: FloatArray, choice: IntArray | None
     ) -> Proof:
         """The proof that checked values of explicit pricing make."""
-        process, weights = self.process, _pricing_weights(price)
+        found = self.lowered(pricing_weights(price), values, choice)
+        failing = float(pricing_weights(price)[1])
+        return Proof(failing, failing, found.at(self.process.start), found.values)
+
+    def lowered(
+        self, weights: FloatArray, values: FloatArray, choice: IntArray | None = None
+    ) -> DualBound:
+        """A checked sub-solution of the weighted totals.
+
+        Args:
+            weights: of the rewards, >= 0, [rewards].
+            values: near-optimal ones, [states].
+            choice: a policy of about these values, which leaves, [states].
+        """
         priced = weighted(self.rewards, weights)
-        priced -= _pricing_rounding(self.rewards, weights) * np.abs(priced)  # a bound rounds down
+        priced -= pricing_rounding(self.rewards, weights) * np.abs(priced)  # a bound rounds down
         values = np.where(np.abs(values) <= LARGEST, values, 0.0)  # 0: a bound, if a poor one
-        proof = bound_of(process, self._contracted(weights), priced, values, choice=choice)
-        failing = float(weights[1])
-        return Proof(failing, failing, proof.at(process.start), proof.values)
+        return bound_of(self.process, self.contracted(weights), priced, values, choice=choice)
 
     def check_less(
-        self, weights: FloatArray, ratio: float, cost: FloatArray, paid: float, values: FloatArray
+        self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
     ) -> float:
-        """A certified bound of the weighted totals less what every episode pays, at the start.
+        """A certified bound of the weighted totals less what every episode pays, at the start."""
+        return self.lowered_less(weights, ratio, paid, values).at(self.process.start)
+
+    def lowered_less(
+        self, weights: FloatArray, ratio: float, paid: float, values: FloatArray
+    ) -> DualBound:
+        """A checked sub-solution of the weighted totals less what every episode pays.
 
         ``check`` says the same but for rounding; this is exact where nothing else is paid, and sums
         what is left by itself, without taking one large number from another.
@@ -229,19 +252,14 @@ class ExplicitPricing:
         Args:
             weights: of the rewards, >= 0, without the ratio, [rewards].
             ratio: what failing counts, and success earns here.
-            cost: the first reward without what every episode pays, [pairs].
             paid: on ending, whatever the end.
             values: lower values of the weighted totals, [states].
         """
-        process, counted = self.process, weights.copy()
+        process, cost, counted = self.process, self.augmented.own_cost, weights.copy()
         counted[1] += ratio
-        beside = cost + self.rewards[:, 1:] @ weights[1:]
-        left = beside - ratio * process.goal
-        summed = (left != cost) & (left != -ratio * process.goal)
-        left -= np.where(summed, _LOST * (np.abs(beside) + ratio * process.goal), 0.0)
-        values = np.where(np.abs(values) <= LARGEST, values, 0.0) - paid
-        values = np.where(np.abs(values) <= _ROUNDED * paid, 0.0, values)
-        return bound_of(process, self._contracted(counted), left, values, -paid).at(process.start)
+        left = rest_of(cost, cost + self.rewards[:, 1:] @ weights[1:], ratio * process.goal)
+        values = less_paid(np.where(np.abs(values) <= LARGEST, values, 0.0), paid)
+        return bound_of(process, self.contracted(counted), left, values, -paid)
 
     def policy(self, column: Column) -> Policy:
         """The column's policy on the original states, of equal pairs the first."""
@@ -254,12 +272,31 @@ class ExplicitPricing:
         return self.augmented.policy(choice)
 
 
-def _pricing_weights(price: float | FloatArray) -> FloatArray:
+def rest_of(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArray:
+    """``costs - earned``, rounded down where a sum was rounded, [pairs].
+
+    Args:
+        own: the only part of the costs that is exact by itself, [pairs].
+        costs: [pairs].
+        earned: non-negative, [pairs].
+    """
+    left = costs - earned
+    summed = (left != own) & (left != -earned)
+    return np.asarray(left - np.where(summed, _LOST * (np.abs(costs) + earned), 0.0))
+
+
+def less_paid(values: FloatArray, paid: float) -> FloatArray:
+    """Values less what every episode pays, nothing where that is rounding, [states]."""
+    left = values - paid
+    return np.where(np.abs(left) <= _ROUNDED * paid, 0.0, left)
+
+
+def pricing_weights(price: float | FloatArray) -> FloatArray:
     """The weight of each reward in explicit pricing, [rewards]."""
     return price if isinstance(price, np.ndarray) else np.array([1.0, price])
 
 
-def _pricing_rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
+def pricing_rounding(rewards: FloatArray, weights: FloatArray) -> FloatArray:
     """The relative rounding of a weighted sum of terms >= 0; 0 where it is exact, [pairs]."""
     terms, products = np.zeros(len(rewards), dtype=np.int64), np.zeros(len(rewards), dtype=np.bool_)
     for reward, weight in zip(rewards.T, weights.tolist(), strict=True):

@@ -54,6 +54,7 @@ from ssp_lp.column_generation.column import (
 )
 from ssp_lp.column_generation.compiled_problem import CompiledProblem, LeastFailure
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
+from ssp_lp.column_generation.open_ended_pricing import OpenEndedPricing
 from ssp_lp.column_generation.restricted_master import MasterOptimum, solve_master
 from ssp_lp.compiled.deadline import (
     Stop,
@@ -641,7 +642,7 @@ class Rows:
 class Pool:
     """The policies found so far, in every phase, and the work that it took."""
 
-    pricing: ExplicitPricing
+    pricing: ExplicitPricing | OpenEndedPricing
     columns: list[Column]
     calls: int = 0
     work: Work = field(default_factory=Work)
@@ -668,6 +669,8 @@ class Pool:
 
     def proved(self, weights: FloatArray) -> Proof:
         """A checked lower bound of every policy's weighted totals, lowered as little as can be."""
+        if isinstance(self.pricing, OpenEndedPricing):
+            return self.pricing.prove(weights, self.best(weights))
         best = self.pricing.minimise(weights, self.best(weights))
         return self.pricing.check(weights, weighted(required(best.totals), weights))
 
@@ -689,4 +692,4 @@ class Pool:
         shares = np.where(bounds > 0.0, _TRIFLE, 1.0)  # nothing can be kept to less than nothing
         scales = np.maximum(np.abs(bounds), shares * taken)
         scales = np.where(scales > 0.0, scales, 1.0)
-        return Rows(index, bounds, scales, self.pricing.rewards.shape[1])
+        return Rows(index, bounds, scales, self.pricing.n_rewards)

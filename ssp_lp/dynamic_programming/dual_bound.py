@@ -175,7 +175,10 @@ def _precise_bound(
             place = np.cumsum(tied) - 1
             steps = -np.ones((kept.size, 1))
             longest = iterate_policy(dynamics.restricted(kept), steps, _ONE, place[settled.choice])
-            fall = -4.0 * lack * longest.values  # absorbs the lack wherever it is met again
+            with np.errstate(over="ignore"):
+                fall = -4.0 * lack * longest.values  # absorbs the lack wherever it is met again
+            if not np.isfinite(fall).all():
+                return None
             lowered = exact_sum(settled.values, settled.low - fall)
             if (_precisely_for_bound(dynamics, pair_cost, *lowered) >= 0.0).all():
                 return DualBound(*lowered)

@@ -382,7 +382,7 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> Determi
 
 def _labelled_relaxation(compiled: CompiledExplicit, price: float) -> DeterministicRelaxation:
     """The process of case M, in which merged nodes may randomise."""
-    pricing = compiled.pricing()
+    pricing = compiled.explicit_pricing
     process = pricing.process
     _check_pairs(process.n_pairs)
     best = pricing.minimise(price)

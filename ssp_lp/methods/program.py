@@ -109,7 +109,7 @@ def _augmented(compiled: CompiledExplicit) -> Augmented:
     found = compiled.augmented
     if isinstance(found, OpenEnded):
         return LayeredModel(found, compiled.start)
-    cost = np.ascontiguousarray(compiled.pricing().rewards[:, 0])
+    cost = np.ascontiguousarray(compiled.explicit_pricing.rewards[:, 0])
     labelled = replace(found, process=replace(found.process, cost=cost))
     return LabelledModel(labelled, compiled.start, compiled.semantics, compiled.discount)
 

@@ -19,7 +19,7 @@ long as it stays a conflict.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, is_dataclass, replace
 
 import numpy as np
 
@@ -398,10 +398,13 @@ def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     """What the policies of a lottery are worth on the model itself, where tables truncate them."""
     if stated.charge is None:
         return None
+    unlimited = problem
+    if is_dataclass(problem) and hasattr(problem, "constraints"):  # which are not evaluated then
+        unlimited = replace(problem, constraints={})
 
     def value(policy: MixedPolicy) -> float:
         """What a lottery is worth, in what is minimised."""
-        attained = evaluate(policy, problem).objective
+        attained = evaluate(policy, unlimited).objective
         return attained if stated.sense.constant is None else stated.sense.constant - attained
 
     def figures(policy: Policy) -> FloatArray:
@@ -439,7 +442,7 @@ def phase_one(
     """
     pricing = compiled.pricing()
     pool = Pool(pricing, [pricing.first()])
-    cheapest = pool.priced(np.eye(1, pricing.rewards.shape[1])[0])
+    cheapest = pool.priced(np.eye(1, pricing.n_rewards)[0])
     pool.add(cheapest)
     limited = np.flatnonzero(np.isfinite(compiled.bounds))
     rows = pool.rows(1 + limited, compiled.bounds[limited])
@@ -614,7 +617,7 @@ def begun_at_duals(
     compiled: CompiledExplicit, opened: StabilisedMaster, options: SolveOptions
 ) -> tuple[ProgramOptimum, StabilisedMaster]:
     """The optimum of the full linear program, and the search begun at its duals."""
-    pricing, rows = compiled.pricing(), opened.rows
+    pricing, rows = compiled.explicit_pricing, opened.rows
     limits = {
         compiled.names[index - 1]: (pricing.rewards[:, index], float(bound))
         for index, bound in zip(rows.index.tolist(), rows.bounds, strict=True)
@@ -722,7 +725,7 @@ def _beyond_paid(
     paid, less = ratio if compiled.ratio else compiled.sense.shift, -np.inf
     if paid > 0.0:
         weights = np.append(1.0, prices)
-        less = compiled.pricing().check_less(weights, ratio, compiled.own_cost, paid, proof.values)
+        less = compiled.pricing().check_less(weights, ratio, paid, proof.values)
     return max(
         lagrange_bound(proof.bound, prices, bounds) - paid, lagrange_bound(less, prices, bounds)
     )

@@ -16,7 +16,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse import csgraph
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of
+from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, offsets_of
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound, shortfall
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
@@ -100,11 +100,26 @@ def bound_of(
         floor: a constant that is known to be a sub-solution.
         choice: a policy of about these values, which leaves, [states].
     """
+    floor = max(floor, _greatest_constant(process, pair_cost))
     if smaller is None:
         return dual_bound(process.dynamics, pair_cost, values, floor, choice)
     kept, least = pair_cost[smaller.pairs], smaller.least(values)
     found = dual_bound(smaller.dynamics, kept, least, floor)
     return DualBound(found.values[smaller.node_of], found.low[smaller.node_of])
+
+
+def _greatest_constant(process: ExplicitProcess, pair_cost: FloatArray) -> float:
+    """The greatest constant sub-solution: v with ``exit_u v <= c_u`` for every pair u.
+
+    It is optimal where the cheapest way to end costs the same everywhere, however long a policy
+    stays in the process; lowering other values there would take as many steps.
+    """
+    exits = process.dynamics.exits
+    leaves = exits > 0.0
+    if (pair_cost[~leaves] < 0.0).any() or not leaves.any():
+        return -np.inf
+    least = float((pair_cost[leaves] / exits[leaves]).min())
+    return least - 4.0 * MACHINE_EPSILON * abs(least)
 
 
 def contract(process: ExplicitProcess, free: BoolArray) -> Contraction | None:

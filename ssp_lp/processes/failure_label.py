@@ -43,6 +43,11 @@ class FailureLabelled:
     quotient: Quotient
     departs: FloatArray  # [quotient pairs] what rows were divided by, see ``live_rows``
 
+    @property
+    def own_cost(self) -> FloatArray:
+        """What is minimised, [process pairs]."""
+        return self.process.cost
+
     def policy(self, choice: IntArray) -> DeterministicPolicy:
         """Pull a choice back to the model.
 
