@@ -497,8 +497,9 @@ class LayeredProcess:
             least = self.charge.beyond(totals, tails.bounding(goal))
         if tails.least_cost is not None:
             least = least + self.charge.slope * tails.least_cost
-        size = np.where(goal == 0, 0.0, (np.abs(paid) + failure_price) * MACHINE_EPSILON)
-        return np.asarray(rest + least - 8.0 * size)
+        terms = failing + (failure_price - failing + np.abs(paid)) * goal + np.abs(least)
+        rounding = np.where(goal == 0, 0.0, 8.0 * MACHINE_EPSILON * terms)  # rare goals keep digits
+        return np.asarray(rest + least - rounding)
 
     def policy(self, choice: IntArray, tail_price: float) -> CostAwarePolicy:
         """Pull a choice back to the model.

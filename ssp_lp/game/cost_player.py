@@ -169,11 +169,11 @@ class CostPlayer:
         choice = sweep.room_for_choice()
         if weights[0] == 0.0:
             choice[:] = self.tail_pairs[0] - base.pair_offsets[:-1]
-            first, greatest = self.tails.first, self.tails.greatest_goal
+            first = self.tails.first
             measures = np.stack([first.cost, first.failure, first.goal])
             objective, failure, goal = (measures @ base.start).tolist()
-            least = base.start @ (-greatest if self.origin else 1.0 - greatest)
-            bound = weights[1] * (least + settled)
+            least = lower_bounds(sweep, price, 0.0 if self.origin else price)[0][0] / price
+            bound = weights[1] * least  # the sweep leads to digits that the tails' bounds lack
         else:
             price = float(weights[1] / weights[0])
             failing = 0.0 if self.origin else price
