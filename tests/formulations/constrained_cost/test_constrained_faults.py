@@ -90,14 +90,16 @@ def test_no_plain_numbers(cost, bound):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e308, -1e308])
 def test_certificates_do_not_overflow(value):
-    """Absurd prices are refused, absurd values prove nothing; neither warns nor raises."""
+    """Absurd prices are refused, absurd values prove no more than a constant; neither warns.
+
+    On one state the greatest constant sub-solution is the optimum itself.
+    """
     huge = {"a": {"x": 4e10, "y": 2e10}}
     solution = solve(ConstrainedCost(THREE, "a", {"fuel": CostLimit(huge, 3e10)}))
     assert not certify(replace(solution, prices={"fuel": value})).accepted
     absurd = certify(replace(solution, value_function=np.array([value])))
     assert absurd.accepted
-    assert absurd.lower_bound == 0.0
-    assert absurd.gap == 1.0
+    assert solution.objective * (1.0 - 1e-14) <= absurd.lower_bound <= solution.objective
 
 
 def test_a_conflict_under_a_discount_says_both_least_failures():
