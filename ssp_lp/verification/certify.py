@@ -12,12 +12,13 @@ from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
 from ssp_lp.arrays import RELATIVE_GAP
 from ssp_lp.column_generation.column import CONTRADICTION, relative_gap
 from ssp_lp.compiled.deadline import limited
-from ssp_lp.errors import OutOfTimeError
+from ssp_lp.errors import ModelError, OutOfTimeError
 from ssp_lp.methods.approaches import Case, approach_to
-from ssp_lp.methods.incumbent import broken_limit, prove_by_cheapest_way
+from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.options import Status, progress_shown
-from ssp_lp.problem import objective_of
+from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.problem import objective_of, on_one_model
 from ssp_lp.solution import Solution, as_solved
 
 _LOG = logging.getLogger("ssp_lp.certificate")
@@ -28,10 +29,12 @@ def certify(
 ) -> Certificate:
     """Recompute both sides of a solution from its model, policy, price and value function.
 
-    The objective and the failure come from an exact evaluation of the policy on the model. The
-    lower bound comes from the price and the value function alone: the latter is lowered until
-    one backup, rounding counted against it, shows that it bounds the priced cost of every policy
-    from below. A wrong policy, price or value function is thus refused or widens the gap.
+    The objective and the failure come from an exact evaluation of the policy on the model; where
+    the law of its costs takes too large a table, the objective is a bound of it by mean and
+    variance, never better than the exact one. The lower bound comes from the price and the value
+    function alone: the latter is lowered until one backup, rounding counted against it, shows that
+    it bounds the priced cost of every policy from below. A wrong policy, price or value function is
+    thus refused or widens the gap.
 
     Args:
         solution: a solution, of ``solve`` or put together by hand.
@@ -50,7 +53,7 @@ def certify(
     solution, began = as_solved(solution, "certify"), perf_counter()
     with progress_shown(verbose):
         with limited(time_limit, "the policy was evaluated"):
-            found, members = evaluate_each(solution.policy, solution.problem)
+            found, members = _evaluated(solution)
         _LOG.info("%r", found)
         try:
             left = None if time_limit is None else max(began + time_limit - perf_counter(), 0.0)
@@ -68,6 +71,19 @@ def certify(
         )
         _LOG.info("%r", certificate)
     return certificate
+
+
+def _evaluated(solution: Solution) -> tuple[Evaluation, list[Evaluation]]:
+    """The evaluation of a policy and of its members; by moments where a law is too long a table."""
+    problem = solution.problem
+    try:
+        return evaluate_each(solution.policy, problem)
+    except ModelError:
+        if problem.semantics.measure is None:
+            raise
+        lottery, problem = on_one_model(solution.policy, problem, "certify")
+        each = [by_moments(as_lottery(member), problem) for member in lottery.policies]
+        return by_moments(lottery, problem), each
 
 
 def _proved(solution: Solution, evaluation: Evaluation, members: list[Evaluation]) -> Proved:
