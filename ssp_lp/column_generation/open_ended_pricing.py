@@ -197,8 +197,10 @@ class OpenEndedPricing:
         base, counted = self.augmented.base, weights.copy()
         counted[1] += ratio
         earned, owed = ratio * base.survival * base.gain, self._counted @ weights[1:]
-        at_source = float(self._at_source @ weights) - self.augmented.shift_of_ends[1]
-        at_source -= ratio * base.start_goal
+        begun, earned_at_once = float(self._at_source @ weights), ratio * base.start_goal
+        shift = self.augmented.shift_of_ends[1]
+        summed = begun + shift + earned_at_once
+        at_source = begun - shift - earned_at_once - _LOST * summed
 
         def left(layer: int) -> FloatArray:
             """What a layer's pairs cost beside what is paid on ending, rounded down, [pairs]."""
