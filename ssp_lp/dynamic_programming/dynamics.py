@@ -20,9 +20,10 @@ from ssp_lp.arrays import (
     offsets_of,
     segment_ids,
     sorted_unique,
+    unsigned,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.dynamic_programming.bellman import chosen_rows, unsigned_parts
+from ssp_lp.dynamic_programming.bellman import chosen_rows
 from ssp_lp.dynamic_programming.equations import (
     DIRECT_STATES,
     EXACTLY_SOLVED,
@@ -96,8 +97,18 @@ class Dynamics:
 
     @cached_property
     def rows(self) -> tuple[IntArray, IntArray, IntArray, FloatArray, FloatArray]:
-        """The arrays of the process as compiled loops take them."""
-        return *unsigned_parts(self.pair_offsets, self.transitions), self.exits
+        """The arrays of the process as compiled loops take them.
+
+        Integers have 32 bits where that is enough: numba 0.60 takes tuples for one another whose
+        arrays differ in it.
+        """
+        rows, most = self.transitions, np.iinfo(np.int32).max
+        integer = np.dtype(np.int32 if len(rows.indices) <= most else np.int64)
+        offsets, indptr, indices = (
+            unsigned(part.astype(integer, copy=False))
+            for part in (self.pair_offsets, rows.indptr, rows.indices)
+        )
+        return offsets, indptr, indices, rows.data, self.exits
 
     @property
     def is_compiled_backwards(self) -> bool:
