@@ -691,9 +691,8 @@ def one_action(
     tally["one action"] += 1
     sign = -1.0 if draw.criterion.maximised else 1.0
     best = None if best is None else sign * best
-    yield from compared(
-        draw, convex, best, lambda m: m.objective, "with one action", cp.HIGHS, WHOLE
-    )
+    solver = getattr(cp, "HIGHS", cp.SCIPY)  # which older versions of cvxpy have
+    yield from compared(draw, convex, best, lambda m: m.objective, "with one action", solver, WHOLE)
 
 
 def enumerated(draw: Draw, closed: set[tuple[str, str]]) -> float | None:
