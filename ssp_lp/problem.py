@@ -213,7 +213,7 @@ class Restated:
     failure_budget: float | None
     semantics: FailureSemantics
     conditions: tuple[Condition, ...] = ()
-    discount: None = None
+    discount: float | None = None
 
     def compile(self) -> CompiledArrivalCost:
         """The process on the lattice of its costs."""

@@ -44,7 +44,7 @@ _Item = TypeVar("_Item")
 _BELOW_EVERY_VALUE = 1e-6
 """No value is below minus the price; a floor this much lower leaves room to count rounding."""
 
-_KEPT_VALUES = 25_000_000
+KEPT_VALUES = 25_000_000
 """Largest table of checked values that is kept, nodes x layers: 0.2 GB. Of a larger one only the
 shape is: infinite values ask for the best that can be proved, which one more sweep gives."""
 
@@ -166,7 +166,7 @@ class Sweep:
         """
         process, base = self.process, self.process.base
         floor = -(price - failing - process.charge.lowest) * (1.0 + _BELOW_EVERY_VALUE)
-        is_kept = given.size <= _KEPT_VALUES
+        is_kept = given.size <= KEPT_VALUES
         kept = np.empty(given.shape) if is_kept else np.broadcast_to(np.inf, given.shape)
         begun, sizes = np.zeros((2, process.cap))
         entries = np.flatnonzero(base.start)

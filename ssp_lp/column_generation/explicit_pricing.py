@@ -39,11 +39,13 @@ from ssp_lp.processes.contraction import Contraction, bound_of, contract
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
 
+LOST = 4.0 * MACHINE_EPSILON
+"""What rounding may take of a sum of a few terms, relative to these."""
+
 LARGEST = 1e150
 """Prices and values beyond this are no numbers: products of two such overflow."""
 
 _ROUNDED = 1e-13  # of what every episode pays: less than that is nothing
-_LOST = 4.0 * MACHINE_EPSILON  # of the terms of a sum
 _UNIT = np.ones(1)
 _NONE = Work()
 
@@ -202,6 +204,11 @@ class ExplicitPricing:
         values = weighted(required(column.totals), pricing_weights(price))
         return self._checked(price, values, column.choice)
 
+    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
+        """Prove the best lower bound at weights that nothing has been priced at yet."""
+        values = weighted(required(self.minimise(weights, warm).totals), weights)
+        return self.check(weights, values)
+
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [states], to a checked sub-solution.
 
@@ -282,7 +289,7 @@ def rest_of(own: FloatArray, costs: FloatArray, earned: FloatArray) -> FloatArra
     """
     left = costs - earned
     summed = (left != own) & (left != -earned)
-    return np.asarray(left - np.where(summed, _LOST * (np.abs(costs) + earned), 0.0))
+    return np.asarray(left - np.where(summed, LOST * (np.abs(costs) + earned), 0.0))
 
 
 def less_paid(values: FloatArray, paid: float) -> FloatArray:

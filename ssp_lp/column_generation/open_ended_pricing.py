@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
+from ssp_lp.accumulated_cost.sweep import KEPT_VALUES
 from ssp_lp.accumulated_cost.totals import Window
 from ssp_lp.accumulated_cost.written_out import OpenEnded
 from ssp_lp.arrays import MACHINE_EPSILON, TIED, FloatArray, IntArray, least_integer_type, weighted
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.column_generation.explicit_pricing import (
+    LOST,
     ExplicitPricing,
     less_paid,
     pricing_rounding,
@@ -38,9 +40,6 @@ from ssp_lp.dynamic_programming.bellman import (
 from ssp_lp.dynamic_programming.dual_bound import DualBound
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
-
-_KEPT_VALUES = 25_000_000  # of a larger table of checked values only the shape is kept
-_LOST = 4.0 * MACHINE_EPSILON  # of the terms of a sum
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +94,7 @@ class OpenEndedPricing:
         """The column of the policy that leaves the open end, whatever has been paid."""
         first = self._beyond.first()
         last = required(first.choice) - self.augmented.base.pair_offsets[:-1]
-        return self._swept(first, lambda layer, ahead: last)
+        return self._swept(first, lambda charged, ahead: last)
 
     def first(self) -> Column:
         """A policy that comes nearer to the goal with every step it takes, where it can."""
@@ -108,11 +107,11 @@ class OpenEndedPricing:
         last = self._beyond.minimise(weights, *map(self._last, warm))
         values = self._window(weighted(required(last.totals), weights))
 
-        def best(layer: int, totals: FloatArray | None) -> IntArray:
-            """The best position of each node, where the totals of the layer after it are known."""
+        def best(charged: FloatArray, totals: FloatArray | None) -> IntArray:
+            """The best position of each node in a layer, from the totals of the layer after it."""
             if totals is not None:
                 values.push(weighted(totals, weights))
-            cost = PairCost(weights[0] * self._cost_from(layer) + owed)
+            cost = PairCost(weights[0] * charged + owed)
             backup = best_pairs(base.pair_offsets, base.later, cost, values.flat, tied=TIED)
             return np.asarray(backup.choice - base.pair_offsets[:-1])
 
@@ -126,14 +125,15 @@ class OpenEndedPricing:
         return Column(0.0, 0.0, 0.0, choice.astype(np.int32))
 
     def _swept(
-        self, last: Column, position_of: Callable[[int, FloatArray | None], IntArray]
+        self, last: Column, position_of: Callable[[FloatArray, FloatArray | None], IntArray]
     ) -> Column:
         """A policy with its totals from the start, found layer by layer.
 
         Args:
             last: what is done beyond the cap, with its totals.
-            position_of: the position of each node's pair in a layer, from the totals of the layer
-                after it, None for those beyond the cap, [nodes].
+            position_of: the position of each node's pair in a layer, [nodes], from the charges of
+                arriving from it, [pairs], and the totals of the layer after it, None for those
+                beyond the cap.
         """
         layered, base = self.augmented, self.augmented.base
         most = int(np.diff(base.pair_offsets).max(initial=1))
@@ -142,10 +142,11 @@ class OpenEndedPricing:
         totals, window = None, self._window(required(last.totals))
         for layer in reversed(range(layered.cap)):
             check_time()
-            choice[layer] = position_of(layer, totals)
+            charged = self._cost_from(layer)
+            choice[layer] = position_of(charged, totals)
             chosen = base.pair_offsets[:-1] + choice[layer]
             totals = np.empty((base.n_nodes, self.n_rewards))
-            totals[:, 0], totals[:, 1:] = self._cost_from(layer)[chosen], self._counted[chosen]
+            totals[:, 0], totals[:, 1:] = charged[chosen], self._counted[chosen]
             totals += chosen_product(base.later, chosen, window.flat)
             window.push(totals)
         begun = required(last.totals) if totals is None else totals
@@ -167,6 +168,10 @@ class OpenEndedPricing:
         """Prove the best lower bound that a sweep gives."""
         return self.check(price, np.broadcast_to(np.inf, self.value_shape))
 
+    def prove_afresh(self, weights: FloatArray, warm: Column) -> Proof:
+        """Prove the best lower bound at weights that nothing has been priced at yet."""
+        return self.prove(weights, warm)
+
     def check(self, price: float | FloatArray, values: FloatArray, *, slack: bool = False) -> Proof:
         """Lower values, [states], to a checked sub-solution; infinite ones ask for the best.
 
@@ -181,7 +186,7 @@ class OpenEndedPricing:
             """Priced costs of a layer's pairs, rounded down, [pairs]."""
             cost = weights[0] * self._cost_from(layer)
             both = (cost != 0.0) & (owed != 0.0)
-            return np.asarray(cost + owed - (lost + both * _LOST * (np.abs(cost) + owed)))
+            return np.asarray(cost + owed - (lost + both * LOST * (np.abs(cost) + owed)))
 
         last = self._beyond.lowered(weights, self._asked_beyond(values, weights))
         bound, kept = self._lowered(last, priced, values, at_source)
@@ -200,7 +205,7 @@ class OpenEndedPricing:
         begun, earned_at_once = float(self._at_source @ weights), ratio * base.start_goal
         shift = self.augmented.shift_of_ends[1]
         summed = begun + shift + earned_at_once
-        at_source = begun - shift - earned_at_once - _LOST * summed
+        at_source = begun - shift - earned_at_once - LOST * summed
 
         def left(layer: int) -> FloatArray:
             """What a layer's pairs cost beside what is paid on ending, rounded down, [pairs]."""
@@ -240,26 +245,26 @@ class OpenEndedPricing:
         layered, base, n = self.augmented, self.augmented.base, self.augmented.n_nodes
         given, lowest = values[:-1].reshape(layered.cap + 1, n), beyond.rounded
         window = self._window(lowest)
-        is_kept = values.size <= _KEPT_VALUES
+        is_kept = values.size <= KEPT_VALUES
         kept = np.empty(values.shape) if is_kept else np.broadcast_to(np.inf, values.shape)
-        for layer in reversed(range(layered.cap + 1)):
+        if is_kept:
+            kept[layered.cap * n : -1] = lowest
+        for layer in reversed(range(layered.cap)):
             check_time()
-            if layer < layered.cap:
-                cost = priced(layer)
-                size = np.abs(cost)
-                lowest = safe_minima(
-                    base.pair_offsets, base.later, PairCost(cost), size, size, window.flat
-                )
-                asked = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
-                lowest = np.minimum(lowest, np.maximum(asked, floor))
-                window.push(lowest)
+            cost = priced(layer)
+            size = np.abs(cost)
+            lowest = safe_minima(
+                base.pair_offsets, base.later, PairCost(cost), size, size, window.flat
+            )
+            asked = np.nan_to_num(given[layer], nan=floor, posinf=np.inf)
+            lowest = np.minimum(lowest, np.maximum(asked, floor))
+            window.push(lowest)
             if is_kept:
                 kept[layer * n : (layer + 1) * n] = lowest
         entries = np.flatnonzero(base.start)
         parts = base.start[entries] * lowest[entries]
-        loss = (
-            (entries.size + 1.0) * MACHINE_EPSILON * (float(np.abs(parts).sum()) + abs(at_source))
-        )
+        terms = entries.size + self.n_rewards  # each of these is rounded once at the start
+        loss = terms * MACHINE_EPSILON * (float(np.abs(parts).sum()) + abs(at_source))
         exact = entries.size == 1 and float(base.start[entries[0]]) == 1.0 and at_source == 0.0
         bound = float(parts.sum()) + at_source - (0.0 if exact else loss)
         if is_kept:

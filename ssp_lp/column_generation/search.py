@@ -42,7 +42,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ssp_lp.arrays import FloatArray, IntArray, weighted
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.column_generation.column import (
     Column,
     FailureRow,
@@ -50,7 +50,6 @@ from ssp_lp.column_generation.column import (
     Proof,
     excess_failure,
     least_of,
-    required,
 )
 from ssp_lp.column_generation.compiled_problem import CompiledProblem, LeastFailure
 from ssp_lp.column_generation.explicit_pricing import ExplicitPricing
@@ -669,10 +668,7 @@ class Pool:
 
     def proved(self, weights: FloatArray) -> Proof:
         """A checked lower bound of every policy's weighted totals, lowered as little as can be."""
-        if isinstance(self.pricing, OpenEndedPricing):
-            return self.pricing.prove(weights, self.best(weights))
-        best = self.pricing.minimise(weights, self.best(weights))
-        return self.pricing.check(weights, weighted(required(best.totals), weights))
+        return self.pricing.prove_afresh(weights, self.best(weights))
 
     def add(self, column: Column) -> bool:
         """Keep a policy; false where one with the same totals is known."""

@@ -19,7 +19,7 @@ long as it stays a conflict.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, is_dataclass, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,7 +48,7 @@ from ssp_lp.options import CERTIFYING, Game, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
-from ssp_lp.problem import Problem, compiled_constrained
+from ssp_lp.problem import Problem, Restated, compiled_constrained, unrolled
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
 from ssp_lp.processes.goal_reach import greatest_goal_reach
 from ssp_lp.processes.quantities.conditions import FAILURE_ROW
@@ -398,9 +398,9 @@ def truth_of(problem: Problem, stated: CompiledExplicit) -> Truth | None:
     """What the policies of a lottery are worth on the model itself, where tables truncate them."""
     if stated.charge is None:
         return None
-    unlimited = problem
-    if is_dataclass(problem) and hasattr(problem, "constraints"):  # which are not evaluated then
-        unlimited = replace(problem, constraints={})
+    plain = unrolled(problem)
+    asked = (plain.start, plain.ratio, plain.failure_budget, plain.semantics)
+    unlimited = Restated(plain.model, *asked, discount=plain.discount)
 
     def value(policy: MixedPolicy) -> float:
         """What a lottery is worth, in what is minimised."""
