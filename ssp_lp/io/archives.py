@@ -7,15 +7,12 @@ from __future__ import annotations
 
 import json
 import re
-import struct
-import zipfile
-import zlib
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields, replace
 from fractions import Fraction
-from io import BytesIO
-from math import isclose, prod
+from itertools import pairwise
+from math import isclose
 from pathlib import Path
 from typing import Any
 
@@ -54,20 +51,6 @@ _VERSION = 1
 
 
 _HEADER = "header"
-_MOST_PACKED = 1100
-"""Bytes that one packed byte can become, a little above the 1032 of the packing method."""
-
-_BROKEN = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    OSError,
-    KeyError,
-    ValueError,
-    RuntimeError,  # RecursionError, too
-)
-"""What reading a damaged archive may raise: an offset before its beginning is an OSError."""
 
 
 def _write_archive(
@@ -82,9 +65,9 @@ def _write_archive(
         arrays: by name.
     """
     whole = {"format": f"ssp-lp {kind}", "version": _VERSION, **header}
-    told = json.dumps(whole, default=np.generic.item)
+    told = np.frombuffer(json.dumps(whole, default=np.generic.item).encode(), dtype=np.uint8)
     with Path(path).open("wb") as file:
-        named: dict[str, Any] = {_HEADER: np.frombuffer(told.encode(), dtype=np.uint8), **arrays}
+        named: dict[str, Any] = {_HEADER: told, **arrays}
         np.savez_compressed(file, **named)
 
 
@@ -98,13 +81,10 @@ def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
     """
     with Path(path).open("rb") as stream:
         try:
-            with zipfile.ZipFile(stream) as archive:
-                arrays = {
-                    entry.filename.removesuffix(".npy"): _archived_array(archive, entry)
-                    for entry in archive.infolist()
-                }
+            with np.load(stream, allow_pickle=False) as archive:
+                arrays = {name: _native_array(archive, name) for name in archive.files}
             header = json.loads(arrays.pop(_HEADER, np.frombuffer(b"null", np.uint8)).tobytes())
-        except _BROKEN as error:
+        except Exception as error:  # zipfile, zlib and numpy raise a dozen kinds for damage
             raise ModelError(f"{path} is no ssp-lp {kind} file: {error}") from error
     found = header.get("format", "") if isinstance(header, dict) else None
     if found != f"ssp-lp {kind}":
@@ -131,37 +111,21 @@ def _damage_named(path: FilePath) -> Iterator[None]:
         raise ModelError(f"{path} is damaged: {error!r}") from error
 
 
-def _archived_array(archive: zipfile.ZipFile, entry: zipfile.ZipInfo) -> Array:
-    """One array, in the machine's own byte order; its size is bounded by that of the file."""
-    name = entry.filename.removesuffix(".npy")
-    if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ModelError(f"the array {name} is packed by another method")
-    if entry.file_size > _MOST_PACKED * (entry.compress_size + 1):
-        raise ModelError(f"the array {name} cannot be as large as it says")
-    stream = BytesIO(archive.read(entry))
+def _native_array(archive: Mapping[str, Array], name: str) -> Array:
+    """One array, in the machine's own byte order."""
     try:
-        version = np.lib.format.read_magic(stream)
-        read = {(1, 0): np.lib.format.read_array_header_1_0}[version]
-        shape, by_columns, kind = read(stream)
-    except (ValueError, KeyError, SyntaxError, TypeError, RecursionError) as error:
-        raise ModelError(f"the array {name} is no array") from error
-    rest = stream.getbuffer()[stream.tell() :]
-    if kind.hasobject or min(shape, default=0) < 0 or prod(shape) * kind.itemsize != len(rest):
-        raise ModelError(f"the array {name} has another type or size than it should")
-    found = np.frombuffer(rest, dtype=kind).reshape(shape, order="F" if by_columns else "C")
-    return found.astype(kind.newbyteorder("="), copy=False)
+        found = archive[name]
+    except (ValueError, MemoryError) as error:
+        raise ModelError(f"the array {name} has another type or size than it should") from error
+    return found.astype(found.dtype.newbyteorder("="), copy=False)
 
 
 _ARRAYS = {
-    "pair_action": np.dtype("<i8"),
-    "pair_offsets": np.dtype("<i8"),
-    "outcome_offsets": np.dtype("<i8"),
-    "successors": np.dtype("<i4"),
-    "probabilities": np.dtype("<f8"),
-    "costs": np.dtype("<f8"),
-    "goal_states": np.dtype("<i8"),
-    "label_offsets": np.dtype("<i8"),
-    "label_members": np.dtype("<i8"),
+    **dict.fromkeys(("pair_action", "pair_offsets", "outcome_offsets", "goal_states"), "i8"),
+    **dict.fromkeys(("label_offsets", "label_members"), "i8"),
+    "successors": "i4",
+    "probabilities": "f8",
+    "costs": "f8",
 }
 """The arrays of a model's file, each one-dimensional."""
 
@@ -202,7 +166,7 @@ def save_model(model: SSP, path: FilePath) -> None:
         "label_offsets": np.cumsum([0, *(len(at) for at in members)]),
         "label_members": np.concatenate([np.zeros(0, dtype=np.int64), *members]),
     }
-    arrays = {name: found[name].astype(kind) for name, kind in _ARRAYS.items()}
+    arrays = {name: found[name].astype(f"<{kind}") for name, kind in _ARRAYS.items()}
     _write_archive(path, "model", header, arrays)
 
 
@@ -233,52 +197,38 @@ def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> 
             raise ModelError(f"the array {name} is missing")
         if arrays[name].ndim != 1 or arrays[name].dtype != kind:
             raise ModelError(f"the array {name} has another type or size than it should")
-    n_states = arrays["pair_offsets"].size - 1
-    states = _labels_in_archive(texts, "states", max(n_states, 0))
-    actions = _labels_in_archive(texts, "actions", None)
-    if not isinstance(actions, range):
-        chosen = arrays["pair_action"]
-        if ((chosen < 0) | (chosen >= len(actions))).any():
-            raise ModelError("pair_action names actions that are not there")
-        actions = [actions[k] for k in chosen.tolist()]
-    costs = arrays["costs"]
+    n_states, labels = arrays["pair_offsets"].size - 1, arrays["label_offsets"]
+    states, actions = (
+        None if texts[name] is None else [label_of(part) for part in texts[name]]
+        for name in ("states", "actions")
+    )
+    if states is not None and len(states) != n_states:
+        raise ModelError("the names of states are not one for each")
+    if actions is not None:
+        actions = _named_in_archive(actions, arrays["pair_action"], "actions")
+    known = range(n_states) if states is None else states
+    members = _named_in_archive(known, arrays["label_members"], "members of labels")
+    check_offsets("label_offsets", labels, len(members))
+    marked = [members[begin:end] for begin, end in pairwise(labels.tolist())]
+    names = ("pair_offsets", "outcome_offsets", "successors", "probabilities", "goal_states")
+    plain: dict[str, Any] = {name: arrays[name] for name in names}
     model = SSP.from_arrays(
-        pair_offsets=arrays["pair_offsets"],
-        outcome_offsets=arrays["outcome_offsets"],
-        successors=arrays["successors"],
-        probabilities=arrays["probabilities"],
-        costs=costs[0] if costs.size == 1 else costs,
-        goal_states=arrays["goal_states"],
-        states=None if isinstance(states, range) else states,
-        actions=None if isinstance(actions, range) else actions,
-        state_labels=_state_labels_in_archive(texts, arrays, states),
+        **plain,
+        costs=arrays["costs"][0] if arrays["costs"].size == 1 else arrays["costs"],
+        states=states,
+        actions=actions,
+        state_labels=dict(zip(texts["state_labels"], marked, strict=True)),
         exact_costs=_exact_costs_in_archive(texts),
         treat_actionless_as_dead_ends=True,
     )
     return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
 
 
-def _labels_in_archive(texts: Mapping[str, Any], name: str, size: int | None) -> Sequence[Hashable]:
-    """Names of states or actions in an archive; a range where they are their positions."""
-    given = texts.get(name, ())
-    if given is None:
-        return range(size or 0)
-    if not isinstance(given, list) or (size is not None and len(given) != size):
-        raise ModelError(f"the names of {name} are not one for each")
-    return [label_of(part) for part in given]
-
-
-def _state_labels_in_archive(
-    texts: Mapping[str, Any], arrays: Mapping[str, Array], states: Sequence[Hashable]
-) -> Mapping[str, Sequence[Hashable]]:
-    """Members of each state label in a model's archive, by name."""
-    offsets, members = arrays["label_offsets"], arrays["label_members"]
-    check_offsets("label_offsets", offsets, members.size)
-    if ((members < 0) | (members >= len(states))).any():
-        raise ModelError("the labels of states have members that are no states")
-    several = np.split(members, offsets[1:-1])[: offsets.size - 1]
-    pairs = zip(texts["state_labels"], several, strict=True)
-    return {name: [states[k] for k in some.tolist()] for name, some in pairs}
+def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> list[Hashable]:
+    """The names at some positions."""
+    if ((numbers < 0) | (numbers >= len(names))).any():
+        raise ModelError(f"there are {what} without a name")
+    return [names[k] for k in numbers.tolist()]
 
 
 def _exact_costs_in_archive(texts: Mapping[str, Any]) -> Mapping[float, Fraction]:
@@ -371,9 +321,8 @@ def _policy_in(
 
     for record in records:
         kind = _CLASSES[record.pop("kind")]
-        parts = {name: meant(value) for name, value in record.items()}
-        on_model = any(part.name == "model" for part in fields(kind))
-        made.append(kind(**parts, **({"model": model} if on_model else {})))
+        on_model = {"model": model} if any(part.name == "model" for part in fields(kind)) else {}
+        made.append(kind(**{name: meant(value) for name, value in record.items()}, **on_model))
     return made[-1]
 
 
@@ -388,8 +337,6 @@ _CLASSES: dict[str, type[Any]] = {
 }
 """The classes of policies that a file can hold: all of ``ssp_lp/policies``."""
 
-_NAME_OF = {kind: name for name, kind in _CLASSES.items()}
-
 
 class _PolicyRecords:
     """The records of a policy and of all that it is made of; parts stand before the whole."""
@@ -398,7 +345,7 @@ class _PolicyRecords:
         """Begin with none."""
         self.arrays: dict[str, Array] = {}
         self._records: list[dict[str, Any]] = []
-        self._models: list[SSP] = []  # those that the parts live on
+        self._models: dict[int, SSP] = {}  # id -> those that the parts live on
         self._known: dict[int, int] = {}  # id of a policy -> its record
         self._named: dict[Any, str] = {}  # content of an array -> its name
 
@@ -411,7 +358,7 @@ class _PolicyRecords:
         self._add(policy)
         if len(self._models) != 1:
             raise ModelError("the parts of the policy live on several models: save each by itself")
-        model, horizon = self._models[0], None
+        (model,), horizon = self._models.values(), None
         if isinstance(model, HorizonSSP):
             begin = np.flatnonzero(model.positions[:, 0] >= 0)
             horizon = {"steps": model.steps, "begin": self.add_array(begin)}
@@ -433,19 +380,18 @@ class _PolicyRecords:
         """
         if id(policy) in self._known:
             return self._known[id(policy)]
-        name = _NAME_OF.get(type(policy))
+        name = next((name for name, kind in _CLASSES.items() if kind is type(policy)), None)
         if name is None:
             raise ModelError(f"a {type(policy).__name__} cannot be saved: its class is not known")
         record: dict[str, Any] = {"kind": name}
         for part in fields(_CLASSES[name]):
             value = getattr(policy, part.name)
-            if not isinstance(value, SSP):
+            if isinstance(value, SSP):
+                self._models[id(value)] = value
+            else:
                 record[part.name] = self._stated(value)
-            elif not any(value is model for model in self._models):
-                self._models.append(value)
         self._records.append(record)
-        self._known[id(policy)] = len(self._records) - 1
-        return self._known[id(policy)]
+        return self._known.setdefault(id(policy), len(self._records) - 1)
 
     def _stated(self, value: Any) -> Any:
         """A field of a policy as JSON has it."""
@@ -458,14 +404,7 @@ class _PolicyRecords:
         return value if value is None or isinstance(value, bool) else float(value)
 
 
-_NUMBERS = (
-    "objective",
-    "lower_bound",
-    "failure_price",
-    "budget_used",
-    "note",
-    "upper_bound",
-)
+_NUMBERS = ("objective", "lower_bound", "failure_price", "budget_used", "note", "upper_bound")
 
 _ROUNDING = 1e-9
 """Relative; a budget that is a share of the greatest goal probability is worked out afresh."""
