@@ -88,6 +88,17 @@ PARAMETERS = {
 }
 """The arguments of criteria, by name; which of them one takes and needs, its class says."""
 
+SEVERAL = {
+    "failure_budget": "failure_budgets",
+    "penalty": "penalties",
+    "reach_fraction": "reach_fractions",
+    "cost_bound": "cost_bounds",
+    "level": "levels",
+}
+"""What ``compare`` takes several of, as its function calls them."""
+
+_JSON = "for other programs"
+
 _MODEL_HELP = """\
 MODEL is a file (.json, .drn, .tra, .npz, through Storm .prism, .nm, .pm, .jani, .umb; .json and
 .drn may be gzip), "-" for JSON from standard input, or gym:NAME for an environment of Gymnasium's,
@@ -125,16 +136,6 @@ EXAMPLES = {
 }
 """Commands that run as they stand, given the file roads.json of the page on the command line."""
 
-_COMMANDS = {
-    "solve": "the best policy within a failure budget, and its proof",
-    "frontier": "the least cost for every failure budget at once",
-    "info": "what a model holds, and how little can fail in it",
-    "simulate": "play a saved policy, with confidence intervals",
-    "convert": "a model from one format into another",
-    "compare": "the criteria of the literature side by side",
-    "program": "the linear program of a criterion, shown or written",
-}
-
 
 class _Version(Action):
     """Print the version, for which the library is loaded."""
@@ -158,7 +159,7 @@ def argument_parser() -> ArgumentParser:
     )
     whole.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     commands = whole.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, purpose in _COMMANDS.items():
+    for name, (purpose, add) in _COMMANDS.items():
         one = commands.add_parser(
             name,
             help=purpose,
@@ -169,12 +170,13 @@ def argument_parser() -> ArgumentParser:
         one.add_argument("model", metavar="MODEL", help="see above")
         if name == "convert":
             one.add_argument("target", metavar="TARGET", help="a file, or - for JSON to read on")
-        one.add_argument(
-            "--verbose", action="store_true", help="say on the way how far it has come"
-        )
+        said = "say on the way how far it has come"
+        one.add_argument("--verbose", action="store_true", help=said)
         _add_model(one)
-        if name in _ADD:
-            _ADD[name](one)
+        if add is not None:
+            add(one)
+        if name in ("solve", "info", "simulate", "compare"):
+            one.add_argument("--json", action="store_true", help=_JSON)
     return whole
 
 
@@ -227,7 +229,6 @@ def _add_solve(one: ArgumentParser) -> None:
     search.add_argument("--tolerance", type=float, metavar="GAP", help="relative gap; 1e-9")
     search.add_argument("--time-limit", type=float, metavar="SECONDS", help="then the best so far")
     answer = one.add_argument_group("the answer")
-    answer.add_argument("--json", action="store_true", help="for other programs")
     answer.add_argument(
         "--policy-out", metavar="FILE",
         help="write the policy: .npz to load again, .storm.json for Storm, .json for a "
@@ -243,14 +244,9 @@ def _add_frontier(one: ArgumentParser) -> None:
     one.add_argument("--point-limit", type=int, metavar="N", help="at most so many turning points")
     one.add_argument("--time-limit", type=float, metavar="SECONDS", help="then what is there")
     form = one.add_mutually_exclusive_group()
-    form.add_argument("--json", action="store_true", help="for other programs")
+    form.add_argument("--json", action="store_true", help=_JSON)
     form.add_argument("--csv", action="store_true", help="for tables")
     one.add_argument("--plot", metavar="FILE", help="draw it, with the budget and its tangent")
-
-
-def _add_info(one: ArgumentParser) -> None:
-    """Add the arguments of ``info``."""
-    one.add_argument("--json", action="store_true", help="for other programs")
 
 
 def _add_simulate(one: ArgumentParser) -> None:
@@ -264,16 +260,14 @@ def _add_simulate(one: ArgumentParser) -> None:
         "--check", action=BooleanOptionalAction, default=True,
         help="whether the policy must be of this very model, the default",
     )  # fmt: skip
-    one.add_argument("--json", action="store_true", help="for other programs")
 
 
 def _add_compare(one: ArgumentParser) -> None:
-    """Add the arguments of ``compare``."""
-    for name in ("failure_budget", "penalty", "reach_fraction", "cost_bound", "level"):
+    """Add the arguments of ``compare``, each of which takes several values."""
+    for name, several in SEVERAL.items():
         said = PARAMETERS[name]
         told: dict[str, Any] = {"type": said.type, "metavar": said.metavar, "help": said.help}
-        one.add_argument(option(name), nargs="+", **told)
-    one.add_argument("--json", action="store_true", help="for other programs")
+        one.add_argument(option(name), dest=several, nargs="+", default=[], **told)
 
 
 def _add_program(one: ArgumentParser) -> None:
@@ -282,11 +276,13 @@ def _add_program(one: ArgumentParser) -> None:
     one.add_argument("--out", metavar="FILE", help="write it: .mps or .lp")
 
 
-_ADD: dict[str, Callable[[ArgumentParser], None]] = {
-    "solve": _add_solve,
-    "frontier": _add_frontier,
-    "info": _add_info,
-    "simulate": _add_simulate,
-    "compare": _add_compare,
-    "program": _add_program,
+_COMMANDS: dict[str, tuple[str, Callable[[ArgumentParser], None] | None]] = {
+    "solve": ("the best policy within a failure budget, and its proof", _add_solve),
+    "frontier": ("the least cost for every failure budget at once", _add_frontier),
+    "info": ("what a model holds, and how little can fail in it", None),
+    "simulate": ("play a saved policy, with confidence intervals", _add_simulate),
+    "convert": ("a model from one format into another", None),
+    "compare": ("the criteria of the literature side by side", _add_compare),
+    "program": ("the linear program of a criterion, shown or written", _add_program),
 }
+"""What each command is for, and what adds arguments that are its own."""

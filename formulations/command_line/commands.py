@@ -12,11 +12,12 @@ from ast import literal_eval
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import formulations
-from formulations.command_line.arguments import CRITERIA, PARAMETERS, option
+from formulations.command_line.arguments import CRITERIA, PARAMETERS, SEVERAL, option
 from formulations.comparison import compare_criteria
 from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
@@ -359,28 +360,23 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
 
 def _told_by_command(solution: Solution) -> dict[str, Any]:
     """A command's solution as a table for other programs."""
-    found = solution.evaluation
     members = zip(solution.policy.weights.tolist(), solution.policy.policies, strict=True)
+    names = ("goal_probability", "failure_probability", "conditional_cost", "expected_cost")
     return {
         "criterion": type(solution.problem).__name__,
         "objective": solution.objective,
         "lower_bound": solution.lower_bound if solution.upper_bound is None else None,
         "upper_bound": solution.upper_bound,
         "gap": solution.gap,
-        "goal_probability": found.goal_probability,
-        "failure_probability": found.failure_probability,
-        "conditional_cost": found.conditional_cost,
-        "expected_cost": found.expected_cost,
+        **{name: getattr(solution.evaluation, name) for name in names},
         "failure_price": solution.failure_price,
         "limits": {
             name: {"value": value, "price": solution.prices.get(name, 0.0)}
             for name, value in solution.secondary_costs.items()
         },
-        "ends": dict(found.ends),
+        "ends": dict(solution.evaluation.ends),
         "policy": [{"weight": weight, **_decisions(member)} for weight, member in members],
-        "method": solution.method,
-        "seconds": solution.seconds,
-        "note": solution.note,
+        **{name: getattr(solution, name) for name in ("method", "seconds", "note")},
     }
 
 
@@ -411,9 +407,8 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
     if figure is not None:
         plot_frontier(traced, getattr(asked, "failure_budget", None), ax=figure.subplots())
         figure.savefig(asked.plot)
-    prices = [*traced.price.tolist(), None]
-    numbers = (traced.failure, traced.goal, traced.cost, traced.objective)
-    rows = list(zip(*(column.tolist() for column in numbers), prices, strict=True))
+    # the last point has no price
+    rows = list(zip_longest(*(getattr(traced, name).tolist() for name in _POINT)))
     if asked.json:
         points = [dict(zip(_POINT, row, strict=True)) for row in rows]
         return json_answer({"gap": traced.gap, "complete": traced.complete, "points": points})
@@ -450,23 +445,21 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
     policy = load_policy(asked.policy, problem.unrolled.model, check=asked.check)
     settings = {name: getattr(asked, name) for name in ("episodes", "max_steps", "confidence")}
-    told: dict[str, Any] = {"episodes": asked.episodes}
+    names = {"failure_probability": "failure_probability", "conditional_cost": "cost_given_success"}
+    report: Any
     if found.environment is not None:
-        played = rollout(found.environment, policy, seed=asked.seed, **settings)
-        ends = ("goal", "failed", "gave_up", "truncated")
-        told["ends"] = {name: getattr(played, name) for name in ends}
-        told["failure_probability"] = played.failure_probability
-        told["cost_given_success"] = played.conditional_cost
-        told["mean_steps"] = played.mean_steps
+        report = rollout(found.environment, policy, seed=asked.seed, **settings)
+        ends = {name: getattr(report, name) for name in ("goal", "failed", "gave_up", "truncated")}
     else:
         report = simulate(policy, problem, rng=asked.seed, **settings)
-        told["ends"] = report.ends
-        told["failure_probability"] = report.failure_probability
-        told["cost_given_success"] = report.conditional_cost
-        told["cost_until_failure"] = report.expected_cost
-        told["mean_steps"] = report.mean_steps
-        if report.note:
-            told["note"] = report.note
+        ends, names = report.ends, names | {"expected_cost": "cost_until_failure"}
+    names |= {"mean_steps": "mean_steps", "note": "note"}
+    numbers = {name: getattr(report, of, "") for of, name in names.items()}
+    told = {
+        "episodes": asked.episodes,
+        "ends": ends,
+        **{k: v for k, v in numbers.items() if v != ""},
+    }
     if asked.json:
         plain = {k: v._asdict() if isinstance(v, Estimate) else v for k, v in told.items()}
         return json_answer(plain)
@@ -486,19 +479,10 @@ def _convert_command(asked: Namespace) -> Iterable[str]:
     model, start = found.written_out
     if asked.target == "-":
         return ["".join(model_in_json(model, start)).rstrip()]
-    if isinstance(start, Mapping) and len(start) == 1:
-        (start,) = start
     write_any(model, asked.target, start)
     return []
 
 
-_PLURAL = {
-    "failure_budget": "failure_budgets",
-    "penalty": "penalties",
-    "reach_fraction": "reach_fractions",
-    "cost_bound": "cost_bounds",
-    "level": "levels",
-}
 _COLUMNS = ("objective", "expected_cost", "conditional_cost", "failure_probability", "price")
 
 
@@ -506,9 +490,9 @@ def _compare_command(asked: Namespace) -> Iterable[str]:
     """The command ``compare``."""
     found = command_model(asked)
     several: dict[str, Any] = {  # least failure, which none asks for, is always among them
-        _PLURAL[one]: [value for value in given if value is not None]
-        for one in _PLURAL
-        if (given := getattr(asked, one)) is not None
+        name: [value for value in given if value is not None]
+        for name in SEVERAL.values()
+        if (given := getattr(asked, name))
     }
     compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
     if not asked.json:

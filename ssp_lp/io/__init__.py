@@ -1,69 +1,43 @@
 """Models, policies and solutions in and out: files, arrays, environments of others."""
 
-from importlib import import_module
-from typing import TYPE_CHECKING
+from ssp_lp.io.any_format import read_any as read_any, write_any as write_any
+from ssp_lp.io.archives import (
+    load_model as load_model,
+    load_policy as load_policy,
+    load_solution as load_solution,
+    save_model as save_model,
+    save_policy as save_policy,
+    save_solution as save_solution,
+)
+from ssp_lp.io.controller import Controller as Controller
+from ssp_lp.io.controller_files import write_controller as write_controller
+from ssp_lp.io.gymnasium_worlds import (
+    GymnasiumWorld as GymnasiumWorld,
+    RolloutReport as RolloutReport,
+    StepLimitWarning as StepLimitWarning,
+    from_gymnasium as from_gymnasium,
+    rollout as rollout,
+)
+from ssp_lp.io.matrices import from_matrices as from_matrices
+from ssp_lp.io.model_files.drn import read_drn as read_drn, write_drn as write_drn
+from ssp_lp.io.model_files.prism import read_prism as read_prism, write_prism as write_prism
+from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
+from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
+from ssp_lp.io.policy_chains import (
+    induced_chain as induced_chain,
+    write_dot as write_dot,
+    write_scheduler as write_scheduler,
+)
+from ssp_lp.io.policy_tables import policy_table as policy_table, to_frame as to_frame
+from ssp_lp.io.storm_models import (
+    from_stormpy as from_stormpy,
+    read_with_storm as read_with_storm,
+    to_stormpy as to_stormpy,
+    write_umb as write_umb,
+)
 
-if TYPE_CHECKING:
-    from ssp_lp.io.any_format import read_any as read_any, write_any as write_any
-    from ssp_lp.io.archives import (
-        load_model as load_model,
-        load_policy as load_policy,
-        load_solution as load_solution,
-        save_model as save_model,
-        save_policy as save_policy,
-        save_solution as save_solution,
-    )
-    from ssp_lp.io.controller import Controller as Controller
-    from ssp_lp.io.controller_files import write_controller as write_controller
-    from ssp_lp.io.gymnasium_worlds import (
-        GymnasiumWorld as GymnasiumWorld,
-        RolloutReport as RolloutReport,
-        StepLimitWarning as StepLimitWarning,
-        from_gymnasium as from_gymnasium,
-        rollout as rollout,
-    )
-    from ssp_lp.io.matrices import from_matrices as from_matrices
-    from ssp_lp.io.model_files.drn import read_drn as read_drn, write_drn as write_drn
-    from ssp_lp.io.model_files.prism import read_prism as read_prism, write_prism as write_prism
-    from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
-    from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
-    from ssp_lp.io.policy_chains import (
-        induced_chain as induced_chain,
-        write_dot as write_dot,
-        write_scheduler as write_scheduler,
-    )
-    from ssp_lp.io.policy_tables import policy_table as policy_table, to_frame as to_frame
-    from ssp_lp.io.storm_models import (
-        from_stormpy as from_stormpy,
-        read_with_storm as read_with_storm,
-        to_stormpy as to_stormpy,
-        write_umb as write_umb,
-    )
-
-_MODULES = {
-    "any_format": "read_any write_any",
-    "controller": "Controller",
-    "controller_files": "write_controller",
-    "gymnasium_worlds": "GymnasiumWorld RolloutReport StepLimitWarning from_gymnasium rollout",
-    "matrices": "from_matrices",
-    "model_files.drn": "read_drn write_drn",
-    "model_files.prism": "read_prism write_prism",
-    "model_files.raw_model": "ModelFile",
-    "model_fingerprint": "fingerprint",
-    "policy_chains": "induced_chain write_dot write_scheduler",
-    "policy_tables": "policy_table to_frame",
-    "archives": "load_model load_policy load_solution save_model save_policy save_solution",
-    "storm_models": "from_stormpy read_with_storm to_stormpy write_umb",
-}
-_ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
-
-__all__ = sorted(_ON_DEMAND)
-
-
-def __getattr__(name: str) -> object:
-    """Import what is first asked for: nothing here is needed by those who write no files."""
-    if name not in _ON_DEMAND:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(_ON_DEMAND[name]), name)
-    globals()[name] = found
-    return found
+__all__ = sorted(
+    name
+    for name, value in globals().items()
+    if getattr(value, "__module__", "").startswith("ssp_lp.")
+)

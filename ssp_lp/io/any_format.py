@@ -67,12 +67,12 @@ def read_any(
     if ending in _JSON:
         return read_json(file, goals, cost)
     if ending == _ARCHIVE:
-        if goals:
-            told = f"{file.name} says itself which states are goals: leave "
-            raise ModelError(told, Argument("goal"), " out")
-        if cost is not None:
-            told = f"{file.name} has one cost, without a name: leave "
-            raise ModelError(told, Argument("cost"), " out")
+        for name, given, told in (
+            ("goal", goals, "says itself which states are goals"),
+            ("cost", cost is not None, "has one cost, without a name"),
+        ):
+            if given:
+                raise ModelError(f"{file.name} {told}: leave ", Argument(name), " out")
         return StatedModel(load_model(file))
     if len(goals) != 1:
         told = f"{file}: name the one label whose states are goals ("
@@ -100,13 +100,13 @@ def write_any(model: SSP, path: str | Path, start: Start | None = None) -> None:
     """
     file = Path(path)
     ending = _ending_of(file, (*_JSON, _ARCHIVE, *_WRITERS))
+    if isinstance(start, Mapping) and len(start) == 1:
+        (start,) = start
     if ending in _JSON:
         write_text(file, model_in_json(model, start))
     elif ending == _ARCHIVE:
         save_model(model, file)
     else:
-        if isinstance(start, Mapping) and len(start) == 1:
-            (start,) = start
         if start is None:
             raise ModelError(f"say in which state {file.name} begins (", Argument("start"), ")")
         _WRITERS[ending](model, file, start=start)

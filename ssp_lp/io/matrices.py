@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy.sparse as sp
 
-from ssp_lp.arrays import FloatArray, IntArray, offsets_of
+from ssp_lp.arrays import FloatArray, IntArray, offsets_of, segment_ids
 from ssp_lp.errors import ModelError, in_short
 from ssp_lp.io.model_files.raw_model import RawModel, absorbed
 from ssp_lp.model import SSP
@@ -58,33 +58,32 @@ def from_matrices(
         raise ModelError("goal must be indices of states, at least one")
     if (goals < 0).any() or (goals >= n_states).any():
         raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
-    parts = [matrix.tocoo() for matrix in matrices]
-    state = np.concatenate([part.row.astype(np.int64) for part in parts])
-    action = np.repeat(np.arange(len(parts)), [part.nnz for part in parts])
-    target = np.concatenate([part.col.astype(np.int64) for part in parts])
-    order = np.lexsort((target, action, state))
-    state, action, target = state[order], action[order], target[order]
-    chance = np.concatenate([part.data for part in parts])[order]
-    paid = _paid_by_matrix(rewards if costs is None else costs, state, action, target, matrices)
+    # one row for each state and action, those of a state beside each other
+    n_actions = len(matrices)
+    order = np.arange(n_states * n_actions).reshape(n_actions, n_states).T.reshape(-1)
+    rows = sp.csr_array(sp.vstack(matrices, format="csr")[order])
+    row = segment_ids(rows.indptr)
+    given = rewards if costs is None else costs
+    paid = _paid_by_matrix(given, row // n_actions, row % n_actions, rows.indices, matrices)
     if costs is None and (paid > 0.0).any():
         at = int(np.argmax(paid > 0.0))
+        state, action = divmod(int(row[at]), n_actions)
         raise ModelError(
-            f"action {action[at]} of state {state[at]} has the reward {paid[at]:g}: rewards "
+            f"action {action} of state {state} has the reward {paid[at]:g}: rewards "
             "must not be positive, so that costs are not negative"
         )
     paid = 0.0 - paid if costs is None else paid
     kept = ~np.isposinf(paid)
-    state, action, target = state[kept], action[kept], target[kept]
-    new = (np.diff(state, prepend=-1) != 0) | (np.diff(action, prepend=-1) != 0)
-    firsts = np.flatnonzero(new)
-    names = range(len(matrices)) if actions is None else actions
+    sizes = np.bincount(row[kept], minlength=order.size)
+    pairs = np.flatnonzero(sizes)
+    names = range(n_actions) if actions is None else actions
     raw = RawModel(
-        pair_offsets=offsets_of(np.bincount(state[firsts], minlength=n_states)),
-        outcome_offsets=np.append(firsts, state.size),
-        successors=target,
-        probabilities=chance[kept],
+        pair_offsets=offsets_of(np.bincount(pairs // n_actions, minlength=n_states)),
+        outcome_offsets=offsets_of(sizes[pairs]),
+        successors=rows.indices[kept].astype(np.int64),
+        probabilities=rows.data[kept],
         costs=paid[kept],
-        actions=[names[k] for k in action[firsts].tolist()],
+        actions=[names[k] for k in (pairs % n_actions).tolist()],
         labels={},
     )
     return absorbed(raw, goals, np.zeros(0, dtype=np.int64), "the matrices")
@@ -107,13 +106,10 @@ def _paid_by_matrix(
     """The cost or reward that the matrices give each outcome, [outcomes]."""
     n_states, n_actions = matrices[0].shape[0], len(matrices)
     if isinstance(given, (list, tuple)) and any(sp.issparse(part) for part in given):
-        if len(given) == n_actions and all(part.shape == matrices[0].shape for part in given):
-            paid = np.empty(state.size)
-            for k, part in enumerate(given):
-                mine = action == k
-                paid[mine] = np.asarray(sp.csr_matrix(part)[state[mine], target[mine]]).reshape(-1)
-            return paid
-        raise ModelError("sparse costs or rewards must be one matrix for each action")
+        if len(given) != n_actions or any(part.shape != matrices[0].shape for part in given):
+            raise ModelError("sparse costs or rewards must be one matrix for each action")
+        stacked = sp.csr_matrix(sp.vstack(list(given)))
+        return np.asarray(stacked[action * n_states + state, target]).reshape(-1)
     try:
         table = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError, OverflowError) as error:
