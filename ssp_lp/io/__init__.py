@@ -19,8 +19,12 @@ from ssp_lp.io.gymnasium_worlds import (
     rollout as rollout,
 )
 from ssp_lp.io.matrices import from_matrices as from_matrices
-from ssp_lp.io.model_files.drn import read_drn as read_drn, write_drn as write_drn
-from ssp_lp.io.model_files.prism import read_prism as read_prism, write_prism as write_prism
+from ssp_lp.io.model_files.explicit_files import (
+    read_drn as read_drn,
+    read_prism as read_prism,
+    write_drn as write_drn,
+    write_prism as write_prism,
+)
 from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
 from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
 from ssp_lp.io.policy_chains import (

@@ -7,11 +7,9 @@ from pathlib import Path
 
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.io.archives import load_model, save_model
-from ssp_lp.io.model_files.drn import read_drn, write_drn
+from ssp_lp.io.model_files.explicit_files import read_drn, read_prism, write_drn, write_prism
 from ssp_lp.io.model_files.json_model import StatedModel, model_in_json, read_json
-from ssp_lp.io.model_files.prism import read_prism, write_prism
-from ssp_lp.io.model_files.raw_model import ModelFile
-from ssp_lp.io.model_files.text_file import write_text
+from ssp_lp.io.model_files.raw_model import ModelFile, write_text
 from ssp_lp.io.storm_models import Constants, read_with_storm, write_umb
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from ssp_lp.arrays import read_only
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, ModelError
-from ssp_lp.io.model_files.text_file import FilePath
+from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint, label_of, label_value, pair_print
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained

@@ -12,7 +12,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, IntArray, segment_ids
 from ssp_lp.errors import ModelError
 from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD, controller_checksum
-from ssp_lp.io.model_files.text_file import FilePath
+from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.io.model_fingerprint import are_numbers_in_turn, fingerprint, label_value
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph.reachability import dead_ends

@@ -13,8 +13,14 @@ import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
 from ssp_lp.errors import ModelError
-from ssp_lp.io.model_files.raw_model import GOAL, Exported, ModelFile, exported
-from ssp_lp.io.model_files.text_file import FilePath, write_text
+from ssp_lp.io.model_files.raw_model import (
+    GOAL,
+    Exported,
+    FilePath,
+    ModelFile,
+    exported,
+    write_text,
+)
 from ssp_lp.io.policy_tables import memories_of
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained

@@ -15,14 +15,15 @@ from ssp_lp.errors import Argument, ModelError, optional_module
 from ssp_lp.io.model_files.raw_model import (
     DEADLOCK,
     INITIAL,
+    FilePath,
     ModelFile,
     RawModel,
+    chosen_reward,
     decimal_sum,
     distinct_actions,
     exported,
     finished,
 )
-from ssp_lp.io.model_files.text_file import FilePath
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 
@@ -232,11 +233,8 @@ def _model_of_storm(
             )
         labels[goal] = _members_of(told.get_truth_values_vector())
     rewards = dict(model.reward_models)
-    paid = next(iter(rewards)) if cost is None and len(rewards) == 1 else cost
-    if paid not in rewards and not (cost is None and not rewards):
-        names = ", ".join(sorted(map(repr, rewards))) or "none"
-        told = f"{source}: choose one of the reward models ("
-        raise ModelError(told, Argument("cost"), f"): {names}")
+    place = chosen_reward(source, sorted(rewards), cost)
+    paid = None if place is None else sorted(rewards)[place]
     offsets, successors, probabilities = _ask_storm(source, _matrix_of_storm, model)
     pair_offsets = np.arange(model.nr_states + 1)
     if not model.transition_matrix.has_trivial_row_grouping:
@@ -312,14 +310,11 @@ def _costs_of_storm(
     if reward.has_state_action_rewards:
         of_pair = np.array(reward.state_action_rewards, dtype=np.float64)
     if reward.has_state_rewards:
-        of_state = np.array(reward.state_rewards, dtype=np.float64)
-        of_pair = decimal_sum(of_pair, of_state[state])
+        of_pair = decimal_sum(of_pair, np.array(reward.state_rewards, dtype=np.float64)[state])
     if reward.has_transition_rewards:
         matrix = reward.transition_rewards
         listed = {
-            (row, entry.column): entry.value
-            for row in range(matrix.nr_rows)
-            for entry in matrix.get_row(row)
+            (k, at.column): at.value for k in range(matrix.nr_rows) for at in matrix.get_row(k)
         }
         keys = zip(pair.tolist(), successors.tolist(), strict=True)
         of_outcome = np.array([listed.get(key, 0.0) for key in keys])

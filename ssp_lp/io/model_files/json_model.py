@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import gzip
 import json
 import re
-import zlib
 from collections import Counter
 from collections.abc import Hashable, Iterator, Mapping, Sequence
 from fractions import Fraction
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ssp_lp.errors import Argument, ModelError, did_you_mean
+from ssp_lp.io.model_files.raw_model import opened_text
 from ssp_lp.model import SSP
 
 EXPLICIT = "explicit-mdp-v1"
@@ -28,11 +27,8 @@ def read_json(path: Path, goal: Sequence[str], cost: str | None = None) -> State
         ModelError: no model.
         OSError: the file cannot be read.
     """
-    try:
-        with (gzip.open if path.suffix == ".gz" else open)(path, "rt", encoding="utf-8") as file:
-            text = file.read(_LONGEST)
-    except (UnicodeDecodeError, EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise ModelError(f"{path.name} is no JSON: {error}") from error
+    with opened_text(path, "JSON") as file:
+        text = file.read(_LONGEST)
     return parse_json(text, path.name, goal, cost)
 
 

@@ -1,21 +1,128 @@
-"""Models as other tools state them: what a file holds, how it becomes a model, and the way back."""
+"""Models as other tools state them: what a file holds, how it becomes a model, and the way back.
+
+Text files have an entry per line, plain or gzip; errors name the file and the line.
+"""
 
 from __future__ import annotations
 
+import gzip
 import re
+import zlib
 from collections import Counter
-from collections.abc import Hashable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import NamedTuple
+from os import PathLike
+from pathlib import Path
+from typing import NamedTuple, TextIO
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of
-from ssp_lp.errors import ModelError
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
+from ssp_lp.errors import Argument, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.checked_arrays import ENDS
+
+FilePath = str | PathLike[str]
+
+_LONGEST_LINE = 1 << 24
+"""Characters of a line beyond which a file is taken for no text at all."""
+
+_GZIP = b"\x1f\x8b"
+_GZIP_LEVEL = 6  # the usual compromise of size and time; 9 takes several times as long
+WHOLE = re.compile(r"-?\d{1,18}", re.ASCII)  # of 64 bits
+
+
+@contextmanager
+def opened_text(path: Path, what: str = "text") -> Iterator[TextIO]:
+    """A file of text, plain or gzip.
+
+    Raises:
+        ModelError: no UTF-8, or a broken gzip file.
+        OSError: the file cannot be opened.
+    """
+    with path.open("rb") as stream:
+        packed = stream.read(2) == _GZIP
+    with (gzip.open if packed else open)(path, "rt", encoding="utf-8") as file:
+        try:
+            yield file
+        except (UnicodeDecodeError, EOFError, gzip.BadGzipFile, zlib.error) as error:
+            raise ModelError(f"{path} is no {what}: {error}") from error
+
+
+class TextFile:
+    """A text file, plain or gzip, that knows the line where it stands. Moves on as it is read."""
+
+    def __init__(self, path: FilePath, comment: str) -> None:
+        """Name a file; ``comment`` is a pattern of what is left out of its lines."""
+        self.path, self.number = Path(path), 0
+        self._comment = re.compile(comment)
+
+    def lines(self) -> Iterator[str]:
+        """The lines without comments and outer spaces.
+
+        Raises:
+            ModelError: a line without end, no UTF-8, or a broken gzip file.
+            OSError: the file cannot be opened.
+        """
+        with opened_text(self.path) as file:
+            while line := file.readline(_LONGEST_LINE):
+                self.number += 1
+                if len(line) == _LONGEST_LINE:
+                    raise self.fault("the line is too long for a model")
+                yield self._comment.sub("", line).strip()
+
+    def fault(self, complaint: str) -> ModelError:
+        """The error that names the file and the line last read."""
+        return ModelError(f"{self.path}, line {self.number}: {complaint}")
+
+    def integer(self, word: str) -> int:
+        """A word as a whole number of 64 bits; raises :class:`ModelError` where it is none."""
+        if not WHOLE.fullmatch(word):
+            raise self.fault(f"{word[:60]!r} is no whole number")
+        return int(word)
+
+    def float(self, word: str) -> float:
+        """A word as a number, a fraction such as 1/3 too; raises :class:`ModelError` else."""
+        above, slash, below = word.partition("/")
+        try:
+            value = int(above) / int(below) if slash else float(word)
+        except (ValueError, ArithmeticError) as error:
+            raise self.fault(f"{word[:60]!r} is no number") from error
+        if "_" in word or not word.isascii():
+            raise self.fault(f"{word[:60]!r} is no number")
+        return value
+
+
+def write_text(path: FilePath, pieces: Iterable[str]) -> None:
+    """Write pieces of text one after the other; gzip where the name ends in .gz."""
+    place = Path(path)
+    if place.suffix == ".gz":
+        with gzip.open(place, "wt", _GZIP_LEVEL, encoding="utf-8", newline="\n") as packed:
+            packed.writelines(pieces)
+    else:
+        with place.open("w", encoding="utf-8", newline="\n") as plain:
+            plain.writelines(pieces)
+
+
+def chosen_reward(source: object, names: Sequence[str | None], cost: str | None) -> int | None:
+    """Position of the reward model that is the cost; None: there is none at all.
+
+    Raises:
+        ModelError: there is none of this name, or several to choose from.
+    """
+    if not names and not cost:
+        return None
+    places = [k for k, name in enumerate(names) if cost in (None, name)]
+    if len(places) == 1:
+        return places[0]
+    said = "" if cost is None else f"no reward model {cost!r}; "
+    known = ", ".join(map(repr, names)) or "none"
+    told = f"{source}: {said}choose one of the reward models ("
+    raise ModelError(told, Argument("cost"), f"): {known}")
+
 
 INITIAL, DEADLOCK, PAYING = "init", "deadlock", "paying"
 """Labels that the files give a meaning: initial states, dead-ends, and states between outcomes
@@ -51,43 +158,50 @@ def without_paying_states(raw: RawModel, goals: IntArray) -> RawModel:
         goals: the goal states.
     """
     counts, sizes = np.diff(raw.pair_offsets), np.diff(raw.outcome_offsets)
-    none, acts = np.zeros(0, dtype=np.int64), raw.actions or ()
-    labelled = np.zeros(counts.size, dtype=np.bool_)
-    labelled[raw.labels.get(PAYING, none)] = raw.actions is not None
-    labelled[goals] = labelled[raw.labels.get(INITIAL, none)] = False
-    alone = np.flatnonzero(labelled & (counts == 1))
-    alone = alone[sizes[raw.pair_offsets[alone]] == 1]
-    pair = raw.pair_offsets[alone]
-    outcome = raw.outcome_offsets[pair]
-    pays = np.array([acts[k] == PAY for k in pair.tolist()], dtype=np.bool_)
-    pays &= raw.probabilities[outcome] == 1.0
     paying = np.zeros(counts.size, dtype=np.bool_)
-    paying[alone[pays]] = True
-    paying[alone[pays & paying[raw.successors[outcome]]]] = False  # none pays for another
+    barred = {*goals.tolist(), *raw.labels.get(INITIAL, goals).tolist()}
+    for state in raw.labels.get(PAYING, goals[:0]).tolist():
+        pair = int(raw.pair_offsets[state])
+        if state not in barred and counts[state] == 1 and sizes[pair] == 1 and raw.actions:
+            is_sure = raw.probabilities[raw.outcome_offsets[pair]] == 1.0
+            paying[state] = is_sure and raw.actions[pair] == PAY
+    alone = np.flatnonzero(paying)
+    follower = raw.successors[raw.outcome_offsets[raw.pair_offsets[alone]]]
+    paying[alone[paying[follower]]] = False  # none pays for another
     if not paying.any() or not (raw.costs >= 0.0).all():  # no sum may hide a wrong cost
         return raw
     # each paying state's one outcome, at other states anything
     firsts = np.minimum(raw.outcome_offsets[raw.pair_offsets[:-1]], raw.successors.size - 1)
     through = paying[raw.successors]
     rest = np.where(through, raw.costs[firsts[raw.successors]], 0.0)
-    targets = np.where(through, raw.successors[firsts[raw.successors]], raw.successors)
-    costs = decimal_sum(raw.costs, rest, raw.exact_costs)
-    number = np.cumsum(~paying) - 1
-    pairs = np.repeat(~paying, counts)
-    outcomes = np.repeat(pairs, sizes)
+    moved = raw._replace(
+        successors=np.where(through, raw.successors[firsts[raw.successors]], raw.successors),
+        costs=decimal_sum(raw.costs, rest, raw.exact_costs),
+    )
+    left, number = _with_pairs(moved, np.repeat(~paying, counts)), np.cumsum(~paying) - 1
     labels = {name: number[at[~paying[at]]] for name, at in raw.labels.items()}
     if not labels[PAYING].size:
         del labels[PAYING]
-    kept = np.flatnonzero(~paying).tolist()
-    return raw._replace(
+    return left._replace(
         pair_offsets=offsets_of(counts[~paying]),
-        outcome_offsets=offsets_of(sizes[pairs]),
-        successors=number[targets[outcomes]],
-        probabilities=raw.probabilities[outcomes],
-        costs=costs[outcomes],
-        actions=raw.actions and [raw.actions[k] for k in np.flatnonzero(pairs).tolist()],
+        successors=number[left.successors],
         labels=labels,
-        states=raw.states and [raw.states[k] for k in kept],
+        states=raw.states and [raw.states[k] for k in np.flatnonzero(~paying).tolist()],
+    )
+
+
+def _with_pairs(raw: RawModel, kept: BoolArray) -> RawModel:
+    """A raw model with some of its pairs, ``kept`` [pairs]."""
+    sizes = np.diff(raw.outcome_offsets)
+    outcomes, state = np.repeat(kept, sizes), segment_ids(raw.pair_offsets)
+    counts = np.bincount(state[kept], minlength=raw.pair_offsets.size - 1)
+    return raw._replace(
+        pair_offsets=offsets_of(counts),
+        outcome_offsets=offsets_of(sizes[kept]),
+        successors=raw.successors[outcomes],
+        probabilities=raw.probabilities[outcomes],
+        costs=raw.costs[outcomes],
+        actions=raw.actions and [raw.actions[k] for k in np.flatnonzero(kept).tolist()],
     )
 
 
@@ -139,10 +253,8 @@ def finished(raw: RawModel, goal: str, source: object) -> ModelFile:
     goals = raw.labels[goal]
     own = {INITIAL, DEADLOCK, goal, *ENDS}
     kept = {name: members for name, members in raw.labels.items() if name not in own}
-    none = np.zeros(0, dtype=np.int64)
-    idle = raw.labels.get(DEADLOCK, none)
+    idle, initial = (raw.labels.get(name, goals[:0]) for name in (DEADLOCK, INITIAL))
     model = absorbed(raw._replace(labels=kept), goals, idle, str(source))
-    initial = raw.labels.get(INITIAL, none)
     return ModelFile(model, tuple(model.states[int(state)] for state in initial))
 
 
@@ -152,37 +264,19 @@ def absorbed(raw: RawModel, goals: IntArray, idle: IntArray, source: str) -> SSP
     Raises:
         ModelError: naming the source, the state and the action at fault.
     """
-    n_states = raw.pair_offsets.size - 1
-    state = np.repeat(np.arange(n_states), np.diff(raw.pair_offsets))
-    sizes = np.diff(raw.outcome_offsets)
-    acts = np.ones(n_states, dtype=np.bool_)
-    from_state = np.repeat(state, sizes)
-    leaves = np.zeros(n_states, dtype=np.bool_)
+    state = segment_ids(raw.pair_offsets)
+    from_state = np.repeat(state, np.diff(raw.outcome_offsets))
+    acts = np.ones(raw.pair_offsets.size - 1, dtype=np.bool_)
+    leaves = np.zeros_like(acts)
     leaves[from_state[(raw.successors != from_state) & (raw.probabilities != 0.0)]] = True
     acts[idle] = leaves[idle]
     acts[goals] = False
-    pair_kept = acts[state]
-    kept = np.repeat(pair_kept, sizes)
-    states = range(n_states) if raw.states is None else raw.states
-    actions = raw.actions
-    if actions is not None and not pair_kept.all():
-        actions = [actions[k] for k in np.flatnonzero(pair_kept).tolist()]
-    counts = np.bincount(state[pair_kept], minlength=n_states)
+    parts = _with_pairs(raw, acts[state])._asdict()
+    states = range(acts.size) if raw.states is None else raw.states
+    labels = {name: [states[i] for i in at.tolist()] for name, at in parts.pop("labels").items()}
     try:
         return SSP.from_arrays(
-            pair_offsets=offsets_of(counts),
-            outcome_offsets=offsets_of(sizes[pair_kept]),
-            successors=raw.successors[kept],
-            probabilities=raw.probabilities[kept],
-            costs=raw.costs[kept],
-            goal_states=goals,
-            states=raw.states,
-            actions=actions,
-            state_labels={
-                name: [states[i] for i in at.tolist()] for name, at in raw.labels.items()
-            },
-            exact_costs=raw.exact_costs,
-            treat_actionless_as_dead_ends=True,
+            **parts, goal_states=goals, state_labels=labels, treat_actionless_as_dead_ends=True
         )
     except ModelError as error:
         raise ModelError(f"{source}: ", *error.args) from error

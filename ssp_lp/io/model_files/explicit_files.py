@@ -1,4 +1,4 @@
-"""PRISM's explicit files: .tra, .lab, .sta, .srew and .trew beside each other."""
+"""Models state by state in text: Storm's format DRN, and PRISM's files beside each other."""
 
 from __future__ import annotations
 
@@ -12,22 +12,235 @@ from typing import NamedTuple
 import numpy as np
 
 from ssp_lp.arrays import FloatArray, IntArray, offsets_of
-from ssp_lp.errors import Argument, ModelError
+from ssp_lp.errors import ModelError
 from ssp_lp.io.model_files.raw_model import (
+    WHOLE,
     Exported,
+    FilePath,
     ModelFile,
     RawModel,
+    TextFile,
+    chosen_reward,
     decimal_sum,
     distinct_actions,
     exported,
     finished,
+    write_text,
 )
-from ssp_lp.io.model_files.text_file import WHOLE, FilePath, TextFile, write_text
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 
+_KINDS = ("MDP", "DTMC")
+_NUMBERS = ("double", "rational")
+_ONE_LINE = ("@parameters", "@reward_models", "@nr_states", "@nr_choices")
+_ENTRY = re.compile(r"(state|action)\s+([^\s\[]+)\s*(?:\[([^\]]*)\])?\s*(.*)")
+_LABEL = re.compile(r'"([^"]*)"|(\S+)')
+_NO_NAME = "__NOLABEL__"
+
+
+@explained
+def read_drn(path: FilePath, *, goal: str, cost: str | None = None) -> ModelFile:
+    """Read a model from a DRN file of Storm, plain or gzip.
+
+    The cost of an action is its reward plus that of its state. Actions of goal states are dropped,
+    and of states with the label "deadlock" that no action leaves: they are dead-ends. Other labels
+    of states become ``state_labels``, but for names that reports use for something else.
+
+    Args:
+        path: the file; its type is MDP or DTMC, its probabilities and rewards are numbers.
+        goal: the label of the goal states.
+        cost: the name of a reward model, "" for Storm's without a name; None: the only one, or 1
+            for each action if there is none.
+
+    Returns:
+        The model, whose states are the numbers of the file, and its initial states.
+
+    Raises:
+        ModelError: naming the file and the line, or the state and the action.
+        OSError: the file cannot be opened.
+    """
+    file = TextFile(path, r"//.*")
+    lines = file.lines()
+    return finished(_drn_body(file, lines, _drn_header(file, lines), cost), goal, file.path)
+
+
+def _drn_header(file: TextFile, lines: Iterator[str]) -> dict[str, str]:
+    """The sections up to the line ``@model``, by name.
+
+    Raises:
+        ModelError: naming the line: a section that is unknown, twice there or missing, or a model
+            of another type, with parameters or with intervals.
+    """
+    sections: dict[str, str] = {}
+    for line in lines:
+        if line == "@model":
+            if "@type" not in sections or "@nr_states" not in sections:
+                raise file.fault("@type and @nr_states must come before @model")
+            return sections
+        if not line:
+            continue
+        name, _, value = line.partition(":")
+        if name in sections:
+            raise file.fault(f"{name} is there twice")
+        if name in _ONE_LINE:
+            value = next(lines, "")
+        elif name not in ("@type", "@value_type"):
+            raise file.fault(f"{name[:60]!r} is no section that can be read")
+        sections[name] = value = value.strip()
+        shown = repr(value[:60])
+        if name == "@type" and value.upper() not in _KINDS:
+            raise file.fault(f"models of type {shown} are not read, only {' and '.join(_KINDS)}")
+        if name == "@value_type" and value not in _NUMBERS:
+            raise file.fault(f"values of type {shown} are not read, only double and rational")
+        if name == "@parameters" and value:
+            raise file.fault("a model with parameters has no numbers; instantiate it first")
+        if name.startswith("@nr") and not re.fullmatch(r"\d{1,18}", value, re.ASCII):
+            raise file.fault(f"{name} is followed by {shown}, which is no number")
+    raise file.fault("the file ends before @model")
+
+
+def _drn_body(
+    file: TextFile, lines: Iterator[str], header: dict[str, str], cost: str | None
+) -> RawModel:
+    """States, actions and transitions, checked against the header.
+
+    Raises:
+        ModelError: naming the line at fault, or no cost of this name.
+    """
+    rewards = [word.strip('"') for word in header.get("@reward_models", "").split()]
+    column = chosen_reward(file.path, rewards, cost)  # "" is Storm's model without a name
+    n_states, n_choices = int(header["@nr_states"]), int(header.get("@nr_choices", -1))
+    pair_counts, outcome_counts, successors = array("q"), array("q"), array("q")
+    state_rewards, pair_rewards, probabilities = array("d"), array("d"), array("d")
+    names: list[str] = []
+    labels: dict[str, list[int]] = {}
+    is_rewarded = column is not None
+    for line in filter(None, lines):
+        if line[0].isdigit():
+            if not pair_counts or not pair_counts[-1]:
+                raise file.fault("it stands before any state or action that it belongs to")
+            successor, probability = _drn_transition(line, file, n_states)
+            successors.append(successor)
+            probabilities.append(probability)
+            outcome_counts[-1] += 1
+            continue
+        match = _ENTRY.fullmatch(line)
+        if match is None:
+            raise file.fault("neither a state nor an action nor a transition")
+        kind, name, listed, rest = match.groups()
+        paid = _listed_reward(listed, len(rewards), column, file)
+        is_rewarded |= paid is not None
+        if kind == "state":
+            if name != str(len(pair_counts)):
+                raise file.fault(f"state {len(pair_counts)} should come here")
+            for label in _labels_of_line(rest, file):
+                labels.setdefault(label, []).append(len(pair_counts))
+            state_rewards.append(paid or 0.0)
+            pair_counts.append(0)
+        elif pair_counts:
+            pair_rewards.append(paid or 0.0)
+            names.append(name if name != _NO_NAME else str(pair_counts[-1]))
+            pair_counts[-1] += 1
+            outcome_counts.append(0)
+        else:
+            raise file.fault("it stands before any state that it belongs to")
+    if n_states != len(pair_counts) or n_choices not in (-1, len(names)):
+        told = "" if n_choices < 0 else f" and {n_choices} choices"
+        raise file.fault(
+            f"the header says {n_states} states{told}, the file has {len(pair_counts)} and "
+            f"{len(names)}"
+        )
+    counts, sizes = np.array(pair_counts), np.array(outcome_counts)
+    state = np.repeat(np.arange(n_states), counts)
+    paid_by_pair = np.ones(len(names))
+    if is_rewarded:
+        paid_by_pair = decimal_sum(np.array(pair_rewards), np.array(state_rewards)[state])
+    return RawModel(
+        pair_offsets=offsets_of(counts),
+        outcome_offsets=offsets_of(sizes),
+        successors=np.array(successors),
+        probabilities=np.array(probabilities),
+        costs=np.repeat(paid_by_pair, sizes),
+        actions=distinct_actions(names, state),
+        labels={name: np.array(at, dtype=np.int64) for name, at in labels.items()},
+    )
+
+
+def _drn_transition(line: str, file: TextFile, n_states: int) -> tuple[int, float]:
+    """The successor and the probability on a line."""
+    words = line.replace(":", " : ").split()
+    if len(words) != 3 or words[1] != ":":
+        raise file.fault("a transition is written 'successor : probability'")
+    successor = file.integer(words[0])
+    if successor >= n_states:
+        raise file.fault(f"there is no state {successor}")
+    return successor, file.float(words[2])
+
+
+def _listed_reward(
+    listed: str | None, n_rewards: int, column: int | None, file: TextFile
+) -> float | None:
+    """The reward that is the cost, of those in brackets; None: there are none."""
+    words = listed.split(",") if listed and listed.strip() else []
+    if not words:
+        return None
+    if len(words) != (n_rewards or 1):
+        raise file.fault(f"{len(words)} rewards for {n_rewards} reward models")
+    return file.float(words[column or 0].strip())
+
+
+def _labels_of_line(text: str, file: TextFile) -> dict[str, None]:
+    """The labels of a state, each in quotation marks or not."""
+    if text[:1] in ("{", "!"):
+        raise file.fault("observations and exit rates are not read")
+    labels = [quoted or bare for quoted, bare in _LABEL.findall(text)]
+    if any('"' in label for label in labels):
+        raise file.fault("a quotation mark that has no partner")
+    return dict.fromkeys(labels)
+
+
+@explained
+def write_drn(model: SSP, path: FilePath, *, start: Hashable) -> None:
+    """Write a model as a DRN file for Storm; gzip if the name ends in .gz.
+
+    State k of the file is the k-th of ``model.states``. The cost is the action reward "cost".
+    Where outcomes of an action differ in cost, the action pays the least, and a dearer outcome
+    leads through a state labelled "paying" that pays the rest: each run keeps its total, and our
+    readers take the state out again. (For other tools, what is counted up to a failure can lack
+    the rest of the step that fails.) Goal states are labelled "goal", dead-ends "deadlock", the
+    start "init"; goal states and dead-ends get a free loop.
+
+    Args:
+        model: the model.
+        path: the file.
+        start: the initial state.
+
+    Raises:
+        ModelError: the start is no state, or a label cannot be written.
+    """
+    write_text(path, _drn_text(exported(model, start)))
+
+
+def _drn_text(process: Exported) -> Iterator[str]:
+    """The lines of the DRN file."""
+    marks: dict[int, str] = {}  # what stands behind the number of a state: its labels
+    for name, members in process.labels.items():
+        shown = name if re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) else f'"{name}"'
+        for state in np.asarray(members).tolist():
+            marks[state] = f"{marks.get(state, '')} {shown}"
+    n_states, n_pairs = process.pair_offsets.size - 1, process.costs.size
+    yield "@type: MDP\n@value_type: double\n@parameters\n\n@reward_models\ncost\n"
+    yield f"@nr_states\n{n_states}\n@nr_choices\n{n_pairs}\n@model\n"
+    for state, number, pair, cost, moves in process.pairs():
+        if number == 0:
+            yield f"state {state}{marks.get(state, '')}\n"
+        yield f"\taction {process.actions[pair]} [{cost!r}]\n"
+        for successor, chance in moves:
+            yield f"\t\t{successor} : {chance!r}\n"
+
+
 _COMMENT, _NO_COMMENT = r"^#.*", r"(?!)"
-_LABEL = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
+_NUMBERED = re.compile(r'(\d{1,9})="([^"]*)"', re.ASCII)
 _STRUCTURE = re.compile(r'#\s*Reward structure\s*"([^"]*)"')
 _TRUTH = {"true": True, "false": False}
 
@@ -150,8 +363,8 @@ def _read_labels(path: Path, n_states: int) -> dict[str, IntArray]:
     file = TextFile(path, _COMMENT)
     lines = file.lines()
     line = next(lines, "")
-    names = dict(_LABEL.findall(line))
-    if not names or _LABEL.sub("", line).strip():
+    names = dict(_NUMBERED.findall(line))
+    if not names or _NUMBERED.sub("", line).strip():
         raise file.fault('the first line must say 0="init" and so on')
     members: dict[str, list[int]] = {number: [] for number in names}
     for state, listed in _entries(file, lines, n_states):
@@ -215,12 +428,8 @@ def _chosen_rewards(base: Path, cost: str | None) -> tuple[Path | None, Path | N
             known[files] = match[1] if match else None
         elif number not in ("", "1"):
             break
-    chosen = [files for files, name in known.items() if cost in (None, name)]
-    if len(chosen) == 1 or (cost is None and not chosen):
-        return chosen[0] if chosen else None
-    names = ", ".join(map(repr, known.values())) or "none"
-    told = f"{base}: choose one of the reward structures ("
-    raise ModelError(told, Argument("cost"), f"): {names}")
+    place = chosen_reward(base, [*known.values()], cost)
+    return None if place is None else list(known)[place]
 
 
 def _costs(
