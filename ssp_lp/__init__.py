@@ -31,7 +31,7 @@ from ssp_lp.policies import (
     TimedPolicy,
 )
 from ssp_lp.processes.failure_semantics import GiveUp
-from ssp_lp.processes.quantities.quantity import (
+from ssp_lp.processes.quantities import (
     Constraint,
     Quantity,
     arrival_cost,
@@ -50,17 +50,18 @@ if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier as Frontier, trace_frontier as trace_frontier
     from ssp_lp.analysis.simulation import simulate as simulate
     from ssp_lp.formulation import Formulation as Formulation
-    from ssp_lp.model.discretisation.continuous_model import (
+    from ssp_lp.model.continuous_model import (
+        Axis as Axis,
         ContinuousModel as ContinuousModel,
         Distribution as Distribution,
+        Grid as Grid,
         WorldSimulator as WorldSimulator,
     )
-    from ssp_lp.model.discretisation.discretise import (
+    from ssp_lp.model.discretise import (
         Quadrature as Quadrature,
         Samples as Samples,
         discretise as discretise,
     )
-    from ssp_lp.model.discretisation.grid import Axis as Axis, Grid as Grid
     from ssp_lp.model.product import (
         HorizonSSP as HorizonSSP,
         Memory as Memory,
@@ -122,9 +123,8 @@ _MODULES = {
     "analysis.frontier": "Frontier trace_frontier",
     "analysis.simulation": "simulate",
     "formulation": "Formulation",
-    "model.discretisation.continuous_model": "ContinuousModel Distribution WorldSimulator",
-    "model.discretisation.discretise": "Quadrature Samples discretise",
-    "model.discretisation.grid": "Axis Grid",
+    "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
+    "model.discretise": "Quadrature Samples discretise",
     "model.product": "HorizonSSP Memory ProductSSP product within_steps",
     "policies.remembering": "on_original",
     "programs.occupation_measure": "OccupationMeasure StateValues",

@@ -39,7 +39,7 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import attention_labels, dead_end_labels
+from ssp_lp.model.graph import attention_labels, dead_end_labels
 from ssp_lp.model.product import unroll_steps
 from ssp_lp.problem import (
     BUDGET_OR_SHARE,
@@ -53,6 +53,7 @@ from ssp_lp.problem import (
     requirements,
     stated_budget,
 )
+from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
@@ -63,20 +64,22 @@ from ssp_lp.processes.failure_semantics import (
     parse_give_up,
     start_distribution,
 )
-from ssp_lp.processes.quantities.conditions import Condition
-from ssp_lp.processes.quantities.lookup import arrival_measure, conditions, objective_of
-from ssp_lp.processes.quantities.quantity import (
+from ssp_lp.processes.quantities import (
     Constraint,
+    CostLimit,
     Quantity,
     arrival_cost,
+    arrival_measure,
+    conditions,
+    constraints_of,
     end_probability,
     expected_cost,
     failure_probability,
     goal_probability,
+    objective_of,
     secondary_cost,
     visits,
 )
-from ssp_lp.processes.quantities.stage_cost import CostLimit, constraints_of
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram

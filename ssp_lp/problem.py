@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, Protocol, cast, overload
 
+import numpy as np
+
 from ssp_lp.accumulated_cost.charges import TOTAL_COST, ExponentialUtility, Measure
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, Resolution, resolution_for, sums_in
+from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.column_generation.compiled_problem import (
     CompiledArrivalCost,
     CompiledExplicit,
@@ -18,14 +21,12 @@ from ssp_lp.column_generation.compiled_problem import (
 from ssp_lp.compiled.deadline import READING, is_within_call, limited
 from ssp_lp.errors import ModelError, in_short, is_number, wrong_argument
 from ssp_lp.model import SSP
-from ssp_lp.model.product import check_product
-from ssp_lp.policies.mixed import MixedPolicy, as_lottery
-from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.remembering import on_original
+from ssp_lp.model.product import ProductSSP, check_product
+from ssp_lp.policies.policy import Branches, MixedPolicy, Policy, as_lottery
+from ssp_lp.policies.remembering import RememberingPolicy, on_original
+from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, start_distribution
 from ssp_lp.processes.goal_reach import greatest_from
-from ssp_lp.processes.in_product import on_product
-from ssp_lp.processes.quantities.conditions import Condition
 
 
 class Problem(Protocol):
@@ -376,3 +377,48 @@ def check_numbers(**named: object) -> None:
     for name, value in named.items():
         if not is_number(value):
             raise wrong_argument(name, "be a number", value)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _InProduct(Policy):
+    """A policy of the original model that acts in a product, whose memory it does not look at."""
+
+    inner: Policy  # on the original
+    model: ProductSSP
+
+    def start_memory(self, states: IntArray) -> IntArray:
+        """The inner policy's, [episodes]."""
+        return self.inner.start_memory(self.model.original_state[states])
+
+    def branches(self, states: IntArray, memory: IntArray) -> Branches:
+        """The inner policy's decisions, as pairs of the product."""
+        product, here = self.model, self.model.original_state[states]
+        found = self.inner.branches(here, memory)
+        shift = product.pair_offsets[states] - product.original.pair_offsets[here]
+        pair = np.where(found.pair >= 0, found.pair + shift[found.situation], found.pair)
+        return Branches(found.situation, pair, found.probability)
+
+    def remember(
+        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
+    ) -> IntArray:
+        """The inner policy's, [episodes]."""
+        product = self.model
+        there = product.original_state[successors]
+        return self.inner.remember(memory, product.original_pair[pairs], there, costs)
+
+
+def on_product(policy: Policy | MixedPolicy, product: ProductSSP) -> MixedPolicy:
+    """A policy of the original model as one of a product; what carries its memory is unwrapped.
+
+    Args:
+        policy: such as one of :func:`on_original`, or one that knows nothing of the memory.
+        product: of the model that the policy acts on.
+    """
+    lottery = as_lottery(policy)
+    members = tuple(
+        member.inner
+        if isinstance(member, RememberingPolicy) and member.product is product
+        else _InProduct(member, product)
+        for member in lottery.policies
+    )
+    return MixedPolicy(members, lottery.weights)

@@ -25,8 +25,8 @@ from ssp_lp.policies import MixedPolicy, StochasticPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import on_original
 from ssp_lp.problem import Problem, has_rows, on_one_model
+from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import AS_ASKED, Aim, ObjectiveSense
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.programs.occupation_measure import StateValues
 
 _LEAST_LIMIT = 1.0  # seconds that numbers have which are worked out after a short call

@@ -39,8 +39,8 @@ from ssp_lp.game import (
     play,
     posterior,
 )
-from ssp_lp.game.bayes_adaptive import bayes_player
 from ssp_lp.game.label_player import label_models
+from ssp_lp.game.optimum import bayes_player
 from ssp_lp.model import SSP
 from ssp_lp.policies import Policy
 from ssp_lp.policies.remembering import TimedPolicy

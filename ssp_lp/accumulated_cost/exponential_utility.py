@@ -19,9 +19,9 @@ from ssp_lp.dynamic_programming.dual_bound import sub_solution
 from ssp_lp.dynamic_programming.dynamics import Dynamics, approach_leaving, leaving_chain
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
-from ssp_lp.processes.expectations import costless_pairs, successor_means
 from ssp_lp.processes.goal_reach import GoalReach
 from ssp_lp.processes.quotient import Quotient, build_quotient
+from ssp_lp.processes.rows import costless_pairs, successor_means
 
 _ROUNDING = 2.0
 """A pair's loss of goal probability may be half of what is computed: the horizon then lies a little

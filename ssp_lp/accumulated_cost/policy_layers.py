@@ -31,6 +31,7 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    chunks,
     concatenated_ranges,
     offsets_of,
     read_only,
@@ -40,8 +41,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.model import SSP
-from ssp_lp.model.chunks import chunks
-from ssp_lp.model.graph.reachability import (
+from ssp_lp.model.graph import (
     dead_ends,
     goal_pairs,
     nearer_pairs,

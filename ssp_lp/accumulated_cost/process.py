@@ -30,14 +30,18 @@ from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, csr_
 from ssp_lp.dynamic_programming.bellman import PairCost, SparseRows, written_out
 from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import attention_states
+from ssp_lp.model.graph import attention_states
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.processes.expectations import cost_means, successor_means
+from ssp_lp.processes.conditions import UpperRow, free_pairs
 from ssp_lp.processes.failure_semantics import Aim, survival_of
-from ssp_lp.processes.flow import Spread
-from ssp_lp.processes.live_rows import RowChoice, live_rows, shared_live_rows
-from ssp_lp.processes.quantities.conditions import UpperRow, free_pairs
-from ssp_lp.processes.quotient import Quotient, build_quotient
+from ssp_lp.processes.quotient import Quotient, Spread, build_quotient
+from ssp_lp.processes.rows import (
+    RowChoice,
+    cost_means,
+    live_rows,
+    shared_live_rows,
+    successor_means,
+)
 
 _MOST_TURNS = 300  # to bound the steps within a layer
 _LAST_STEP = 0.4  # what another one adds by then; a half would do but for rounding

@@ -21,13 +21,11 @@ from numbers import Rational
 
 import numpy as np
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, concatenated_ranges, read_only
+from ssp_lp.arrays import BoolArray, FloatArray, IntArray, chunks, concatenated_ranges, read_only
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.chunks import chunks
-from ssp_lp.model.graph.kept import kept
-from ssp_lp.model.graph.reachability import dead_ends
-from ssp_lp.processes.expectations import uniform_cost
+from ssp_lp.model.graph import dead_ends, kept
+from ssp_lp.processes.rows import uniform_cost
 
 _MOST_LAYERS_PER_STEP = 1_000_000
 _SHORT = 9  # digits of a decimal that a person would write down

@@ -24,10 +24,9 @@ from ssp_lp.accumulated_cost.totals import Totals, layers_within
 from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.processes.counting import Counting
-from ssp_lp.processes.expectations import cost_means
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.failure_semantics import FailureSemantics
+from ssp_lp.processes.failure_semantics import Counting, FailureSemantics
+from ssp_lp.processes.rows import cost_means
 
 
 def materialise(process: LayeredProcess) -> ExplicitProcess:

@@ -20,8 +20,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies.chain import Chain
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.mixed import MixedPolicy
-from ssp_lp.policies.policy import Policy
+from ssp_lp.policies.policy import MixedPolicy, Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import as_percentage, start_distribution
 

@@ -29,16 +29,15 @@ from ssp_lp.analysis.quantity_values import (
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray
 from ssp_lp.compiled.deadline import limited
 from ssp_lp.errors import ModelError
-from ssp_lp.model.graph.reachability import dead_ends, end_marks
+from ssp_lp.model.graph import dead_ends, end_marks
 from ssp_lp.model.naming import ByName
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies import StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
-from ssp_lp.policies.mixed import MixedPolicy
-from ssp_lp.policies.policy import GIVE_UP_CODE, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, MixedPolicy, Policy
 from ssp_lp.policies.remembering import common_memory
 from ssp_lp.problem import NEEDED, Problem, conditions_of, objective_of, on_one_model
-from ssp_lp.processes.expectations import cost_means
+from ssp_lp.processes.conditions import OBJECTIVE
 from ssp_lp.processes.failure_semantics import (
     Aim,
     GiveUp,
@@ -46,7 +45,7 @@ from ssp_lp.processes.failure_semantics import (
     start_distribution,
     survival_of,
 )
-from ssp_lp.processes.quantities.conditions import OBJECTIVE
+from ssp_lp.processes.rows import cost_means
 
 
 @dataclass(frozen=True, repr=False)

@@ -10,11 +10,10 @@ from scipy.sparse import csgraph
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.end_components import end_components
-from ssp_lp.model.graph.reachability import attention_states, dead_ends
+from ssp_lp.model.graph import attention_states, dead_ends, end_components
 from ssp_lp.policies.chain import Chain, reaching_in_chain
 from ssp_lp.problem import Problem, conditions_of, objective_of
-from ssp_lp.processes.expectations import costless_pairs
+from ssp_lp.processes.conditions import StepTerm, Term, free_pairs
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     GiveUp,
@@ -22,7 +21,7 @@ from ssp_lp.processes.failure_semantics import (
     give_up_charges,
     survival_of,
 )
-from ssp_lp.processes.quantities.conditions import StepTerm, Term, free_pairs
+from ssp_lp.processes.rows import costless_pairs
 
 
 def give_up_costs(

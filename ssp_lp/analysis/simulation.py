@@ -29,14 +29,13 @@ from ssp_lp.arrays import (
 from ssp_lp.errors import ModelError, check_between_0_and_1, check_whole
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.discretisation.continuous_model import WorldSimulator
-from ssp_lp.model.graph.reachability import dead_ends, end_marks
+from ssp_lp.model.continuous_model import WorldSimulator
+from ssp_lp.model.graph import dead_ends, end_marks
 from ssp_lp.model.naming import ByName
 from ssp_lp.model.product import HorizonSSP
 from ssp_lp.options import progress_shown
 from ssp_lp.policies import MixedPolicy, Policy
-from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, generator_of
+from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem, on_one_model
 from ssp_lp.processes.failure_semantics import (
     as_percentage,

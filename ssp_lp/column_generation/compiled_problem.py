@@ -52,10 +52,10 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import READING, check_time, limited
 from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import dead_ends, goal_approach, surely_reaching
+from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.stationary import DeterministicPolicy
-from ssp_lp.processes.expectations import uniform_cost
+from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, ObjectiveSense, survival_of
@@ -68,7 +68,7 @@ from ssp_lp.processes.goal_reach import (
     greatest_goal_reach,
     least_goal_reach,
 )
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW, UpperRow
+from ssp_lp.processes.rows import uniform_cost
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,7 +40,7 @@ from ssp_lp.dynamic_programming.evaluation import (
     precise_advantages,
 )
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
-from ssp_lp.model.graph.reachability import nearer_pairs
+from ssp_lp.model.graph import nearer_pairs
 
 _ONE, _WANTED, _OTHER = np.ones(1), np.array([1.0, 0.0]), np.array([0.0, 1.0])
 _SMALL = 1e-2

@@ -1,9 +1,16 @@
 """The paper's own construction as a second opinion: value iteration and a game, no LP anywhere."""
 
-from ssp_lp.game.bayes_adaptive import bayes_adaptive, bayes_player, belief_at, posterior
 from ssp_lp.game.equilibrium import DeltaMixture, Equilibrium, Game, delta_mixture, play
-from ssp_lp.game.optimum import GameSolution
-from ssp_lp.game.stationary import stationary_game, stationary_player, thresholds
+from ssp_lp.game.optimum import (
+    GameSolution,
+    bayes_adaptive,
+    bayes_player,
+    belief_at,
+    posterior,
+    stationary_game,
+    stationary_player,
+    thresholds,
+)
 
 __all__ = [
     "DeltaMixture",

@@ -1,21 +1,116 @@
-"""c* of a problem: the threshold at its budget, or in case S at the best epsilon' below it."""
+"""c* of a problem by the game alone: at its budget, or in case S at the best epsilon' below it.
+
+No linear program anywhere. ``stationary_game`` finds c-hat and the mixed policy of section 3.5 of
+the paper, where J_obj is discounted as J_cond is; ``bayes_adaptive`` the unapproximated c*.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 
-from ssp_lp.arrays import LEAST_BUDGET
+from ssp_lp.accumulated_cost.process import AccumulatedCost, accumulate_cost
+from ssp_lp.accumulated_cost.totals import resolution_of_costs
+from ssp_lp.arrays import LEAST_BUDGET, FloatArray, IntArray
 from ssp_lp.compiled.deadline import WithIncumbent, closing, is_late
-from ssp_lp.errors import SolverError
-from ssp_lp.game.best_response import BestResponse, Player, RatioPlayer
-from ssp_lp.game.setting import infeasible
+from ssp_lp.errors import (
+    Argument,
+    InfeasibleError,
+    ModelError,
+    SolverError,
+    check_between_0_and_1,
+    wrong_argument,
+)
+from ssp_lp.game.best_response import BestResponse, Player, RatioPlayer, check_alpha
+from ssp_lp.game.cost_player import BayesCostPlayer, CostPlayer
+from ssp_lp.game.label_player import BayesLabelPlayer, LabelModels, LabelPlayer, label_models
 from ssp_lp.game.threshold import Threshold, extremes, find_threshold
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import Progress
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.problem import Problem
+from ssp_lp.problem import Problem, unrolled
+from ssp_lp.processes.failure_semantics import start_distribution
+from ssp_lp.processes.goal_reach import max_goal_probability
+
+
+def checked_setting(problem: Problem) -> tuple[float, float]:
+    """The failure budget and the discount.
+
+    Raises:
+        ModelError: the paper's construction needs a discount and a budget above 0.
+    """
+    budget, discount = problem.failure_budget, problem.discount
+    if not problem.semantics.counts_cost_alone:
+        raise ModelError(
+            f"the game is about cost and a failure budget, {type(problem).__name__} is not: take ",
+            Argument("method", "columns"),
+        )
+    if discount is None:
+        raise ModelError(
+            "the game needs a discount (paper, section 2.5): give ",
+            Argument("discount", 0.999),
+            ", or solve the exact problem with ",
+            Argument("method", "columns"),
+        )
+    if budget is None or budget <= 0.0:
+        raise ModelError(
+            "the game needs ",
+            Argument("failure_budget"),
+            f" above 0, not {budget!r}: its stakes are divided by it (paper, eq. j_c_gamma_def)",
+        )
+    return budget, discount
+
+
+def infeasible(problem: Problem, budget: float, discounted: float) -> InfeasibleError:
+    """The game's setting is infeasible: no policy's discounted failure keeps to the budget."""
+    problem = unrolled(problem)
+    start = start_distribution(problem.model, problem.start)
+    real = max(1.0 - float(start @ max_goal_probability(problem.model)), 0.0)
+    nearer = "; a discount nearer to 1 is feasible" if real < budget else ""
+    return InfeasibleError(
+        f"the discounted failure of every policy is at least {discounted:.12g}, above the budget "
+        f"{budget:g}; the least real failure probability is {real:.12g}{nearer}",
+        failure_budget=budget,
+        least_failure=real,
+        least_discounted_failure=discounted,
+    )
+
+
+def check_reachable(problem: Problem) -> None:
+    """Check that a cost given success exists.
+
+    Raises:
+        InfeasibleError: the goal cannot be reached from the start.
+    """
+    start = start_distribution(problem.model, problem.start)
+    if (start[~dead_ends(problem.model)] > 0.0).any():
+        return
+    raise InfeasibleError(
+        "the goal cannot be reached from the start: no cost given success exists",
+        failure_budget=problem.failure_budget,
+        least_failure=1.0,
+        least_discounted_failure=1.0,
+    )
+
+
+def construct(problem: Problem) -> LabelModels | AccumulatedCost:
+    """Build the setting's M_o and M_{d,gamma} of section 3.1: in case M labelled.
+
+    Raises:
+        ModelError: no discount, or a budget that is not above 0.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    discount, problem = checked_setting(problem)[1], unrolled(problem)
+    start = start_distribution(problem.model, problem.start)
+    if not problem.ratio:
+        return label_models(problem.model, start, problem.semantics, discount)
+    check_reachable(problem)
+    by_steps = resolution_of_costs(problem.model) is not None
+    return accumulate_cost(problem.model, start, discount, by_steps=by_steps)
+
 
 _MOST_STEPS = 100
 _MARGINS = (0.25, 4.0, 64.0, 1024.0)
@@ -184,3 +279,187 @@ def _is_hopeful_response(response: BestResponse) -> bool:
 def _ratio_at_optimum(response: BestResponse) -> float:
     """The cost given success of a response."""
     return response.objective / response.success
+
+
+_TIGHT, _LESS_TIGHT = 1e-12, 1e-10
+"""Accuracy of value functions; that of case S only settles how many layers there are."""
+
+
+def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
+    """The operator T_alpha of the problem's case.
+
+    Raises:
+        ModelError: no discount, or a budget that is not above 0.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    built = construct(problem)
+    return LabelPlayer(built) if isinstance(built, LabelModels) else CostPlayer.of(built)
+
+
+def stationary_game(
+    problem: Problem, *, tolerance: float = 1e-9, progress: Progress | None = None
+) -> GameSolution:
+    """Solve a problem by the paper's game and value iteration (Theorems 3-5 and 3-11).
+
+    The policies are stationary in the state, in case S in the state and the cost paid; J_obj and
+    J_cond are both discounted.
+
+    Args:
+        problem: with a discount and a failure budget above 0.
+        tolerance: relative distance between c-hat and its lower bound to reach.
+        progress: told after each game of (responses, price of failure, upper end).
+
+    Raises:
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
+            decisions that would be too large.
+        InfeasibleError: the discounted failure of every policy exceeds the budget.
+    """
+    check_between_0_and_1("tolerance", tolerance)
+    player = stationary_player(problem)
+    return find_optimum(problem, player, tolerance=tolerance, progress=progress)
+
+
+def value_function(solution: GameSolution) -> FloatArray:
+    """A checked value function of the stationary game: lower bounds of ``J_obj + price * J_cond``.
+
+    Case M: [states of the process]. Case S: infinite, [layers, nodes], which asks ``certify`` for
+    the best that it can prove with so many layers; [1] where costs have no common unit.
+
+    Where no time is left the values are infinite throughout.
+
+    Raises:
+        ModelError: not a solution of ``stationary_game``.
+    """
+    player, price = solution.player, solution.price
+    with WithIncumbent() as search, closing():
+        if isinstance(player, LabelPlayer):
+            return player.values(player.response(1.0, price, _TIGHT))
+        if isinstance(player, CostPlayer) and player.base.by_steps:
+            return np.array([np.inf])
+        if isinstance(player, CostPlayer):
+            best = player.response(1.0, price, _LESS_TIGHT)
+            return np.broadcast_to(np.inf, best.strategy.choice.shape)
+    if search.stop:
+        return np.broadcast_to(np.inf, _stationary_shape(player, solution.threshold))
+    raise ModelError("only the stationary game has a value function of the state")
+
+
+def _stationary_shape(player: Player, found: Threshold) -> tuple[int, ...]:
+    """The shape of a value function: [nodes and perhaps the start], or [layers, nodes]."""
+    if isinstance(player, LabelPlayer):
+        models = player.models
+        return (models.discounted_dynamics.n_states + int(models.start_settled > 0.0),)
+    return max(r.strategy.choice.shape for r in found.members)
+
+
+def thresholds(
+    problem: Problem, budgets: Iterable[float], *, tolerance: float = 1e-9
+) -> list[Threshold]:
+    """c* of each epsilon' by itself: the curve whose minimum Theorem 3-1 takes in case S.
+
+    Args:
+        problem: says the case, the start and the discount; of its own budget only that there is
+            one above 0.
+        budgets: each at least the least discounted failure, and in case S below 1.
+        tolerance: relative distance between each c* and its lower bound to reach.
+
+    Raises:
+        ModelError: no discount, no budget, or one of the budgets outside (0, 1], in case S (0, 1).
+        InfeasibleError: a budget below the least discounted failure.
+    """
+    check_between_0_and_1("tolerance", tolerance)
+    player = stationary_player(problem)
+    known: tuple[BestResponse, ...] = extremes(player, 0.1 * tolerance)
+    found: list[Threshold] = []
+    for budget in budgets:
+        if not 0.0 < budget <= 1.0 or (problem.ratio and budget == 1.0):
+            raise ModelError(f"c* of epsilon' = {budget!r} is not defined: it must be above 0, in "
+                             "case S below 1")  # fmt: skip
+        least = known[0].bound + known[0].origin
+        if least > budget + LEAST_BUDGET:
+            raise infeasible(problem, budget, least)
+        share = 1.0 - budget if problem.ratio else 1.0
+        found.append(find_threshold(player, budget, share, known, tolerance=tolerance))
+        known = found[-1].responses
+    return found
+
+
+def bayes_player(problem: Problem) -> BayesLabelPlayer | BayesCostPlayer:
+    """The operator T of section 3.3 in the problem's case.
+
+    Raises:
+        ModelError: no discount, or a budget that is not above 0.
+        InfeasibleError: case S, and the goal cannot be reached from the start.
+    """
+    built = construct(problem)
+    return BayesLabelPlayer(built) if isinstance(built, LabelModels) else BayesCostPlayer(built)
+
+
+def bayes_adaptive(
+    problem: Problem, *, tolerance: float = 1e-7, progress: Progress | None = None
+) -> GameSolution:
+    """Solve the game of section 3.2 over all policies, by the iteration of section 3.3.
+
+    J_obj is undiscounted and J_cond discounted: the problem that sections 3.2 to 3.4 solve, and
+    that section 3.5 approximates by discounting J_obj as well. The adversary's weight is a belief
+    about which MDP is being played. Both move alike, but M_{d,gamma} ends with probability
+    1 - gamma in each step. So a run that goes on is evidence for M_o, the same evidence whatever
+    happens in it: the belief follows one trajectory from each start.
+
+    Args:
+        problem: with a discount, which only J_cond sees, and a failure budget above 0.
+        tolerance: relative distance between c* and its lower bound to reach.
+        progress: told after each game of (responses, price of failure, upper end).
+
+    Returns:
+        c*: in case M J_obj, in case S J_obj / (1 - J_cond); its policies depend on time.
+
+    Raises:
+        ModelError: no discount, no budget or one of 0, a tolerance outside (0, 1), or a table of
+            decisions that would be too large; it grows with the length of runs.
+        InfeasibleError: the discounted failure of every policy exceeds the budget.
+    """
+    check_between_0_and_1("tolerance", tolerance)
+    player = bayes_player(problem)
+    return find_optimum(problem, player, tolerance=tolerance, progress=progress)
+
+
+def posterior(alpha: float, discount: float) -> float:
+    """nu(alpha)(M_o), the adversary's weight of M_o after one step of a run that goes on.
+
+    Args:
+        alpha: the weight before the step, in [0, 1].
+        discount: gamma, with which M_{d,gamma} goes on after each step, in (0, 1).
+
+    Returns:
+        ``alpha / (alpha + gamma (1 - alpha))``, Bayes' rule (paper, section 3.3).
+
+    Raises:
+        ModelError: an argument out of range.
+    """
+    return float(belief_at(alpha, discount, np.array(1)))
+
+
+def belief_at(alpha: float, discount: float, time: IntArray) -> FloatArray:
+    """The adversary's weight of M_o after so many steps of a run that goes on.
+
+    Args:
+        alpha: the weight at the start, in [0, 1].
+        discount: gamma, with which M_{d,gamma} goes on after each step, in (0, 1).
+        time: numbers of steps, >= 0, in any shape.
+
+    Returns:
+        ``alpha / (alpha + gamma^t (1 - alpha))``, in the shape of ``time``: ``posterior`` applied
+        t times (paper, section 3.3).
+
+    Raises:
+        ModelError: an argument out of range.
+    """
+    check_alpha(alpha)
+    check_between_0_and_1("discount", discount)
+    steps = np.asarray(time)
+    if not np.issubdtype(steps.dtype, np.integer) or (steps < 0).any():
+        raise wrong_argument("time", "be whole numbers >= 0", time)
+    if alpha == 0.0:
+        return np.zeros(steps.shape)  # also where gamma^t is 0 in double precision
+    return np.asarray(alpha / (alpha + discount**steps * (1.0 - alpha)), dtype=np.float64)

@@ -26,7 +26,7 @@ from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.io.model_fingerprint import fingerprint, label_of, label_value, pair_print
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.checked_arrays import check_offsets
+from ssp_lp.model.builders import check_offsets
 from ssp_lp.model.product import HorizonSSP, unroll_steps
 from ssp_lp.model.ssp import check_model
 from ssp_lp.options import Status

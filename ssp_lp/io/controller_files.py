@@ -15,11 +15,10 @@ from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD, controller_checksum
 from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.io.model_fingerprint import are_numbers_in_turn, fingerprint, label_value
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy, StochasticPolicy
-from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy, as_lottery
 from ssp_lp.policies.remembering import JointMemory, RememberingPolicy, memory_size
 
 _VERSION = 1

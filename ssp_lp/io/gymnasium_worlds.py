@@ -36,11 +36,18 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP, within_steps
 from ssp_lp.model.ssp import SSP
-from ssp_lp.policies.mixed import MixedPolicy, as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE, MOST_EPISODES, UNDECIDED, Policy, check_costs
+from ssp_lp.policies.policy import (
+    GIVE_UP_CODE,
+    MOST_EPISODES,
+    UNDECIDED,
+    MixedPolicy,
+    Policy,
+    as_lottery,
+    check_costs,
+)
 from ssp_lp.policies.remembering import on_original
 
 if TYPE_CHECKING:

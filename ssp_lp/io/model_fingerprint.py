@@ -17,7 +17,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph.kept import kept
+from ssp_lp.model.graph import kept
 from ssp_lp.model.product import ProductSSP
 
 _VERSION = "ssp-lp model 1"

@@ -24,11 +24,10 @@ from ssp_lp.io.model_files.raw_model import (
 from ssp_lp.io.policy_tables import memories_of
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph.reachability import attention_pairs, attention_states
+from ssp_lp.model.graph import attention_pairs, attention_states
 from ssp_lp.policies import MixedPolicy, Policy
 from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
-from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.policies.policy import GIVE_UP_CODE, as_lottery
 from ssp_lp.processes.failure_semantics import start_distribution
 
 START, GAVE_UP = "start", "gave up"

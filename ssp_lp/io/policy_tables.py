@@ -19,8 +19,7 @@ from ssp_lp.policies import (
     StochasticPolicy,
     TimedPolicy,
 )
-from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy, as_lottery
 from ssp_lp.policies.remembering import JointMemory, RememberingPolicy, memory_size
 
 

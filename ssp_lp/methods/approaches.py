@@ -15,7 +15,7 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation
 from ssp_lp.errors import Argument, ModelError
-from ssp_lp.game.setting import checked_setting
+from ssp_lp.game.optimum import checked_setting
 from ssp_lp.methods.columns import (
     best_within_budget,
     cheapest_at_least_failure,

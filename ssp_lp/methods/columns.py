@@ -33,6 +33,7 @@ from ssp_lp.options import Game, SolveOptions
 from ssp_lp.policies import DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.problem import Problem
+from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import (
     Aim,
     FailureSemantics,
@@ -40,7 +41,6 @@ from ssp_lp.processes.failure_semantics import (
     start_distribution,
 )
 from ssp_lp.processes.goal_reach import extreme_goal_reach
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import Found, Run, Solution, assembled, remarks
 
 _REASONS = {
@@ -245,7 +245,7 @@ def _bound_by_values(
 
 def solve_by_game(problem: Problem, options: SolveOptions) -> Solution:
     """The paper's own construction, which knows neither columns nor programs."""
-    from ssp_lp.game.stationary import stationary_game, value_function
+    from ssp_lp.game.optimum import stationary_game, value_function
 
     equilibrium = stationary_game(problem, tolerance=options.tolerance, progress=options.progress)
     replies = equilibrium.threshold.responses

@@ -54,10 +54,10 @@ from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
 from ssp_lp.linear_programming.linear_program import LinearProgram
 from ssp_lp.methods.columns import RefinedOutcome
-from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import as_lottery
+from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.processes.quotient import Quotient
 from ssp_lp.programs.program_rows import rows_program
 from ssp_lp.solution import Found, Solution

@@ -9,8 +9,8 @@ from ssp_lp.arrays import FloatArray
 from ssp_lp.errors import SolverError
 from ssp_lp.linear_programming.backends import first_accepted
 from ssp_lp.options import SolveOptions
+from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.explicit import ExplicitProcess
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.programs.program_rows import rows_program
 
 _AGREEMENT = 1e-6

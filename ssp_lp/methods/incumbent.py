@@ -32,7 +32,7 @@ from ssp_lp.methods.rows import rows_optimum
 from ssp_lp.options import SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.chain import policy_chain
-from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import Problem, Restated, conditions_of, requirements, unrolled
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.goal_reach import greatest_goal_reach

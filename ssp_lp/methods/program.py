@@ -16,10 +16,10 @@ from ssp_lp.errors import ModelError
 from ssp_lp.methods.rows import rows_optimum, truth_of
 from ssp_lp.options import CERTIFYING
 from ssp_lp.problem import Problem, compiled_constrained, has_rows, requirements, unrolled
-from ssp_lp.processes.expectations import cost_means
+from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_label import label_failure
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.processes.rows import cost_means
 from ssp_lp.programs.augmented import Augmented, LabelledModel, LayeredModel
 from ssp_lp.programs.occupation_program import OccupationProgram
 from ssp_lp.programs.program_rows import ProgramRow

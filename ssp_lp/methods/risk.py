@@ -71,7 +71,7 @@ from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, compiled_constrained, compiled_totals, requirements
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
+from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
 

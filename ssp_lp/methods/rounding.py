@@ -57,7 +57,7 @@ from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.methods.refinement import Proved, refine
 from ssp_lp.methods.risk import Near, least_risk, question_of_compiled
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import CERTIFYING, SolveOptions
 from ssp_lp.policies import CostAwarePolicy, DeterministicPolicy, MixedPolicy
 from ssp_lp.policies.policy import Policy

@@ -49,9 +49,9 @@ from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.cost_aware import levels_of
 from ssp_lp.policies.policy import Policy
 from ssp_lp.problem import Problem, Restated, compiled_constrained, unrolled
+from ssp_lp.processes.conditions import FAILURE_ROW
 from ssp_lp.processes.failure_semantics import Aim, FailureSemantics, survival_of
 from ssp_lp.processes.goal_reach import greatest_goal_reach
-from ssp_lp.processes.quantities.conditions import FAILURE_ROW
 from ssp_lp.solution import CUT_SHORT, Found, Run, Solution, assembled
 
 _PATIENCE = 6  # refinements that need not even halve the gap

@@ -28,7 +28,7 @@ from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole
 from ssp_lp.model.arguments import check_fields, explained
 from ssp_lp.model.builders import no_lone_string
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.ssp import SSP, check_model
 
 MEMORY_FAILS = "memory fails"

@@ -16,22 +16,20 @@ from ssp_lp.errors import ModelError, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.builders import (
     Outcomes,
-    flatten_successors,
-    flatten_transitions,
-)
-from ssp_lp.model.checked_arrays import (
     action_table,
     check_idle_states,
     check_offsets,
     check_outcomes,
     cost_array,
+    flatten_successors,
+    flatten_transitions,
     goal_mask_of,
     index_array,
     indexed_labels,
     unit_sums,
 )
-from ssp_lp.model.graph.predecessors import Graph
 from ssp_lp.model.naming import Naming, check_state_names
+from ssp_lp.model.predecessors import Graph
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -233,7 +231,7 @@ class SSP(Graph, Naming):
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:
-        """What was found out about the model's graph, by name (``ssp_lp.model.graph.kept``)."""
+        """What was found out about the model's graph, by name (``ssp_lp.model.graph``)."""
         return {}
 
 

@@ -14,11 +14,10 @@ from ssp_lp.arrays import FloatArray, segment_ids
 from ssp_lp.errors import ModelError, check_whole, optional_module
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.graph.reachability import dead_ends, end_marks
+from ssp_lp.model.graph import dead_ends, end_marks
 from ssp_lp.plotting.style import INK, LOOKS, axes_or_new
 from ssp_lp.policies import MixedPolicy
-from ssp_lp.policies.mixed import as_lottery
-from ssp_lp.policies.policy import Policy, Randomness, generator_of
+from ssp_lp.policies.policy import Policy, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem
 from ssp_lp.processes.failure_semantics import start_distribution
 

@@ -1,8 +1,7 @@
 """Policies on the original states, with the memory that they need."""
 
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.mixed import MixedPolicy
-from ssp_lp.policies.policy import GIVE_UP, Decision, Episode, Policy
+from ssp_lp.policies.policy import GIVE_UP, Decision, Episode, MixedPolicy, Policy
 from ssp_lp.policies.remembering import TimedPolicy
 from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy
 

@@ -22,7 +22,7 @@ from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.dynamic_programming.evaluation import evaluate_chain
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import dead_ends, reached_along
+from ssp_lp.model.graph import dead_ends, reached_along
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, Policy
 
 _MOST_KEYS = 2_000_000_000

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, read_only
+from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, chunks, read_only
 from ssp_lp.errors import ModelError, check_flag, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
-from ssp_lp.model.chunks import chunks
 from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy, check_costs
 from ssp_lp.policies.stationary import check_decisions
 

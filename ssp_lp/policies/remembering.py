@@ -1,4 +1,7 @@
-"""Policies with a memory beside the state: steps taken, a memory of the user's, several at once."""
+"""Policies with a memory beside the state: steps taken, a memory of the user's, several at once.
+
+Such a policy acts on a product of model and memory, and is carried back to the model itself.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,16 @@ from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP, check_product
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.mixed import MixedPolicy, as_lottery
 from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
     UNDECIDED,
     Branches,
+    MixedPolicy,
     Policy,
+    as_lottery,
     check_costs,
     check_policies,
 )

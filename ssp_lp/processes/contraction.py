@@ -22,8 +22,7 @@ from ssp_lp.dynamic_programming.dual_bound import DualBound, dual_bound, shortfa
 from ssp_lp.dynamic_programming.dynamics import Dynamics, leaving_choice
 from ssp_lp.dynamic_programming.policy_iteration import iterate_policy
 from ssp_lp.errors import SolverError
-from ssp_lp.model.graph.end_components import end_components
-from ssp_lp.model.graph.reachability import nearer_pairs
+from ssp_lp.model.graph import end_components, nearer_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 
 _NOT_BEST = 1e-6  # excess, relative to the optimum, of pairs that no optimal measure uses

@@ -15,24 +15,25 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import (
+from ssp_lp.model.graph import (
     attention_states,
     goal_pairs,
     pairs_into,
     surely_reaching,
 )
 from ssp_lp.policies.stationary import DeterministicPolicy
-from ssp_lp.processes.counting import Counting, stage_costs
-from ssp_lp.processes.expectations import successor_means
+from ssp_lp.processes.conditions import UpperRow, free_pairs
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import (
     Aim,
+    Counting,
     FailureSemantics,
     GiveUp,
+    stage_costs,
     survival_of,
 )
-from ssp_lp.processes.quantities.conditions import UpperRow, free_pairs
 from ssp_lp.processes.quotient import Quotient, build_quotient
+from ssp_lp.processes.rows import successor_means
 
 
 @dataclass(frozen=True, eq=False)

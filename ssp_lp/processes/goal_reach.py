@@ -20,7 +20,7 @@ from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.dynamic_programming.extreme_reach import ExtremeReach, attaining_pairs, extreme_reach
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import (
+from ssp_lp.model.graph import (
     attention_states,
     dead_ends,
     goal_approach,
@@ -28,10 +28,9 @@ from ssp_lp.model.graph.reachability import (
     surely_reaching,
 )
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED
-from ssp_lp.processes.expectations import cost_means, costless_pairs, successor_means
 from ssp_lp.processes.failure_semantics import Aim
-from ssp_lp.processes.live_rows import RowChoice, live_rows
 from ssp_lp.processes.quotient import Quotient, build_quotient
+from ssp_lp.processes.rows import RowChoice, cost_means, costless_pairs, live_rows, successor_means
 
 _RARE = 1e-4  # failure below which what sweeps enclose a success by leaves it few digits
 

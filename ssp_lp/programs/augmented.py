@@ -21,18 +21,18 @@ from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy, find_pair
+from ssp_lp.processes.conditions import Term
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of
 from ssp_lp.processes.failure_semantics import FailureSemantics
-from ssp_lp.processes.flow import (
+from ssp_lp.processes.quotient import (
     ModelFlow,
+    Quotient,
     Spread,
     decisions,
     model_flow,
     moving_within,
 )
-from ssp_lp.processes.quantities.conditions import Term
-from ssp_lp.processes.quotient import Quotient
 
 
 class ColumnLabel(NamedTuple):

@@ -22,7 +22,7 @@ from ssp_lp.linear_programming.convex_rows import (
 )
 from ssp_lp.linear_programming.convex_solving import Conflict, contradicting, solve_stated, stated
 from ssp_lp.processes.failure_semantics import AS_ASKED
-from ssp_lp.processes.quantities.quantity import Quantity
+from ssp_lp.processes.quantities import Quantity
 from ssp_lp.programs.occupation_measure import NOISES, OccupationMeasure
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from ssp_lp.methods.approaches import Case, approach_to
 from ssp_lp.methods.incumbent import broken_limit, by_moments, prove_by_cheapest_way
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.options import Status, progress_shown
-from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import as_lottery
 from ssp_lp.problem import objective_of, on_one_model
 from ssp_lp.solution import Solution, as_solved
 

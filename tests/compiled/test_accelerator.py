@@ -26,7 +26,7 @@ from ssp_lp.dynamic_programming.bellman import (
 )
 from ssp_lp.dynamic_programming.equations import System
 from ssp_lp.model import SSP
-from ssp_lp.processes.live_rows import RowChoice, live_rows
+from ssp_lp.processes.rows import RowChoice, live_rows
 from tests.support.compiled import Switch, assert_same, both
 
 pytest.importorskip("numba")
@@ -153,7 +153,7 @@ def test_a_table_too_large_to_keep_is_proved_again(monkeypatch: pytest.MonkeyPat
     grid = RobotGrid(segments=10, headings=6)
     problem = S3P(grid_model(grid), start_state(grid), 0.2)
     kept = solve(problem)
-    monkeypatch.setattr(sweep, "_KEPT_VALUES", 0)
+    monkeypatch.setattr(sweep, "KEPT_VALUES", 0)
     dropped = solve(problem)
     assert np.isinf(dropped.value_function).all()
     assert dropped.value_function.shape == kept.value_function.shape

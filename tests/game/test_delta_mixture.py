@@ -10,7 +10,7 @@ from games import RETRY, criteria, drawn_problem, game_at, hand_problem
 from small_models import TWO_MOVES
 from ssp_lp import evaluate
 from ssp_lp.game import bayes_adaptive, delta_mixture, play, stationary_game
-from ssp_lp.game.stationary import stationary_player
+from ssp_lp.game.optimum import stationary_player
 from strategies import often, problems
 
 DELTAS = [1e-2, 1e-3, 1e-4, 1e-5, 1e-6]

@@ -9,8 +9,7 @@ from games import RETRY, hand_problem
 from operators import bayes_label, cost_game, cost_tail, stationary_label
 from references.chain import mean, plain_model, start_distribution
 from small_models import TWO_MOVES
-from ssp_lp.game.bayes_adaptive import bayes_player
-from ssp_lp.game.stationary import stationary_player
+from ssp_lp.game.optimum import bayes_player, stationary_player
 from strategies import often, problems
 
 few = often(25)

@@ -30,7 +30,7 @@ from ssp_lp import (
 )
 from ssp_lp.io import Controller, fingerprint, policy_table, write_controller
 from ssp_lp.io.policy_tables import memories_of
-from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import as_lottery
 
 SOURCE = Path(ssp_lp.io.controller.__file__)
 

@@ -14,7 +14,7 @@ from played import START, everywhere, ferry, hall, level_policy, policies, remem
 from ssp_lp import GIVE_UP, MissingDependencyError, ModelError
 from ssp_lp.io import policy_table, to_frame, write_dot
 from ssp_lp.policies.chain import policy_chain
-from ssp_lp.policies.mixed import as_lottery
+from ssp_lp.policies.policy import as_lottery
 from ssp_lp.policies.remembering import common_memory
 from ssp_lp.processes.failure_semantics import start_distribution
 

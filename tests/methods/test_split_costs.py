@@ -14,9 +14,9 @@ from formulations import S3P, MaxProb
 from ssp_lp import SSP, CostAwarePolicy, certify, evaluate, solve
 from ssp_lp.arrays import read_only
 from ssp_lp.methods.rounding import is_split, with_split_costs
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.problem import requirements
-from ssp_lp.processes.expectations import cost_means
+from ssp_lp.processes.rows import cost_means
 
 EXACT, FEW = 20_000, 300  # totals that are told apart
 

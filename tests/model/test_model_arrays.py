@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from ssp_lp import SSP, ModelError
-from ssp_lp.model.chunks import chunks, pieces_of_chunks
+from ssp_lp.arrays import chunks, pieces_of_chunks
 
 
 @pytest.fixture(params=[1 << 22, 4, 1])
 def chunk(request, monkeypatch):
     """How many entries are worked on at a time."""
-    monkeypatch.setattr("ssp_lp.model.chunks.CHUNK", request.param)
+    monkeypatch.setattr("ssp_lp.arrays.CHUNK", request.param)
     return request.param
 
 

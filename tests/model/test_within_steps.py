@@ -22,7 +22,7 @@ from ssp_lp import (
     solve,
     within_steps,
 )
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.model.product import LATE
 
 HOUSE = {

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from ssp_lp import SSP
-from ssp_lp.model.graph.reachability import attention_states
-from ssp_lp.processes.expectations import costless_pairs
+from ssp_lp.model.graph import attention_states
 from ssp_lp.processes.quotient import build_quotient
+from ssp_lp.processes.rows import costless_pairs
 
 
 def halls(seed: int) -> SSP:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ssp_lp import SSP
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 
 DIGITS = 12
 """Probabilities and costs that agree to so many digits are the same."""

@@ -16,7 +16,7 @@ from small_models import model_of
 from ssp_lp import InfeasibleError, evaluate
 from ssp_lp.game import Equilibrium, Game, bayes_adaptive
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.stationary import stationary_player
+from ssp_lp.game.optimum import stationary_player
 from strategies import Draw
 
 gammas = st.sampled_from([0.9, 0.5, 0.99])

@@ -11,7 +11,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import dead_ends
+from ssp_lp.model.graph import dead_ends
 from ssp_lp.policies.policy import Branches, Policy
 
 _OFF_LATTICE = 1e-6  # of a layer: far above the rounding of one cost, far below a step

@@ -22,8 +22,7 @@ from operators import cost_game, cost_tail
 from references import s3p
 from references.chain import plain_model
 from ssp_lp.game import bayes_adaptive, play, stationary_game
-from ssp_lp.game.bayes_adaptive import bayes_player
-from ssp_lp.game.stationary import stationary_player
+from ssp_lp.game.optimum import bayes_player, stationary_player
 from ssp_lp.game.threshold import extremes, find_threshold
 from strategies import often, problems
 

@@ -11,7 +11,7 @@ from small_models import TWO_MOVES
 from ssp_lp import evaluate, solve
 from ssp_lp.game import Game, delta_mixture, play, stationary_game
 from ssp_lp.game.best_response import BestResponse
-from ssp_lp.game.stationary import stationary_player, thresholds
+from ssp_lp.game.optimum import stationary_player, thresholds
 from ssp_lp.policies import DeterministicPolicy
 
 EXACT = {"rel": 1e-9}

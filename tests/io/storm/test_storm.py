@@ -27,7 +27,7 @@ from ssp_lp.io import (
     write_drn,
     write_umb,
 )
-from ssp_lp.model.graph.reachability import dead_end_labels
+from ssp_lp.model.graph import dead_end_labels
 from storm_values import value
 
 # "time" is paid by states and actions, "coins" by actions

@@ -25,7 +25,7 @@ from ssp_lp import (
     solve,
 )
 from ssp_lp.io import fingerprint
-from ssp_lp.model.discretisation import discretise as building
+from ssp_lp.model import discretise as building
 
 
 def row(model: SSP, state: int, action: int = 0) -> dict[int, float]:

@@ -3,7 +3,7 @@
 from hypothesis import given
 
 from checks import library_model, plain
-from ssp_lp.model.graph import reachability
+from ssp_lp.model import graph
 from strategies import often, problems
 
 
@@ -12,7 +12,7 @@ from strategies import often, problems
 def test_graph_facts_are_the_fixed_points(drawn):
     """The masks name the states that the plain fixed points name."""
     model, reference = library_model(drawn), plain(drawn)
-    dead, attention = reachability.dead_ends(model), reachability.attention_states(model)
+    dead, attention = graph.dead_ends(model), graph.attention_states(model)
     for state in drawn.choices:
         position = model.index_of(state)
         assert dead[position] == (state in reference.dead_ends), state
@@ -26,7 +26,7 @@ def test_graph_facts_are_the_fixed_points(drawn):
 def test_attention_pairs_keep_to_the_attention_states(drawn):
     """The staying actions of each attention state."""
     model, reference = library_model(drawn), plain(drawn)
-    staying = reachability.attention_pairs(model, reachability.attention_states(model))
+    staying = graph.attention_pairs(model, graph.attention_states(model))
     for state in drawn.choices:
         position = model.index_of(state)
         pairs = range(model.pair_offsets[position], model.pair_offsets[position + 1])

@@ -5,7 +5,7 @@ import pytest
 
 from ssp_lp import SSP
 from ssp_lp.compiled.accelerator import has_accelerator
-from ssp_lp.model.graph import end_components, reachability
+from ssp_lp.model import graph
 
 PATHS = {"whole": (1 << 22, False), "pieces": (3, False), "compiled": (1 << 22, True)}
 
@@ -16,7 +16,7 @@ def path(request, monkeypatch):
     chunk, compiled = PATHS[request.param]
     if compiled and not has_accelerator():
         pytest.skip("no accelerator")
-    monkeypatch.setattr("ssp_lp.model.chunks.CHUNK", chunk)
+    monkeypatch.setattr("ssp_lp.arrays.CHUNK", chunk)
     monkeypatch.setattr(
         "ssp_lp.compiled.accelerator.least_entries", lambda: 0 if compiled else 1 << 62
     )
@@ -88,9 +88,7 @@ def test_dead_ends_reach_no_goal(path, seed, n_states):
     for _ in range(n_states):
         ahead = [set().union(*(ahead[t] for t in known)) for known in ahead]
     goals = members(model.goal_mask)
-    assert members(reachability.dead_ends(model)) == {
-        s for s in range(n_states) if not ahead[s] & goals
-    }
+    assert members(graph.dead_ends(model)) == {s for s in range(n_states) if not ahead[s] & goals}
 
 
 @pytest.mark.parametrize(("seed", "n_states"), SEEDS)
@@ -104,13 +102,13 @@ def test_attention_states_and_pairs_that_lead_somewhere(path, seed, n_states):
         if stay == kept:
             break
         kept = stay
-    attention = reachability.attention_states(model)
+    attention = graph.attention_states(model)
     assert members(attention) == kept
     staying = {p for p in range(model.n_pairs) if steps[p] | {int(model.pair_state[p])} <= kept}
-    assert members(reachability.attention_pairs(model, attention)) == staying
+    assert members(graph.attention_pairs(model, attention)) == staying
     some = rng.random(n_states) < 0.3
     expected = {p for p in range(model.n_pairs) if steps[p] & members(some)}
-    assert members(reachability.pairs_into(model, some)) == expected
+    assert members(graph.pairs_into(model, some)) == expected
 
 
 @pytest.mark.parametrize(("seed", "n_states"), SEEDS)
@@ -126,7 +124,7 @@ def test_states_from_which_the_goal_is_sure(path, seed, n_states):
         if near == kept:
             break
         kept &= near
-    states, staying, _ = reachability.surely_reaching(model)
+    states, staying, _ = graph.surely_reaching(model)
     assert members(states) == kept
     assert members(staying) == set(pairs)
 
@@ -139,7 +137,7 @@ def test_approach_takes_the_first_of_the_nearest_pairs(path, seed, n_states, eve
     leaving = rng.random(model.n_pairs) < 0.15
     usable = None if everything else rng.random(model.n_pairs) < 0.7
     free = [everything or bool(usable[p]) for p in range(model.n_pairs)]
-    choice = reachability.nearer_pairs(model, leaving, usable)
+    choice = graph.nearer_pairs(model, leaving, usable)
     expected, near = {}, set()
     while True:
         found = {}
@@ -159,11 +157,11 @@ def test_scipy_is_given_numbers_of_32_bits(accelerate, monkeypatch):
     """Its searches before version 1.15 take no others."""
     accelerate(False)
     model, rng = drawn_model(*SEEDS[0])
-    graphs, search = [], reachability.csgraph.dijkstra
+    graphs, search = [], graph.csgraph.dijkstra
     monkeypatch.setattr(
-        reachability.csgraph, "dijkstra", lambda g, **kw: graphs.append(g) or search(g, **kw)
+        graph.csgraph, "dijkstra", lambda g, **kw: graphs.append(g) or search(g, **kw)
     )
-    reachability.nearer_pairs(model, rng.random(model.n_pairs) < 0.5)
+    graph.nearer_pairs(model, rng.random(model.n_pairs) < 0.5)
     assert [(g.indices.dtype, g.indptr.dtype) for g in graphs] == [(np.int32, np.int32)]
 
 
@@ -172,7 +170,7 @@ def test_scipy_is_given_numbers_of_32_bits(accelerate, monkeypatch):
 def test_end_components_are_the_maximal_ones(path, seed, n_states, share):
     model, rng = drawn_model(seed, n_states)
     allowed = rng.random(model.n_pairs) < share
-    component, inside = end_components.end_components(model, allowed)
+    component, inside = graph.end_components(model, allowed)
     expected, kept = plain_components(model, allowed)
     assert members(inside) == kept
     assert component.tolist() == expected

@@ -16,10 +16,9 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph.reachability import goal_pairs, pairs_into
-from ssp_lp.processes.counting import Counting
-from ssp_lp.processes.expectations import costless_pairs
-from ssp_lp.processes.failure_semantics import Aim
+from ssp_lp.model.graph import goal_pairs, pairs_into
+from ssp_lp.processes.failure_semantics import Aim, Counting
+from ssp_lp.processes.rows import costless_pairs
 
 FAILURE_ROW = "failure"
 """Name of the row of the failure budget; no other constraint may bear it."""

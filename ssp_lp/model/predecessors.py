@@ -13,12 +13,13 @@ from ssp_lp.arrays import (
     FloatArray,
     IntArray,
     concatenated_ranges,
+    pieces_of_chunks,
     read_only,
+    segment_chunks,
     segment_ids,
     sorted_unique,
 )
 from ssp_lp.compiled.accelerator import accelerated
-from ssp_lp.model.chunks import pieces_of_chunks, segment_chunks
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,1 +1,0 @@
-"""Facts about a model's graph, decided by searches."""

@@ -1,0 +1,603 @@
+"""What can be counted and limited: named linear functionals of an occupation measure.
+
+A quantity says what it counts in the model's own words; what it is at the pairs of an augmented
+process is worked out when a problem is stated: words are looked up in the model and become
+``processes.conditions``. Quantities add and scale, and comparing one with a number makes a
+constraint:
+
+    secondary_cost(fuel) + 2.0 * visits("ward") <= 12.0
+    end_probability("wall") >= 0.1
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from math import isfinite
+
+import numpy as np
+import numpy.typing as npt
+
+from ssp_lp.accumulated_cost.charges import ExpectedArrivalCost
+from ssp_lp.arrays import BoolArray, FloatArray, read_only
+from ssp_lp.errors import ModelError, did_you_mean, in_short, is_number
+from ssp_lp.model import SSP
+from ssp_lp.model.graph import end_marks
+from ssp_lp.model.product import ProductSSP
+from ssp_lp.processes.conditions import (
+    OBJECTIVE,
+    RESERVED,
+    ArrivalTerm,
+    Condition,
+    StepTerm,
+    Term,
+)
+
+NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class StageCosts:
+    """A cost of steps: None: the model's own; else by pair, by outcome, or nested dicts."""
+
+    cost: NestedCosts | npt.ArrayLike | None = None
+
+    def __repr__(self) -> str:
+        """What was called, without the costs."""
+        return "expected_cost()" if self.cost is None else "secondary_cost(...)"
+
+
+@dataclass(frozen=True, repr=False)
+class Visits:
+    """How often some states are entered or started in; names are states or labels of states."""
+
+    of: tuple[Hashable, ...]
+
+    def __repr__(self) -> str:
+        """What was called."""
+        return f"visits({', '.join(map(repr, self.of))})"
+
+
+@dataclass(frozen=True, repr=False)
+class Ends:
+    """The probability of ending in one of several ways, or, as ``others``, in none of them."""
+
+    ways: tuple[Hashable, ...]
+    others: bool = False
+
+    def __repr__(self) -> str:
+        """What was called."""
+        ways = f"end_probability({', '.join(map(repr, self.ways))})"
+        return f"1 - {ways}" if self.others else ways
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ArrivalCosts:
+    """What arriving at the goal costs: a function of the total cost, in the end a line."""
+
+    function: Callable[[FloatArray], FloatArray]
+    affine_from: float
+
+    def __repr__(self) -> str:
+        """What was called."""
+        return "arrival_cost(...)"
+
+
+Counted = StageCosts | Visits | Ends | ArrivalCosts
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Quantity:
+    """A weighted sum of what is counted, and a constant."""
+
+    terms: tuple[tuple[float, Counted], ...]
+    constant: float = 0.0
+    __array_ufunc__ = None  # numbers of numpy's go with it as others do
+
+    def __array__(self, *_: object) -> None:
+        """Refused: ``parameter * quantity``, of cvxpy, takes it for an array.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError(f"{self!r} is no array{_WITH_CVXPY}")
+
+    def __add__(self, other: Quantity | float) -> Quantity:
+        """The sum."""
+        if isinstance(other, Quantity):
+            return Quantity(self.terms + other.terms, self.constant + other.constant)
+        return Quantity(self.terms, self.constant + _quantity_number(other))
+
+    def __mul__(self, factor: float) -> Quantity:
+        """The multiple."""
+        times = _quantity_number(factor)
+        terms = tuple((weight * times, counted) for weight, counted in self.terms)
+        return Quantity(terms, self.constant * times)
+
+    def __truediv__(self, divisor: float) -> Quantity:
+        """The quotient by a number."""
+        return self * (1.0 / _quantity_number(divisor))
+
+    __radd__ = __add__
+    __rmul__ = __mul__
+
+    def __neg__(self) -> Quantity:
+        """The opposite."""
+        return self * -1.0
+
+    def __sub__(self, other: Quantity | float) -> Quantity:
+        """The difference."""
+        return self + -1.0 * (other if isinstance(other, Quantity) else _quantity_number(other))
+
+    def __rsub__(self, other: float) -> Quantity:
+        """The difference."""
+        return -self + other
+
+    def __le__(self, bound: Quantity | float) -> Constraint:
+        """At most a number, or another quantity."""
+        if isinstance(bound, Quantity):
+            return Constraint(self - bound, upper=0.0)
+        return Constraint(self, upper=_quantity_number(bound))
+
+    def __ge__(self, bound: Quantity | float) -> Constraint:
+        """At least a number, or another quantity."""
+        if isinstance(bound, Quantity):
+            return Constraint(self - bound, lower=0.0)
+        return Constraint(self, lower=_quantity_number(bound))
+
+    def __eq__(self, value: float) -> Constraint:  # type: ignore[override]
+        """Exactly a number."""
+        return Constraint(self, lower=_quantity_number(value), upper=_quantity_number(value))
+
+    def __repr__(self) -> str:
+        """The sum as it would be typed."""
+        parts = [f"{c!r}" if w == 1.0 else f"{w:g} * {c!r}" for w, c in self.terms]
+        parts += [f"{self.constant:g}"] if self.constant or not parts else []
+        return " + ".join(parts)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Constraint:
+    """A quantity with bounds."""
+
+    quantity: Quantity
+    lower: float | None = None
+    upper: float | None = None
+
+    def __repr__(self) -> str:
+        """The quantity between its bounds."""
+        low = "" if self.lower is None else f"{self.lower:g} <= "
+        high = "" if self.upper is None else f" <= {self.upper:g}"
+        return f"{low}{self.quantity!r}{high}"
+
+    def __bool__(self) -> bool:
+        """Refused: ``0.1 <= quantity <= 0.2`` would silently drop its first half.
+
+        Raises:
+            ModelError: always.
+        """
+        raise ModelError("a constraint has no truth value: state two, each under its own name")
+
+
+def expected_cost() -> Quantity:
+    """The model's own expected total cost, counted as the criterion counts costs."""
+    return Quantity(((1.0, StageCosts()),))
+
+
+def secondary_cost(cost: NestedCosts | npt.ArrayLike) -> Quantity:
+    """The expected total of another cost, counted as the model's own is.
+
+    Args:
+        cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
+            [pairs], or [outcomes]; finite and >= 0.
+    """
+    return Quantity(((1.0, StageCosts(cost)),))
+
+
+def visits(*states: Hashable) -> Quantity:
+    """How often some states are entered or started in, in expectation; staying counts each time.
+
+    Counted until the goal is reached or failure declared; a dead-end is entered once at most.
+
+    Args:
+        states: states, or labels of states.
+
+    Raises:
+        ModelError: none is given, or a list in place of a state.
+    """
+    _check_quantity_names("visits", states)
+    return Quantity(((1.0, Visits(states)),))
+
+
+def end_probability(*ways: Hashable) -> Quantity:
+    """The probability that an episode ends in one of some ways.
+
+    Args:
+        ways: "goal", a label of dead-ends, "dead_end" (one without a label), as in the ``ends`` of
+            reports; or a state at which episodes end.
+    """
+    _check_quantity_names("end_probability", ways)
+    return Quantity(((1.0, Ends(ways)),))
+
+
+def goal_probability() -> Quantity:
+    """The probability of reaching the goal."""
+    return end_probability("goal")
+
+
+def failure_probability() -> Quantity:
+    """The probability of never reaching the goal."""
+    return Quantity(((1.0, Ends(("goal",), others=True)),))
+
+
+def arrival_cost(
+    function: Callable[[FloatArray], FloatArray] | None = None, *, affine_from: float = 0.0
+) -> Quantity:
+    """What arriving at the goal costs, a function of the total cost: minimised given success.
+
+    As the ``quantity`` of a criterion of one's own with ``ratio = True`` it is E[f(C) | goal], such
+    as the mean lateness ``arrival_cost(lambda c: np.maximum(c - due, 0.0), affine_from=due)``.
+    Several add and scale. What depends on the total of a whole run is no row of a program: it is
+    not limited, nor added to what is counted on the way.
+
+    Args:
+        function: f, on arrays of total costs: at least 0, and non-decreasing; None: the total cost.
+        affine_from: a total from which on f is a line.
+
+    Raises:
+        ModelError: no function, or a total that is no number >= 0.
+    """
+    if function is not None and not callable(function):
+        raise ModelError(f"arrival_cost takes a function of total costs, not {in_short(function)}")
+    if (line := _quantity_number(affine_from)) < 0.0:
+        raise ModelError(f"affine_from must be at least 0, not {line:g}")
+    return Quantity(((1.0, ArrivalCosts(np.asarray if function is None else function, line)),))
+
+
+def _check_quantity_names(verb: str, names: tuple[object, ...]) -> None:
+    """Raise :class:`ModelError` unless a quantity takes its names one by one."""
+    for name in names:
+        if not isinstance(name, Hashable):
+            raise ModelError(f"{verb} takes names one by one, {verb}('a', 'b'), not {name!r}")
+
+
+def _quantity_number(value: object) -> float:
+    """A finite number that a quantity goes with."""
+    if is_number(value) and isfinite(number := float(value)):
+        return number
+    told = f"a quantity goes with finite numbers, not with {in_short(value)}"
+    raise ModelError(told + beside_cvxpy(value))
+
+
+_WITH_CVXPY = (
+    ": with cvxpy's parameters and variables goes what it is in a program, "
+    "convex.expression(quantity) * parameter; costs of actions that are such are "
+    "convex.visits(state, action) * parameter, summed"
+)
+
+
+def beside_cvxpy(value: object) -> str:
+    """What to write, in an error, where a number is to be an expression of cvxpy."""
+    return _WITH_CVXPY if hasattr(value, "is_dcp") else ""
+
+
+@dataclass(frozen=True, eq=False)
+class CostLimit:
+    """An upper bound on the expected total of a secondary cost: ``secondary_cost(cost) <= bound``.
+
+    Args:
+        cost: ``{state: {action: cost}}``, pairs that are not listed costing nothing; or an array,
+            [pairs], or [outcomes].
+        bound: the largest expected total, in the unit of the cost, >= 0.
+    """
+
+    cost: NestedCosts | npt.ArrayLike = field(repr=False)
+    bound: float
+
+
+def constraints_of(limits: Mapping[str, CostLimit]) -> dict[str, Constraint]:
+    """Limits of secondary costs as constraints.
+
+    Raises:
+        ModelError: no mapping, no limit, or a bound that is not a finite number >= 0.
+    """
+    if not isinstance(limits, Mapping):
+        raise ModelError(f"limits must be {{name: CostLimit(cost, bound)}}, not {limits!r}")
+    for name, limit in limits.items():
+        if not isinstance(limit, CostLimit):
+            raise ModelError(f"limit {name!r} must be CostLimit(cost, bound), not {limit!r}")
+        if not is_amount(limit.bound):
+            raise ModelError(
+                f"the bound of limit {name!r} must be finite and >= 0: {in_short(limit.bound)}"
+            )
+    return {name: secondary_cost(limit.cost) <= limit.bound for name, limit in limits.items()}
+
+
+def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> FloatArray:
+    """A cost by outcome, [outcomes].
+
+    Args:
+        model: the model.
+        name: of the limit, for errors.
+        cost: ``{state: {action: cost}}``, or an array, [pairs] or [outcomes].
+
+    Raises:
+        ModelError: a cost that is not a finite number >= 0, an array of the wrong length, an
+            unknown state or action.
+    """
+    if isinstance(cost, Mapping):
+        given = np.repeat(_listed_costs(model, name, cost), np.diff(model.outcome_offsets))
+    else:
+        given = _spread_costs(model, name, _cost_array(name, cost))
+    costs = read_only(given, np.float64)
+    wrong = ~(np.isfinite(costs) & (costs >= 0.0))
+    if wrong.any():
+        outcome = int(np.argmax(wrong))
+        pair = int(np.searchsorted(model.outcome_offsets, outcome, side="right")) - 1
+        raise ModelError(
+            f"limit {name!r}, {model.describe_pair(pair)}: the cost must be finite and >= 0, not "
+            f"{float(costs[outcome])!r}"
+        )
+    return costs
+
+
+def is_amount(value: object) -> bool:
+    """Whether a value is a finite number >= 0, and no integer beyond all floats."""
+    return is_number(value) and 0.0 <= float(value) < float("inf")
+
+
+def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
+    """Costs from nested dicts, 0 where nothing is listed, [pairs]."""
+    result = np.zeros(model.n_pairs)
+    for state, actions in cost.items():
+        try:
+            places = model.places_of(state)
+        except ModelError as error:
+            raise ModelError(f"limit {name!r}: {error}") from error
+        if not isinstance(actions, Mapping):
+            raise ModelError(f"limit {name!r}, state {state!r}: not {{action: cost}}: {actions!r}")
+        acting = [int(k) for k in places if model.pair_offsets[k] < model.pair_offsets[k + 1]]
+        if not acting and isinstance(model, ProductSSP) and model.find(state) is None:
+            _listed_costs(model.original, name, {state: actions})  # nobody acts there: a check only
+            continue
+        for place in acting or places.tolist():
+            _list_pair_costs(model, name, place, actions, result)
+    return result
+
+
+def _list_pair_costs(
+    model: SSP, name: str, state: int, actions: Mapping[Hashable, float], result: FloatArray
+) -> None:
+    """Write the costs of a state's actions into the costs of all pairs."""
+    begin, end = model.pair_offsets[state : state + 2].tolist()
+    pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
+    for action, value in actions.items():
+        if action not in pair_of:
+            raise ModelError(f"limit {name!r}: {model.no_such_action(state, action)}")
+        if not is_amount(value):
+            raise ModelError(
+                f"limit {name!r}, action {action!r} of state {model.states[state]!r}: the cost "
+                f"must be finite and >= 0, not {in_short(value)}" + beside_cvxpy(value)
+            )
+        result[pair_of[action]] = float(value)
+
+
+def _cost_array(name: str, cost: npt.ArrayLike) -> FloatArray:
+    """Costs as an array of numbers."""
+    try:
+        return _cost_numbers(cost)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
+
+
+def _spread_costs(model: SSP, name: str, given: FloatArray) -> FloatArray:
+    """Costs from an array of pairs or of outcomes, also of a product's original, [outcomes]."""
+    if isinstance(model, ProductSSP) and model.is_hidden:
+        return np.asarray(_spread_costs(model.original, name, given)[model.original_outcome])
+    own, theirs = _costs_by_outcome(model, given), None
+    if isinstance(model, ProductSSP):
+        theirs = _costs_by_outcome(model.original, given)
+        theirs = None if theirs is None else theirs[model.original_outcome]
+    if own is not None and theirs is not None and not np.array_equal(own, theirs):
+        raise ModelError(
+            f"limit {name!r}: an array of shape {given.shape} fits both the product and its "
+            "original: give {state: {action: cost}}"
+        )
+    found = theirs if own is None else own
+    if found is None:
+        raise ModelError(
+            f"limit {name!r}: the cost has shape {given.shape}; {model.n_pairs} pairs or "
+            f"{model.n_outcomes} outcomes are needed"
+        )
+    return found
+
+
+def _costs_by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
+    """Costs by pair or by outcome, [outcomes]; None if they are neither."""
+    if given.shape == (model.n_outcomes,):
+        return given
+    if given.shape == (model.n_pairs,):
+        return np.repeat(given, np.diff(model.outcome_offsets))
+    return None
+
+
+def _cost_numbers(cost: npt.ArrayLike) -> FloatArray:
+    """A copy as floats; complex numbers and texts, which numpy would convert, are refused."""
+    given = np.array(cost)
+    if given.dtype.kind not in "biufO":
+        raise TypeError(f"{given.dtype} is no type of real numbers")
+    return given.astype(np.float64)
+
+
+def conditions(
+    model: SSP, start: FloatArray, constraints: Mapping[str, Constraint]
+) -> tuple[Condition, ...]:
+    """Check constraints, and look up what they count.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        constraints: name -> constraint.
+
+    Raises:
+        ModelError: a name that is no text or is reserved, no constraint, an unknown state, action,
+            label or end, costs of the wrong shape or below 0, or a lower bound of costs or visits.
+    """
+    if not isinstance(constraints, Mapping):
+        raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
+    found = tuple(_looked_up_condition(model, start, name, c) for name, c in constraints.items())
+    named = [row.name for condition in found for row in condition.rows]
+    if len(set(named)) < len(named):
+        twice = next(name for name in named if named.count(name) > 1)
+        raise ModelError(f"two rows would be named {twice!r}: give one constraint another name")
+    return found
+
+
+def objective_of(
+    model: SSP, start: FloatArray, quantity: Quantity, *, signed: bool = False
+) -> Condition:
+    """Look up what a quantity that is to be minimised counts.
+
+    Args:
+        model: the model.
+        start: distribution over states, [states].
+        quantity: the quantity.
+        signed: whether costs and visits may be subtracted, as in an expression.
+
+    Raises:
+        ModelError: no quantity, an unknown state, action, label or end, costs of the wrong shape
+            or below 0, or costs or visits that would be maximised.
+    """
+    if not isinstance(quantity, Quantity):
+        raise ModelError(f"the objective must be a quantity, such as visits(...), not {quantity!r}")
+    found = _looked_up_terms(model, start, OBJECTIVE, Constraint(quantity))
+    if not signed:
+        found.minimised()
+    return found
+
+
+def arrival_measure(quantity: Quantity | None) -> ExpectedArrivalCost | None:
+    """The measure of a quantity that is made of arrival costs; None: it is not.
+
+    Raises:
+        ModelError: other quantities are added to it, or it is to be large.
+    """
+    terms = quantity.terms if isinstance(quantity, Quantity) else ()
+    costs = [(weight, counted) for weight, counted in terms if isinstance(counted, ArrivalCosts)]
+    if quantity is None or not costs:
+        return None
+    if len(costs) < len(terms) or min(weight for weight, _ in costs) < 0.0:
+        raise ModelError(
+            "an arrival cost goes with other arrival costs, at weights >= 0: limit what is counted "
+            "on the way"
+        )
+    constant = quantity.constant
+
+    def function(totals: FloatArray) -> FloatArray:
+        """The weighted sum of all of them."""
+        charges = [weight * np.asarray(counted.function(totals)) for weight, counted in costs]
+        return np.asarray(np.sum(charges, axis=0) + constant)
+
+    line = max(counted.affine_from for _, counted in costs)
+    return ExpectedArrivalCost(function, line)
+
+
+def _looked_up_condition(
+    model: SSP, start: FloatArray, name: str, constraint: Constraint
+) -> Condition:
+    """A constraint, checked and looked up in the model."""
+    if not isinstance(name, str) or not name:
+        raise ModelError(f"the name of a limit must be a word, not {name!r}")
+    if name in RESERVED:
+        raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
+    if not isinstance(constraint, Constraint):
+        raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
+    return _looked_up_terms(model, start, name, constraint)
+
+
+def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
+    """A constraint whose terms were looked up."""
+    quantity = constraint.quantity
+    terms = tuple(
+        (weight, _looked_up_term(model, name, c)) for weight, c in _merged_terms(quantity)
+    )
+    live = end_marks(model) < 0
+    begun = sum(
+        weight * float(start[term.states & live].sum())
+        for weight, term in terms
+        if isinstance(term, ArrivalTerm) and not term.final
+    )
+    stated = constraint.lower, constraint.upper
+    return Condition(name, model, terms, quantity.constant + begun, *stated)
+
+
+def _merged_terms(quantity: Quantity) -> list[tuple[float, Counted]]:
+    """The terms, those that count the same added up, without those that cancel."""
+    weights: dict[object, float] = {}
+    first: dict[object, Counted] = {}
+    for weight, counted in quantity.terms:
+        key: object = id(counted) if isinstance(counted, StageCosts) else counted
+        first.setdefault(key, counted)
+        weights[key] = weights.get(key, 0.0) + weight
+    return [(weight, first[key]) for key, weight in weights.items() if weight != 0.0]
+
+
+def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
+    """What one counted thing is in the model, looked up."""
+    match counted:
+        case StageCosts(cost):
+            if cost is None:
+                return StepTerm(model)
+            costs = outcome_costs(model, name, cost)
+            return StepTerm(replace(model, costs=costs, exact_costs={}))
+        case ArrivalCosts():
+            raise ModelError(
+                f"limit {name!r}: an arrival cost depends on the total of a whole run; it is "
+                "minimised given success (ratio = True), not limited"
+            )
+        case Visits(of):
+            return ArrivalTerm(model, _looked_up_states(model, name, of))
+        case Ends(ways, others):
+            return ArrivalTerm(model, _looked_up_ends(model, name, ways), final=True, others=others)
+
+
+def _looked_up_states(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
+    """States looked up by their own names or by that of a label, [states]."""
+    mask = np.zeros(model.n_states, dtype=np.bool_)
+    for one in of:
+        if isinstance(one, str) and one in model.state_labels:
+            mask[model.state_labels[one]] = True
+            continue
+        try:
+            mask[model.places_of(one)] = True
+        except ModelError as error:
+            names = chain(model.state_labels, model.states)
+            raise ModelError(
+                f"limit {name!r}: {one!r} is neither a state nor a label of states"
+                f"{did_you_mean(one, names)}"
+            ) from error
+    return mask
+
+
+def _looked_up_ends(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArray:
+    """States in which an episode ends in one of some ways, [states]."""
+    marks = end_marks(model)
+    named: list[Hashable] = ["goal", *model.state_labels, "dead_end"]
+    mask = np.zeros(model.n_states, dtype=np.bool_)
+    for way in ways:
+        if way in named:
+            mask |= marks == named.index(way)
+            continue
+        try:
+            states = model.places_of(way)
+        except ModelError as error:
+            known = ", ".join(repr(k) for k in named)
+            raise ModelError(
+                f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
+                f"{did_you_mean(way, chain(named, model.states))}"
+            ) from error
+        if states.size and (marks[states] < 0).all():  # a horizon may leave none
+            raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")
+        mask[states[marks[states] >= 0]] = True
+    return mask

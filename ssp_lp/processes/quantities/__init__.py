@@ -1,1 +1,0 @@
-"""Quantities of an occupation measure, constraints on them, and the rows that these become."""
