@@ -35,7 +35,7 @@ SHOWN = {
     "docs/guides/own_memory.md": 1,
     "docs/guides/own_simulator.md": 0,
     "docs/models.md": 3,
-    "docs/program.md": 14,
+    "docs/program.md": 15,
     "docs/solving.md": 2,
     "docs/tutorial.md": 6,
 }

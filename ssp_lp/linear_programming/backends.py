@@ -6,6 +6,7 @@ import pickle
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import suppress
 from tempfile import TemporaryFile
 from typing import Any, BinaryIO
@@ -13,8 +14,8 @@ from typing import Any, BinaryIO
 import numpy as np
 import scipy.sparse as sp
 
-from ssp_lp.arrays import RESIDUAL
-from ssp_lp.compiled.deadline import Stop, check_time, is_late
+from ssp_lp.arrays import RESIDUAL, BoolArray
+from ssp_lp.compiled.deadline import Stop, check_time, is_late, until
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.linear_program import (
     LinearProgram,
@@ -24,6 +25,7 @@ from ssp_lp.linear_programming.linear_program import (
 )
 from ssp_lp.options import BACKENDS
 
+_SIMPLEX = (None, "highs", "highs-simplex")  # what may begin at a basis
 _SIMPLEX_COLUMNS = 3_000  # above: IPX wins by far on these programs
 _SIMPLEX_AT_LAST = 50_000  # columns up to which simplex is tried where interior points fail
 _LOOK = 0.05  # seconds between two looks at the time while a solver works
@@ -97,7 +99,42 @@ def first_accepted(
     raise SolverError(f"no LP backend's answer passes its check ({failures}); {_REMEDY}")
 
 
-def run_backend(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
+def answers_in_turn(
+    program: LinearProgram, backend: str | None, time_limit: float, basis: BoolArray | None
+) -> Iterator[LPAnswer]:
+    """What one backend after another says, unchecked; nan where the time ended before.
+
+    Args:
+        program: the program.
+        backend: one of BACKENDS; None: the one for the program's size.
+        time_limit: seconds, for all of them.
+        basis: of an answer to another program; where that has as many columns and rows, HiGHS's
+            simplex begins there, if no other backend is asked for, and the others come after it.
+
+    Raises:
+        ModelError: an unknown backend.
+        SolverError: as of a backend.
+    """
+    deadline = time.perf_counter() + time_limit
+    attempts: list[tuple[str, BoolArray | None]]
+    attempts = [(name, None) for name in backends_for(program, backend)]
+    if basis is not None and backend in _SIMPLEX and basis.size == sum(program.matrix.shape):
+        attempts.insert(0, ("highs-simplex", basis))
+    for name, begun in attempts:
+        try:
+            with until(deadline):
+                check_time()
+                answer = run_backend(program, name, deadline - time.perf_counter(), begun)
+        except Stop:
+            dual, x = (np.full(size, np.nan) for size in program.matrix.shape)
+            yield LPAnswer(name, x, dual, f"no answer within {time_limit:g} s", time_limit)
+            return
+        yield answer
+
+
+def run_backend(
+    program: LinearProgram, backend: str, time_limit: float, basis: BoolArray | None = None
+) -> LPAnswer:
     """One backend's answer, unchecked.
 
     The call ends with the deadline of what it is part of, or with Ctrl-C, whatever the solver hears
@@ -107,16 +144,17 @@ def run_backend(program: LinearProgram, backend: str, time_limit: float) -> LPAn
         program: the program.
         backend: "highs-simplex", "highs-ipx", "clarabel" or "cvxpy".
         time_limit: seconds, for the solver.
+        basis: where HiGHS's simplex begins.
 
     Raises:
         SolverError: as of the backend.
         Stop: the deadline has passed, with its grace.
     """
     if program.matrix.nnz < _LARGE or not sys.executable:
-        return _backend_answer(program, backend, time_limit)
+        return _backend_answer(program, backend, time_limit, basis)
     told: bytes | None = None
     with TemporaryFile() as asked:
-        for part in (sys.path, (program, backend, time_limit)):
+        for part in (sys.path, (program, backend, time_limit, basis)):
             pickle.dump(part, asked)
         asked.seek(0)
         with subprocess.Popen(  # noqa: S603 (this very interpreter)
@@ -154,7 +192,9 @@ def serve_backend(asked: BinaryIO, told: BinaryIO) -> None:
     pickle.dump(answer, told)
 
 
-def _backend_answer(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
+def _backend_answer(
+    program: LinearProgram, backend: str, time_limit: float, basis: BoolArray | None
+) -> LPAnswer:
     """What a backend says."""
     if backend == "clarabel":  # each solver is imported only when it is asked for
         return solve_with_clarabel(program, time_limit)
@@ -162,7 +202,7 @@ def _backend_answer(program: LinearProgram, backend: str, time_limit: float) -> 
         return solve_with_cvxpy(program, time_limit)
     from ssp_lp.linear_programming.highs import solve_with_highs
 
-    return solve_with_highs(program, backend, time_limit)
+    return solve_with_highs(program, backend, time_limit, basis)
 
 
 def solve_with_clarabel(program: LinearProgram, time_limit: float) -> LPAnswer:

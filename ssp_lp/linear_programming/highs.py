@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 import highspy
 import numpy as np
 
-from ssp_lp.arrays import FloatArray
+from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 
@@ -30,12 +30,15 @@ _DOUBTED = (
     highspy.HighsModelStatus.kUnknown,
     highspy.HighsModelStatus.kInfeasible,
 )
+_BASIC, _NONBASIC = highspy.HighsBasisStatus.kBasic, highspy.HighsBasisStatus.kNonbasic
 _BROKEN = 1e-6  # violation of a row of an answer that is called optimal
 _NUMBERED = "x"  # before a column's number, with which its name begins
 ENDINGS = (".mps", ".lp", ".mps.gz", ".lp.gz")
 
 
-def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) -> LPAnswer:
+def solve_with_highs(
+    program: LinearProgram, backend: str, time_limit: float, basis: BoolArray | None = None
+) -> LPAnswer:
     """Solve with HiGHS' dual simplex or its interior point IPX (with crossover).
 
     IPX ignores the time limit. The name ``ipm`` is avoided: it means another solver where
@@ -44,19 +47,23 @@ def solve_with_highs(program: LinearProgram, backend: str, time_limit: float) ->
     Args:
         backend: "highs-simplex" or "highs-ipx".
         time_limit: seconds.
+        basis: where the simplex begins, as the answer to a program of this shape has it. It may
+            stop before the optimum, where beginning anew is as fast.
 
     Raises:
         SolverError: HiGHS refuses an option or the model.
     """
     began = time.perf_counter()
-    solver = _solved_by_highs(program, _highs_options(backend, time_limit))
-    solution = solver.getSolution()
+    solver = _solved_by_highs(program, _highs_options(backend, time_limit), basis)
+    solution, last = solver.getSolution(), solver.getBasis()
+    statuses = [*last.col_status, *last.row_status] if last.valid else []
     return LPAnswer(
         backend=backend,
         x=np.asarray(solution.col_value, dtype=np.float64),
         dual=np.asarray(solution.row_dual, dtype=np.float64),
         status=solver.modelStatusToString(solver.getModelStatus()),
         seconds=time.perf_counter() - began,
+        basis=np.array([each == _BASIC for each in statuses]) if statuses else None,
     )
 
 
@@ -78,18 +85,28 @@ def bound_ranges(program: LinearProgram, rows: Iterable[str]) -> dict[str, tuple
     found = {}
     for name in rows:
         row = program.rows[name].start
-        if basis[row] == highspy.HighsBasisStatus.kBasic:  # not met with equality
+        if basis[row] == _BASIC:  # not met with equality
             found[name] = activity[row], np.inf
         else:
             found[name] = ranging.row_bound_dn.value_[row], ranging.row_bound_up.value_[row]
     return found
 
 
-def _solved_by_highs(program: LinearProgram, options: HighsOptions) -> highspy.Highs:
-    """HiGHS, having solved a program."""
+def _solved_by_highs(
+    program: LinearProgram, options: HighsOptions, basis: BoolArray | None = None
+) -> highspy.Highs:
+    """HiGHS, having solved a program; from a basis, of which steps may exchange half."""
     solver = highs_solver(highs_lp(program), options)
+    if basis is not None:
+        solver.setOptionValue("simplex_iteration_limit", max(len(program.lower) // 2, 1_000))
+        begun = highspy.HighsBasis()
+        statuses = [_BASIC if each else _NONBASIC for each in basis.tolist()]
+        n_columns = program.matrix.shape[1]
+        begun.col_status, begun.row_status = statuses[:n_columns], statuses[n_columns:]
+        begun.valid, begun.alien = True, False
+        solver.setBasis(begun)  # one that it refuses is none
     run_highs(solver)
-    if _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
+    if basis is None and _is_doubtful(solver):  # HiGHS 1.15 with presolve says so of sound programs
         solver.setOptionValue("presolve", "off")
         solver.clearSolver()
         solver.run()

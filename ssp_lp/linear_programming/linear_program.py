@@ -37,6 +37,7 @@ class LPAnswer:
     dual: FloatArray  # [rows]
     status: str
     seconds: float
+    basis: BoolArray | None = None  # [columns + rows] those that are basic; None: not a vertex
 
 
 class MeasuredRow(NamedTuple):

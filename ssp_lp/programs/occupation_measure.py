@@ -69,6 +69,7 @@ class OccupationMeasure:
     reduced: OccupationMeasure | None = None  # where it was found on the reduced program
     own: tuple[MeasuredRow, ...] = ()  # rows that were added
     minimised: float | None = None  # the objective, where that was changed
+    basis: BoolArray | None = None  # of a vertex: [columns + rows] of what was solved
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "prices", ByName(self.prices))

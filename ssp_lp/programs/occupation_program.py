@@ -9,7 +9,6 @@ JS3P_def; mathematics, section 3).
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -20,9 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ssp_lp.arrays import BELOW_RATIO, FloatArray
-from ssp_lp.compiled.deadline import Stop, check_time, until
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
-from ssp_lp.linear_programming.backends import backends_for, run_backend
+from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
 from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
 from ssp_lp.model.arguments import explained
@@ -36,11 +34,7 @@ from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_d
 from ssp_lp.processes.quantities import Quantity, objective_of
 from ssp_lp.processes.quotient import Spread, spread_out
 from ssp_lp.programs.augmented import START, STAY, Augmented, ColumnLabel, LabelledModel
-from ssp_lp.programs.occupation_measure import (
-    OccupationMeasure,
-    StateValues,
-    balanced_visits,
-)
+from ssp_lp.programs.occupation_measure import OccupationMeasure, StateValues, balanced_visits
 from ssp_lp.programs.program_rows import ProgramRow, rows_program
 
 if TYPE_CHECKING:
@@ -289,12 +283,20 @@ class OccupationProgram:
         raise ModelError(f"no row is named {name!r}; there are {known}")
 
     @explained
-    def solve(self, backend: str | None = None, *, time_limit: float = np.inf) -> OccupationMeasure:
+    def solve(
+        self,
+        backend: str | None = None,
+        *,
+        time_limit: float = np.inf,
+        warm_start: OccupationMeasure | None = None,
+    ) -> OccupationMeasure:
         """Solve the program and recompute what the solver says.
 
         Args:
             backend: "highs", "highs-simplex", "highs-ipx", "clarabel" or "cvxpy"; None: by size.
             time_limit: seconds.
+            warm_start: the optimum at other bounds, costs or starts, from which HiGHS's simplex
+                goes on where columns and rows are as many as there; others begin anew.
 
         Raises:
             ModelError: an unknown backend.
@@ -302,18 +304,13 @@ class OccupationProgram:
             SolverError: no backend's answer has a small residual and a small proved gap.
         """
         if self.reduced is not None:
-            found = self.reduced.program.solve(backend, time_limit=time_limit)
+            inner = self.reduced.program
+            found = inner.solve(backend, time_limit=time_limit, warm_start=warm_start)
             return self.reduced.lifted(self, found)
-        tried, deadline, infeasible = [], time.perf_counter() + time_limit, False
-        for name in backends_for(self.linear, backend):
-            try:
-                with until(deadline):
-                    check_time()
-                    answer = run_backend(self.linear, name, deadline - time.perf_counter())
-            except Stop:
-                tried.append(f"{name}: no answer within {time_limit:g} s")
-                break
-            told = f"{name}: {answer.status}"
+        tried, infeasible = list[str](), False
+        basis = None if warm_start is None else warm_start.basis
+        for answer in answers_in_turn(self.linear, backend, time_limit, basis):
+            told = f"{answer.backend}: {answer.status}"
             refused = "infeasible" in answer.status.lower()
             infeasible = infeasible or refused
             has_scale = not self.ratio or answer.x[-1] > 0.0  # to divide visits by
@@ -389,7 +386,8 @@ class OccupationProgram:
         ratio = float(dual[program.rows["normaliser"]][0]) if self.ratio else 0.0
         visits = answer.x[: self.process.n_pairs] / scale
         told = answer.backend, answer.status, answer.seconds
-        return self.optimal(OccupationMeasure(self, visits, prices, None, *told), ratio)
+        found = OccupationMeasure(self, visits, prices, None, *told, basis=answer.basis)
+        return self.optimal(found, ratio)
 
     def optimal(self, found: OccupationMeasure, ratio: float) -> OccupationMeasure:
         """A solver's optimum of the program as it is stated, with what its duals prove.
