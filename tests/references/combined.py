@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import linprog
 from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 
 Number = int | Fraction
 
@@ -238,23 +239,31 @@ def wandering(
     taken: list[dict[str, float]],
     counted: set[str],
 ) -> set[int]:
-    """Places in which one may stay for ever by steps that add nothing to what is counted."""
+    """Places to which one may come back for ever by steps that add nothing to what is counted.
+
+    A place from which such steps only lead there is none: who goes there is seen on the way.
+    """
     reached: dict[int, set[int]] = {}
     home: dict[int, int] = {}
     for row, column in zip(rows, columns, strict=True):  # a column's first row is its own
         home.setdefault(column, row)
         reached.setdefault(column, set()).add(row)
+    inside = set(everywhere)
     free = [
         column
         for column in reached
-        if not any(taken[column][part] for part in (*counted, "goal", "failure"))
+        if reached[column] <= inside
+        and not any(taken[column][part] for part in (*counted, "goal", "failure"))
     ]
-    found = set(everywhere)
     while True:
-        kept = {home[column] for column in free if reached[column] <= found}
-        if kept == found:
-            return found
-        found = kept
+        steps = [(home[column], row) for column in free for row in reached[column]]
+        ends = np.array(steps, dtype=int).reshape(-1, 2).T
+        graph = csr_array((np.ones(len(steps)), ends), shape=2 * (max(home.values()) + 1,))
+        _, part_of = connected_components(graph, connection="strong")
+        kept = [c for c in free if len({part_of[row] for row in reached[c]}) == 1]
+        if len(kept) == len(free):
+            return {home[column] for column in free}
+        free = kept
 
 
 def charged(written: Program, charge: Callable[[Number], float]) -> np.ndarray:
