@@ -38,6 +38,13 @@ _STALLED = 1e-8
 _ACCURACY = 1e-13  # relative, of the tails' values
 _DEAREST = 1e100  # a price of J_cond at which nothing else counts
 
+_FIRST_HORIZON = 32
+_SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
+_MOST_TIMED_ENTRIES = 100_000_000
+"""Largest table of decisions, nodes x layers x time."""
+
+_SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
+
 
 @dataclass(frozen=True, eq=False)
 class LayeredStrategy:
@@ -263,14 +270,6 @@ def followed_tails(
         priced = quotient.at_pairs(cost_means(quotient.model, weight))
         cost[k] = chain.solve(priced[choice])
     return early, cost
-
-
-_FIRST_HORIZON = 32
-_SLOW = 0.9  # of the gap: a longer horizon that leaves more of it is not what was missing
-_MOST_TIMED_ENTRIES = 100_000_000
-"""Largest table of decisions, nodes x layers x time."""
-
-_SMALLEST_ERROR = 1e-13  # relative, of a sum of many products
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,16 @@ from ssp_lp.processes.failure_semantics import (
 from ssp_lp.processes.quotient import Quotient, build_quotient
 from ssp_lp.processes.rows import cost_means, costless_pairs, successor_means
 
+_FIRST_HORIZON = 32
+_MOST_STEPS = 100_000
+_MOST_ENTRIES = 100_000_000
+"""Largest table of decisions, nodes x time."""
+
+_GAIN = 1e-12  # relative improvement below which a pair is kept
+_ACCURACY = 1e-13
+_ROUGH = 1e-6
+"""Accuracy of a bound that only counts as far as a run lasts until the horizon."""
+
 
 @dataclass(frozen=True, eq=False)
 class LabelModels:
@@ -169,17 +179,6 @@ class LabelPlayer:
         found: Iterated = response.strategy
         quotient = self.models.quotient
         return DeterministicPolicy(quotient.model, quotient.pull_back(found.choice))
-
-
-_FIRST_HORIZON = 32
-_MOST_STEPS = 100_000
-_MOST_ENTRIES = 100_000_000
-"""Largest table of decisions, nodes x time."""
-
-_GAIN = 1e-12  # relative improvement below which a pair is kept
-_ACCURACY = 1e-13
-_ROUGH = 1e-6
-"""Accuracy of a bound that only counts as far as a run lasts until the horizon."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,16 @@ from ssp_lp.problem import Problem, unrolled
 from ssp_lp.processes.failure_semantics import start_distribution
 from ssp_lp.processes.goal_reach import max_goal_probability
 
+_MOST_STEPS = 100
+_MARGINS = (0.25, 4.0, 64.0, 1024.0)
+"""Multiples of the tolerance by which a bound of the least ratio is put below it."""
+
+_ROUNDED_SUCCESS = 1e-12
+"""Success up to which it is rounding, where it is what J_cond leaves over."""
+
+_TIGHT, _LESS_TIGHT = 1e-12, 1e-10
+"""Accuracy of value functions; that of case S only settles how many layers there are."""
+
 
 def checked_setting(problem: Problem) -> tuple[float, float]:
     """The failure budget and the discount.
@@ -110,14 +120,6 @@ def construct(problem: Problem) -> LabelModels | AccumulatedCost:
     check_reachable(problem)
     by_steps = resolution_of_costs(problem.model) is not None
     return accumulate_cost(problem.model, start, discount, by_steps=by_steps)
-
-
-_MOST_STEPS = 100
-_MARGINS = (0.25, 4.0, 64.0, 1024.0)
-"""Multiples of the tolerance by which a bound of the least ratio is put below it."""
-
-_ROUNDED_SUCCESS = 1e-12
-"""Success up to which it is rounding, where it is what J_cond leaves over."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,10 +281,6 @@ def _is_hopeful_response(response: BestResponse) -> bool:
 def _ratio_at_optimum(response: BestResponse) -> float:
     """The cost given success of a response."""
     return response.objective / response.success
-
-
-_TIGHT, _LESS_TIGHT = 1e-12, 1e-10
-"""Accuracy of value functions; that of case S only settles how many layers there are."""
 
 
 def stationary_player(problem: Problem) -> LabelPlayer | CostPlayer:
