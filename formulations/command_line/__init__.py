@@ -52,12 +52,10 @@ def _run_command(asked: Namespace) -> int:
         sys.stdout.flush()
     except BrokenPipeError:
         raise
-    except InfeasibleError as error:
-        return _tell(with_options(error), INFEASIBLE)
-    except (SolverError, MissingDependencyError) as error:
-        return _tell(with_options(error), FAILED)
     except SSPError as error:
-        return _tell(with_options(error), WRONG_INPUT)
+        failed = FAILED if isinstance(error, (SolverError, MissingDependencyError)) else WRONG_INPUT
+        code = INFEASIBLE if isinstance(error, InfeasibleError) else failed
+        return _tell(with_options(error), code)
     except OSError as error:
         told = f"{error.filename}: {error.strerror}" if error.filename else str(error)
         return _tell(told, WRONG_INPUT)

@@ -10,53 +10,24 @@ import sys
 from argparse import Namespace
 from ast import literal_eval
 from collections.abc import Callable, Hashable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, fields
 from functools import cache
 from itertools import zip_longest
+from operator import eq, ge, le
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import formulations
+import ssp_lp
 from formulations.command_line.arguments import CRITERIA, PARAMETERS, SEVERAL, option
 from formulations.comparison import compare_criteria
 from formulations.maxprob import MaxProb
 from formulations.mcmp import MCMP
-from ssp_lp import (
-    GIVE_UP,
-    SSP,
-    Constraint,
-    DeterministicPolicy,
-    ModelError,
-    Quantity,
-    Solution,
-    SSPError,
-    end_probability,
-    expected_cost,
-    failure_probability,
-    goal_probability,
-    secondary_cost,
-    simulate,
-    solve,
-    success_costs,
-    trace_frontier,
-    visits,
-    within_steps,
-)
+from ssp_lp import SSP, ModelError, Solution, io
 from ssp_lp.analysis.simulation import Estimate
 from ssp_lp.errors import Argument, check_whole, optional_module
 from ssp_lp.formulation import Problem, attention_labels, dead_end_labels
-from ssp_lp.io import (
-    from_gymnasium,
-    load_policy,
-    policy_table,
-    read_any,
-    rollout,
-    save_policy,
-    write_any,
-    write_controller,
-    write_dot,
-    write_scheduler,
-)
 from ssp_lp.io.model_files.json_model import model_in_json, parse_json
 from ssp_lp.methods.program import program_of
 from ssp_lp.model.naming import text_table
@@ -110,7 +81,7 @@ class CommandModel:
         if self.horizon is None:
             return self.model, self.stated_start
         begin = self.start if isinstance(self.start, Mapping) else {self.start: 1.0}
-        counting = within_steps(self.model, self.horizon, start=begin)
+        counting = ssp_lp.within_steps(self.model, self.horizon, start=begin)
         return counting, counting.start(begin)
 
     def model_with_cost(self, name: str) -> SSP:
@@ -135,7 +106,7 @@ def command_model(asked: Namespace) -> CommandModel:
     if asked.model == "-":
         stated = parse_json(_model_from_standard_input(), "standard input", asked.goal, asked.cost)
     else:
-        stated = read_any(asked.model, asked.goal, asked.cost, asked.constants)
+        stated = io.read_any(asked.model, asked.goal, asked.cost, asked.constants)
     model, start = stated
     if asked.start is not None:
         start = state_named(model, asked.start)
@@ -158,7 +129,7 @@ def _model_of_environment(asked: Namespace) -> CommandModel:
     except (gymnasium.error.Error, TypeError, KeyError, ModuleNotFoundError) as error:
         raise ModelError(f"Gymnasium makes no environment of {asked.model!r}: {error}") from error
     goals = set(asked.goal)
-    world = from_gymnasium(
+    world = io.from_gymnasium(
         environment,
         goal=(lambda state: str(state) in goals) if goals else None,
         cost=asked.cost or "step",
@@ -172,10 +143,8 @@ def _model_of_environment(asked: Namespace) -> CommandModel:
 def _value_for_model(word: str) -> Any:
     """A word as what it means in Python or JSON: a number, a tuple, true; else itself."""
     for read in (literal_eval, json.loads):
-        try:
+        with suppress(ValueError, SyntaxError):
             return read(word)
-        except (ValueError, SyntaxError):
-            continue
     return word
 
 
@@ -186,8 +155,13 @@ def state_named(model: SSP, word: str) -> Hashable:
 
 _LIMIT = re.compile(r"(?P<words>.*?)\s*(?P<sign><=|>=|==)\s*(?P<bound>\S+)")
 _TERM = re.compile(r"(?:(?P<factor>[^\s*]+)\s*\*\s*)?(?P<word>[^\s(]+)(?:\((?P<of>.*)\))?")
-_PLAIN = {"cost": expected_cost, "goal": goal_probability, "failure": failure_probability}
-_OF_STATES = {"visits": visits, "end": end_probability}
+_PLAIN = {
+    "cost": ssp_lp.expected_cost,
+    "goal": ssp_lp.goal_probability,
+    "failure": ssp_lp.failure_probability,
+}
+_OF_STATES = {"visits": ssp_lp.visits, "end": ssp_lp.end_probability}
+_SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==": eq}
 
 
 def problem_of(asked: Namespace, of: CommandModel) -> Problem:
@@ -208,17 +182,15 @@ def problem_of(asked: Namespace, of: CommandModel) -> Problem:
             raise ModelError(f"{asked.criterion} needs {option(name)}: {PARAMETERS[name].help}")
     if "quantity" in given:
         given["quantity"] = _problem_quantity(given["quantity"], of)
-    limits: dict[str, Constraint] = {}
+    limits: dict[str, ssp_lp.Constraint] = {}
     for words in asked.limit:
         name, constraint = _problem_limit(words, of)
         limits[words if name in {"failure", *limits} else name] = constraint
-    problem: Problem = criterion(
-        of.model, of.start, **given, constraints=limits, horizon=of.horizon
-    )
-    return problem
+    asked_for = {**given, "constraints": limits, "horizon": of.horizon}
+    return cast("Problem", criterion(of.model, of.start, **asked_for))
 
 
-def _problem_limit(words: str, of: CommandModel) -> tuple[str, Constraint]:
+def _problem_limit(words: str, of: CommandModel) -> tuple[str, ssp_lp.Constraint]:
     """A limit and its name, the words of its quantity.
 
     Raises:
@@ -228,12 +200,10 @@ def _problem_limit(words: str, of: CommandModel) -> tuple[str, Constraint]:
     if found is None:
         raise ModelError(f'a limit is a quantity, <=, >= or ==, and a number, not "{words}"')
     measured, bound = _problem_quantity(found["words"], of), _problem_number(found["bound"], words)
-    if found["sign"] == "<=":
-        return found["words"], measured <= bound
-    return found["words"], measured >= bound if found["sign"] == ">=" else measured == bound
+    return found["words"], _SIGNS[found["sign"]](measured, bound)
 
 
-def _problem_quantity(words: str, of: CommandModel) -> Quantity:
+def _problem_quantity(words: str, of: CommandModel) -> ssp_lp.Quantity:
     """A sum of quantities, " + " between them.
 
     Raises:
@@ -243,7 +213,7 @@ def _problem_quantity(words: str, of: CommandModel) -> Quantity:
     return sum(terms[1:], start=terms[0])
 
 
-def _problem_term(words: str, whole: str, of: CommandModel) -> Quantity:
+def _problem_term(words: str, whole: str, of: CommandModel) -> ssp_lp.Quantity:
     """A term of the sum of quantities that the command's problem limits."""
     found = _TERM.fullmatch(words)
     if found is None:
@@ -255,10 +225,9 @@ def _problem_term(words: str, whole: str, of: CommandModel) -> Quantity:
     elif word in _PLAIN:
         measured = _PLAIN[word]()
     else:
-        measured = secondary_cost(of.model_with_cost(word).costs)
-    return (
-        measured if found["factor"] is None else _problem_number(found["factor"], whole) * measured
-    )
+        measured = ssp_lp.secondary_cost(of.model_with_cost(word).costs)
+    factor = found["factor"]
+    return measured if factor is None else _problem_number(factor, whole) * measured
 
 
 def _problem_number(word: str, whole: str) -> float:
@@ -283,7 +252,7 @@ def _finite_answer(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def with_options(error: SSPError) -> str:
+def with_options(error: ssp_lp.SSPError) -> str:
     """An error's message, in which options of the command line stand for Python's arguments."""
     parts = (option(*part) if isinstance(part, Argument) else str(part) for part in error.args)
     return "".join(parts)
@@ -328,16 +297,16 @@ def _write_answer_table(solution: Solution, of: CommandModel, path: str) -> None
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(("state", "memory", "action", "probability", "member"))
-        rows.writerows(policy_table(solution.policy))
+        rows.writerows(io.policy_table(solution.policy))
 
 
 _WRITERS: dict[str, PolicyWriter] = {
-    ".storm.json": lambda solution, of, path: write_scheduler(
+    ".storm.json": lambda solution, of, path: io.write_scheduler(
         solution.randomised_policy, path, start=of.only_start
     ),
-    ".npz": lambda solution, of, path: save_policy(solution.policy, path),
-    ".json": lambda solution, of, path: write_controller(solution.policy, path),
-    ".dot": lambda solution, of, path: write_dot(solution.policy, path, of.start),
+    ".npz": lambda solution, of, path: io.save_policy(solution.policy, path),
+    ".json": lambda solution, of, path: io.write_controller(solution.policy, path),
+    ".dot": lambda solution, of, path: io.write_dot(solution.policy, path, of.start),
     ".csv": _write_answer_table,
 }
 
@@ -348,12 +317,12 @@ def _solve_command(asked: Namespace) -> Iterable[str]:
     found = command_model(asked)
     tolerance = {} if asked.tolerance is None else {"tolerance": asked.tolerance}
     problem = problem_of(asked, found)
-    solution = solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
+    solution = ssp_lp.solve(problem, asked.method, time_limit=asked.time_limit, **tolerance)
     if write is not None:
         write(solution, found, asked.policy_out)
     if figure is not None:
         level = {"level": asked.level} if "level" in asked else {}
-        plot_cost_law(success_costs(solution.policy, problem), ax=figure.subplots(), **level)
+        plot_cost_law(ssp_lp.success_costs(solution.policy, problem), ax=figure.subplots(), **level)
         figure.savefig(asked.plot)
     return json_answer(_told_by_command(solution)) if asked.json else [solution.summary()]
 
@@ -383,14 +352,10 @@ def _told_by_command(solution: Solution) -> dict[str, Any]:
 def _decisions(policy: Policy) -> dict[str, Any]:
     """The decisions that a command prints, by state; of a policy with memory what it is."""
     inner = getattr(policy, "inner", policy)
-    if not isinstance(inner, DeterministicPolicy):
+    if not isinstance(inner, ssp_lp.DeterministicPolicy):
         return {"kind": repr(policy)}
-    return {
-        "actions": {
-            str(state): "give up" if action is GIVE_UP else str(action)
-            for state, action in inner.actions().items()
-        }
-    }
+    actions = inner.actions().items()
+    return {"actions": {str(s): "give up" if a is ssp_lp.GIVE_UP else str(a) for s, a in actions}}
 
 
 _POINT = ("failure", "goal", "cost", "objective", "price")
@@ -401,7 +366,7 @@ def _frontier_command(asked: Namespace) -> Iterable[str]:
     figure = figure_for(asked.plot)
     gap = {} if asked.gap is None else {"gap": asked.gap}
     problem = problem_of(asked, command_model(asked))
-    traced = trace_frontier(
+    traced = ssp_lp.trace_frontier(
         problem, point_limit=asked.point_limit, time_limit=asked.time_limit, **gap
     )
     if figure is not None:
@@ -432,7 +397,7 @@ def _info_command(asked: Namespace) -> Iterable[str]:
         "attention states": len(attention_labels(model)),
     }
     if start is not None:
-        facts["least failure"] = solve(MaxProb(model, start)).failure_probability
+        facts["least failure"] = ssp_lp.solve(MaxProb(model, start)).failure_probability
     if asked.json:
         return json_answer(facts)
     return [f"{name:<17} {value:,}" for name, value in facts.items()]
@@ -443,15 +408,15 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
     check_whole("seed", asked.seed, 0)
     found = command_model(asked)
     problem = MCMP(found.model, found.start, failure_budget=1.0, horizon=found.horizon)
-    policy = load_policy(asked.policy, problem.unrolled.model, check=asked.check)
+    policy = io.load_policy(asked.policy, problem.unrolled.model, check=asked.check)
     settings = {name: getattr(asked, name) for name in ("episodes", "max_steps", "confidence")}
     names = {"failure_probability": "failure_probability", "conditional_cost": "cost_given_success"}
     report: Any
     if found.environment is not None:
-        report = rollout(found.environment, policy, seed=asked.seed, **settings)
+        report = io.rollout(found.environment, policy, seed=asked.seed, **settings)
         ends = {name: getattr(report, name) for name in ("goal", "failed", "gave_up", "truncated")}
     else:
-        report = simulate(policy, problem, rng=asked.seed, **settings)
+        report = ssp_lp.simulate(policy, problem, rng=asked.seed, **settings)
         ends, names = report.ends, names | {"expected_cost": "cost_until_failure"}
     names |= {"mean_steps": "mean_steps", "note": "note"}
     numbers = {name: getattr(report, of, "") for of, name in names.items()}
@@ -479,7 +444,7 @@ def _convert_command(asked: Namespace) -> Iterable[str]:
     model, start = found.written_out
     if asked.target == "-":
         return ["".join(model_in_json(model, start)).rstrip()]
-    write_any(model, asked.target, start)
+    io.write_any(model, asked.target, start)
     return []
 
 
@@ -497,13 +462,9 @@ def _compare_command(asked: Namespace) -> Iterable[str]:
     compared = compare_criteria(found.model, found.start, horizon=found.horizon, **several)
     if not asked.json:
         return [compared.summary()]
-    return json_answer(
-        [
-            {"criterion": row.criterion, **dict(zip(_COLUMNS, row.numbers, strict=True)),
-             "note": row.note}
-            for row in compared.rows
-        ]
-    )  # fmt: skip
+    head = ("criterion", *_COLUMNS, "note")
+    rows = ((row.criterion, *row.numbers, row.note) for row in compared.rows)
+    return json_answer([dict(zip(head, row, strict=True)) for row in rows])
 
 
 def _program_command(asked: Namespace) -> Iterable[str]:

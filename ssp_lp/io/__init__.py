@@ -2,6 +2,7 @@
 
 from ssp_lp.io.any_format import read_any as read_any, write_any as write_any
 from ssp_lp.io.archives import (
+    fingerprint as fingerprint,
     load_model as load_model,
     load_policy as load_policy,
     load_solution as load_solution,
@@ -10,7 +11,6 @@ from ssp_lp.io.archives import (
     save_solution as save_solution,
 )
 from ssp_lp.io.controller import Controller as Controller
-from ssp_lp.io.controller_files import write_controller as write_controller
 from ssp_lp.io.gymnasium_worlds import (
     GymnasiumWorld as GymnasiumWorld,
     RolloutReport as RolloutReport,
@@ -26,13 +26,14 @@ from ssp_lp.io.model_files.explicit_files import (
     write_prism as write_prism,
 )
 from ssp_lp.io.model_files.raw_model import ModelFile as ModelFile
-from ssp_lp.io.model_fingerprint import fingerprint as fingerprint
-from ssp_lp.io.policy_chains import (
+from ssp_lp.io.policy_exports import (
     induced_chain as induced_chain,
+    policy_table as policy_table,
+    to_frame as to_frame,
+    write_controller as write_controller,
     write_dot as write_dot,
     write_scheduler as write_scheduler,
 )
-from ssp_lp.io.policy_tables import policy_table as policy_table, to_frame as to_frame
 from ssp_lp.io.storm_models import (
     from_stormpy as from_stormpy,
     read_with_storm as read_with_storm,

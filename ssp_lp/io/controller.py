@@ -38,10 +38,10 @@ from bisect import bisect_left
 from collections.abc import Hashable
 from contextlib import suppress
 from hashlib import sha256
-from math import ceil, inf, isclose, isfinite
+from math import ceil, isclose, isfinite
 from numbers import Integral, Real
 from os import PathLike
-from typing import Any
+from typing import Any, cast
 
 GIVE_UP = "give up"
 """Answered instead of an action where the policy gives up."""
@@ -198,8 +198,7 @@ def _controller_label(value: Any) -> Hashable:
     """A label from its JSON value: lists are tuples."""
     if isinstance(value, list):
         return tuple(_controller_label(part) for part in value)
-    found: Hashable = value
-    return found
+    return cast("Hashable", value)
 
 
 def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
@@ -208,10 +207,8 @@ def _controller_start(memory: dict[str, Any] | None, state: int) -> Any:
         return 0
     if "place" in memory:
         number = memory.get("start", 0)
-        return [
-            number,
-            _controller_start(memory["inner"], _controller_place(memory, number, state)),
-        ]
+        place = _controller_place(memory, number, state)
+        return [number, _controller_start(memory["inner"], place)]
     return 0 if memory["levels"] is not None else _controller_layer(memory, 0, state)
 
 
@@ -242,10 +239,8 @@ def _controller_after(
     if "place" in memory:
         number, inner = value
         then = _counted_by_controller(memory, number, step, cost)
-        place, there = (
-            _controller_place(memory, number, state),
-            _controller_place(memory, then, successor),
-        )
+        places = zip((number, then), (state, successor), strict=True)
+        place, there = (_controller_place(memory, *one) for one in places)
         return [then, _controller_after(memory["inner"], inner, (place, action, there), cost)]
     number = value
     if not memory["acting"][successor] or number >= memory["cap"]:
@@ -256,11 +251,8 @@ def _controller_after(
         total = levels[number] + cost
         above = min(max(bisect_left(levels, total), 1), cap)
         nearer_below = total - levels[above - 1] <= levels[above] - total
-        level: int = above - 1 if nearer_below else above
-        if level < cap:
-            return level
-        threshold, last = memory["threshold"][successor], int(memory["tails"]) - 1
-        return int(cap) + (last if total >= (inf if threshold is None else threshold) else 0)
+        level = above - 1 if nearer_below else above
+        return level if level < cap else _controller_tail(memory, total, successor)
     paid = cost / memory["unit"]
     if memory["rounds_up"]:
         passed = ceil(min(paid, _FAR) * (1.0 - _SAME_TOTAL))
@@ -276,9 +268,8 @@ def _counted_by_controller(
 ) -> int:
     """The number of a controller's memory after a step."""
     if memory["kind"] == "steps":
-        steps: int = memory["steps"]
-        late = memory["acting"][step[2]] and number + 1 >= steps
-        return steps + 1 if late else number + 1
+        late = memory["acting"][step[2]] and number + 1 >= memory["steps"]
+        return int(memory["steps"] + 1) if late else number + 1
     if "table" not in memory:  # by what it depends on, once for all steps
         memory["table"] = {}
         for *key, paid, then in memory["moves"]:
@@ -286,20 +277,21 @@ def _counted_by_controller(
     moves = memory["table"].get((number, *step), [(None, number)])
     for paid, then in moves:
         if paid is None or isclose(paid, cost, rel_tol=_OFF_LATTICE):
-            found: int = then
-            return found
+            return int(then)
     raise ValueError(f"observed cost {cost!r} is none that this step may have")
 
 
 def _controller_layer(memory: dict[str, Any], layer: int, state: int) -> int:
     """The controller's layer below the cap, then the tail."""
-    cap: int = memory["cap"]
+    cap, table = int(memory["cap"]), memory["table"]
     if layer < cap:
         return layer
-    table = memory["table"]
     if table is not None:
-        tail: int = table[min(layer - cap, len(table) - 1)][state]
-        return cap + tail
-    threshold = memory["threshold"][state]
-    last: int = memory["tails"] - 1
-    return cap + (last if layer >= (inf if threshold is None else threshold) else 0)
+        return cap + int(table[min(layer - cap, len(table) - 1)][state])
+    return _controller_tail(memory, layer, state)
+
+
+def _controller_tail(memory: dict[str, Any], reached: float, state: int) -> int:
+    """The controller's tail by what is reached: the last one from the state's threshold on."""
+    threshold, last = memory["threshold"][state], memory["tails"] - 1
+    return int(memory["cap"] + (0 if threshold is None or reached < threshold else last))

@@ -194,10 +194,8 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
                 )
             total = sum([float(outcome[0]) for outcome in outcomes])
             if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
-                raise ModelError(
-                    f"action {action!r} of state {state!r}: the table's probabilities sum to "
-                    f"{total:.9g}"
-                )
+                where = f"action {action!r} of state {state!r}"
+                raise ModelError(f"{where}: the table's probabilities sum to {total:.9g}")
             actions[action] = [
                 (float(p), _plain(to), float(reward), bool(over))
                 for p, to, reward, over in outcomes
@@ -285,11 +283,10 @@ def _model_of_table(
         acts = state not in goals or state in parted
         transitions[state] = {
             action: [
-                (p, named[to] if over and to in named else to, cost(state, action, to, reward))
+                (p, named.get(to, to) if over else to, cost(state, action, to, reward))
                 for p, to, reward, over in some
             ]
-            for action, some in actions.items()
-            if acts
+            for action, some in (actions.items() if acts else ())
         }
     led = [to for actions in transitions.values() for some in actions.values() for _, to, _ in some]
     for to in led:

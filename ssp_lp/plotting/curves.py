@@ -1,10 +1,14 @@
-"""Pictures of curves and bars: frontiers, the bounds of a solve, laws of the total cost."""
+"""Pictures of curves and bars: frontiers, the bounds of a solve, laws of the total cost.
+
+The look of every picture is here, too: colours that all can tell apart, and a second sign beside
+each.
+"""
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -12,14 +16,59 @@ from ssp_lp.analysis.cost_law import CostLaw
 from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.column import FailureRow
-from ssp_lp.errors import ModelError, SolverError, in_short
+from ssp_lp.errors import ModelError, SolverError, in_short, optional_module
 from ssp_lp.model.arguments import explained
-from ssp_lp.plotting.style import INK, LOOKS, PALE, Look, axes_or_new, dress_axes
 from ssp_lp.problem import Problem, requirements
 from ssp_lp.processes.failure_semantics import Aim
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+INK, PALE = "#333333", "#777777"
+
+
+class Look(NamedTuple):
+    """How one of several things in a picture is drawn: never by its colour alone."""
+
+    colour: str
+    line: str | tuple[int, tuple[int, ...]]
+    marker: str
+    hatch: str
+
+
+LOOKS = (
+    Look("#0072B2", "-", "o", "////"),
+    Look("#D55E00", "--", "X", "\\\\\\\\"),
+    Look("#009E73", "-.", "^", "...."),
+    Look("#CC79A7", ":", "s", "xxxx"),
+    Look("#000000", (0, (5, 1, 1, 1, 1, 1)), "D", "||||"),
+)
+"""Okabe and Ito's colours, which people with any colour vision can tell apart."""
+
+
+def axes_or_new(ax: Axes | None, width: float = 6.4, height: float = 4.2) -> Axes:
+    """The axes, or those of a new figure of pyplot's of this size in inches.
+
+    Raises:
+        MissingDependencyError: matplotlib is not installed.
+        ModelError: these are no axes.
+    """
+    if ax is not None and not hasattr(ax, "plot"):
+        raise ModelError(f"ax must be axes of matplotlib, or None for a new figure, not {ax!r}")
+    if ax is not None:
+        return ax
+    pyplot = optional_module("matplotlib.pyplot", "plot")
+    found: Axes = pyplot.subplots(figsize=(width, height), layout="constrained")[1]
+    return found
+
+
+def dress_axes(ax: Axes, x: str, y: str) -> None:
+    """Give axes their style: name both, and leave out what says nothing."""
+    ax.set(xlabel=x, ylabel=y)
+    ax.set_axisbelow(True)
+    ax.grid(color="#e5e5e5", linewidth=0.6)
+    ax.spines[["top", "right"]].set_visible(False)
+
 
 _BAND = "the optimum lies in here"
 _SAMPLES = 400  # budgets in all, shared out among the segments
@@ -112,35 +161,30 @@ def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: Look) -
         value = frontier.objective_at(budget)
     except SolverError:
         low, high = frontier.bounds_at(budget)
-        ends = f"{low:.5g}", f"{high:.5g}"
-        near = ends[0] == ends[1]
-        told = f"{ends[1]}, to {high - low:.0e}" if near else f"{ends[0]} to {ends[1]}"
+        told = f"{low:.5g} to {high:.5g}"
+        if f"{low:.5g}" == f"{high:.5g}":
+            told = f"{high:.5g}, to {high - low:.0e}"
         ax.plot([budget, budget], [low, high], color=look.colour, linewidth=2, zorder=5)
         ax.plot([budget, budget], [low, high], "_", color=look.colour, markersize=14, zorder=5,
                 markeredgewidth=2, label=f"budget {budget:g}: {told}")  # fmt: skip
         return
     ax.plot([budget], [value], "*", color=look.colour, markeredgecolor=INK, markersize=14, zorder=6,
             label=f"budget {budget:g}: {_as_far_as_sure(value, frontier):.5g}")  # fmt: skip
-    prices = [price - (value if frontier.ratio else 0.0) for price in _prices_at(frontier, budget)]
-    for price in prices:
+    touching = (frontier.failure[:-1] <= budget) & (budget <= frontier.failure[1:])
+    settled = frontier.below <= frontier.tolerance  # one segment, up to two at its ends
+    prices = frontier.price[touching & settled] - (value if frontier.ratio else 0.0)
+    for price in prices.tolist():
         _draw_tangent(ax, frontier, (budget, value), price)
-    if prices:
-        told = " to ".join(f"{price:.4g}" for price in sorted(prices))
+    if prices.size:
+        told = " to ".join(f"{price:.4g}" for price in sorted(prices.tolist()))
         ax.plot([], [], color=INK, linestyle="-.", linewidth=1,
-                label=f"tangent{'s' * (len(prices) - 1)}: failure price {told}")  # fmt: skip
+                label=f"tangent{'s' * (prices.size - 1)}: failure price {told}")  # fmt: skip
 
 
 def _as_far_as_sure(value: float, frontier: Frontier) -> float:
     """A value rounded to the digits that the gap of its frontier leaves sure, two at least."""
     digits = max(-np.log10(max(frontier.gap, _FINEST)), 2.0)
     return float(f"{value:.{int(digits)}g}")
-
-
-def _prices_at(frontier: Frontier, budget: float) -> list[float]:
-    """Prices of the settled segments at a budget: one within a segment, up to two at its ends."""
-    touching = (frontier.failure[:-1] <= budget) & (budget <= frontier.failure[1:])
-    settled = frontier.below <= frontier.tolerance
-    return [float(price) for price in frontier.price[touching & settled]]
 
 
 def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], price: float) -> None:
@@ -151,9 +195,8 @@ def _draw_tangent(ax: Axes, frontier: Frontier, point: tuple[float, float], pric
     room = _TANGENT * float(np.ptp(height)) / abs(slope) if slope else np.inf
     ends = max(budget - room, float(failure[0])), min(budget + room, float(failure[-1]))
     along = _budgets_between(*ends, _SAMPLES)
-    ax.plot(
-        along, value + slope * (along - budget), color=INK, linestyle="-.", linewidth=1.1, zorder=5
-    )
+    height = value + slope * (along - budget)
+    ax.plot(along, height, color=INK, linestyle="-.", linewidth=1.1, zorder=5)
 
 
 @dataclass

@@ -15,7 +15,7 @@ from ssp_lp.errors import ModelError, check_whole, optional_module
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import dead_ends, end_marks
-from ssp_lp.plotting.style import INK, LOOKS, axes_or_new
+from ssp_lp.plotting.curves import INK, LOOKS, axes_or_new
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy, Randomness, as_lottery, generator_of
 from ssp_lp.problem import Problem
@@ -99,9 +99,7 @@ _WIDEST, _NARROWEST, _LEGEND = 6.0, 3.2, 1.0  # inches: a picture's sides, what 
 _SIDES = 0.25, 0.55  # inches: of a cell, least and most
 
 
-def draw_ground(
-    ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]
-) -> list[Any]:
+def draw_ground(ax: Axes, problem: Problem, points: FloatArray, walls: Iterable[Point]) -> None:
     """Draw walls, dead-ends, goals and the start as unit squares, and a frame around other cells.
 
     Where several states lie in a cell, it is a goal if one of them is, and a dead-end if all are.
@@ -111,9 +109,6 @@ def draw_ground(
         problem: says the model and the start.
         points: of the model's states, nan where there is none, [states, 2].
         walls: middles of squares that are no states.
-
-    Returns:
-        Entries of a legend.
     """
     patches, model = optional_module("matplotlib.patches", "plot"), problem.model
     dead, goal = dead_ends(model) & ~model.goal_mask, model.goal_mask
@@ -125,21 +120,18 @@ def draw_ground(
         (goals, "goal", _GOAL),
         (_distinct_cells(points[start_distribution(model, problem.start) > 0.0]), "start", _START),
     )
-    legend = []
     for squares, words, style in kinds:
         side = _INNER if style is _START else 1.0
         for x, y in sorted(squares):
             corner = x - 0.5 * side, y - 0.5 * side
-            ax.add_patch(patches.Rectangle(corner, side, side, zorder=2, **style))
-        if words and squares:
-            legend.append(patches.Patch(label=words, **style))
+            ax.add_patch(patches.Rectangle(corner, side, side, zorder=2, label=words, **style))
+            words = ""  # one of them is in the legend
     for x, y in goals:
         ax.plot([x], [y], "*", color=_GOAL["edgecolor"], markersize=9, zorder=2.5)
     everything = np.array([square for squares, _, _ in kinds for square in squares])
     low, high = everything.min(axis=0) - _MARGIN, everything.max(axis=0) + _MARGIN
     ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", xticks=[], yticks=[])
     ax.spines[:].set_visible(False)
-    return legend
 
 
 def _distinct_cells(points: FloatArray) -> set[Point]:
@@ -160,16 +152,16 @@ _ENTRY = 1.1  # inches: width of an entry of a legend
 _BELOW_TICKS = 0.12  # of the height: room for ticks and their label
 
 
-def add_legend(ax: Axes, legend: list[Any]) -> None:
+def add_legend(ax: Axes) -> None:
     """Put a legend below the picture of cells and its ticks, where it hides nothing."""
-    if legend:
+    if count := len(ax.get_legend_handles_labels()[0]):
         figure = ax.get_figure(root=True)
         width = 0.0 if figure is None else ax.get_position().width * figure.get_figwidth()
-        rows = -(-len(legend) // max(int(width / _ENTRY), 2))
+        rows = -(-count // max(int(width / _ENTRY), 2))
         below = _BELOW_TICKS if len(ax.get_xticks()) else 0.01
-        ax.legend(handles=legend, loc="upper center", bbox_to_anchor=(0.5, -below),
-                  ncols=-(-len(legend) // rows), frameon=False, fontsize=8, labelcolor=INK,
-                  handlelength=1.6, columnspacing=1.2)  # fmt: skip
+        ax.legend(loc="upper center", bbox_to_anchor=(0.5, -below), ncols=-(-count // rows),
+                  frameon=False, fontsize=8, labelcolor=INK, handlelength=1.6,
+                  columnspacing=1.2)  # fmt: skip
 
 
 _SHADES = ("#ffffff", "#6baed6")  # light enough for dark arrows
@@ -234,11 +226,19 @@ def plot_grid_policy(
     width, height = size_of(seen.points, walls)
     ax = axes_or_new(ax, width + _SCALE, height)
     most = float(seen.visits.max(initial=0.0)) if most_visits is None else most_visits
-    legend = draw_ground(ax, problem, seen.points, walls)
-    _draw_scale([ax], _draw_visits(ax, seen, most))
-    legend += _draw_decisions(ax, seen, points_of(problem.model.action_names, moves))
-    add_legend(ax, legend)
+    _draw_scale([ax], _draw_seen(ax, problem, seen, walls, moves, most))
     return ax
+
+
+def _draw_seen(
+    ax: Axes, problem: Problem, seen: _Seen, walls: list[Point], moves: Places, most: float
+) -> Any:
+    """Draw a policy's cells with a legend; return what a scale of shades needs."""
+    draw_ground(ax, problem, seen.points, walls)
+    shades = _draw_visits(ax, seen, most)
+    _draw_decisions(ax, seen, points_of(problem.model.action_names, moves))
+    add_legend(ax)
+    return shades
 
 
 @explained
@@ -264,19 +264,13 @@ def plot_lottery(
         ModelError: as for :func:`plot_grid_policy`.
     """
     pyplot, count = optional_module("matplotlib.pyplot", "plot"), len(policy.policies)
-    members, walls = (
-        [_seen_on_grid(member, problem, cells) for member in policy.policies],
-        list(walls),
-    )
+    members, walls = [_seen_on_grid(one, problem, cells) for one in policy.policies], list(walls)
     width, height = size_of(members[0].points, walls)
     size = (count * width + _SCALE, height)
     axes = pyplot.subplots(1, count, figsize=size, squeeze=False, layout="constrained")[1][0]
     most = max(float(seen.visits.max(initial=0.0)) for seen in members)
-    directions = points_of(problem.model.action_names, moves)
     for ax, seen, weight in zip(axes, members, policy.weights.tolist(), strict=True):
-        legend = draw_ground(ax, problem, seen.points, walls)
-        shades = _draw_visits(ax, seen, most)
-        add_legend(ax, legend + _draw_decisions(ax, seen, directions))
+        shades = _draw_seen(ax, problem, seen, walls, moves, most)
         ax.set_title(f"with probability {weight:.4g}", fontsize=10)
     _draw_scale(list(axes), shades)
     return list(axes)
@@ -303,9 +297,8 @@ def _seen_on_grid(policy: Policy | MixedPolicy, problem: Problem, cells: Places)
 
 def _draw_visits(ax: Axes, seen: _Seen, most: float) -> Any:
     """Shade the cells by their visits; return what a scale of shades needs."""
-    collections = optional_module("matplotlib.collections", "plot")
-    colors = optional_module("matplotlib.colors", "plot")
-    patches = optional_module("matplotlib.patches", "plot")
+    names = ("collections", "colors", "patches")
+    collections, colors, patches = (optional_module(f"matplotlib.{name}", "plot") for name in names)
     some = seen.visits > 0.0
     corners = (seen.middles[some] - 0.5).tolist()
     shades = collections.PatchCollection(
@@ -324,9 +317,8 @@ def _draw_scale(axes: list[Axes], shades: Any) -> None:
     axes[0].figure.colorbar(shades, ax=axes, label="expected visits", shrink=0.7, pad=0.02)
 
 
-def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> list[Any]:
-    """Draw arrows, dots, crosses and rings; return entries of a legend."""
-    lines = optional_module("matplotlib.lines", "plot")
+def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> None:
+    """Draw arrows, dots, crosses and rings."""
     length = np.hypot(directions[:, 0], directions[:, 1])
     still = ~(length > 0.0)
     taken = seen.shares >= _RARE
@@ -344,13 +336,10 @@ def _draw_decisions(ax: Axes, seen: _Seen, directions: FloatArray) -> list[Any]:
         (taken[:, :-1][:, still].any(axis=1), ".", INK, "stays"),
         (several, "o", "white", "by chance or memory"),
     )
-    legend = []
     for where, marker, face, words in marks:
-        style: dict[str, Any] = {"marker": marker, "markerfacecolor": face, "markeredgecolor": INK}
         if where.any():
-            ax.plot(*seen.middles[where].T, linestyle="", markersize=4, zorder=5, **style)
-            legend.append(lines.Line2D([], [], linestyle="", label=words, **style))
-    return legend
+            ax.plot(*seen.middles[where].T, marker, markersize=4, zorder=5, markerfacecolor=face,
+                    markeredgecolor=INK, label=words)  # fmt: skip
 
 
 _SPREAD = 0.3  # of a cell's side: how far from its middle a path may be moved
@@ -385,7 +374,7 @@ def plot_paths(
     if not all(path.size == 0 or (path.ndim == 2 and path.shape[1] >= 2) for path in drawn):
         raise ModelError("a path must be an array [points, 2 or more]")
     ax = axes_or_new(ax, 5.6, 5.6)
-    lines, legend, counts = optional_module("matplotlib.lines", "plot"), [], Counter(ends)
+    counts = Counter(ends)
     ways = dict.fromkeys([*order, *(end for end, _ in counts.most_common())])
     for rank, end in enumerate(ways):
         look, usual = LOOKS[rank % len(LOOKS)], rank == 0
@@ -398,9 +387,8 @@ def plot_paths(
                         markeredgecolor=look.colour if usual else INK,
                         markersize=4 if usual else 7)  # fmt: skip
         if counts[end]:
-            entry = lines.Line2D([], [], marker=look.marker, label=f"{counts[end]} {end}", **style)
-            legend.append(entry)
-    add_legend(ax, legend)
+            ax.plot([], [], marker=look.marker, label=f"{counts[end]} {end}", **style)
+    add_legend(ax)
     return ax
 
 
@@ -442,11 +430,8 @@ def plot_episodes(
     words = ["reach the goal", *fails]
     ends = [words[m] if (m := marks[int(p[-1])]) >= 0 else "give up or go on" for p in played]
     paths = [_placed_path(points[path], shift) for path, shift in zip(played, aside, strict=True)]
-    ground = draw_ground(ax, problem, points, walls)
-    plot_paths(paths, ends, order=words, ax=ax)
-    drawn = ax.get_legend()
-    add_legend(ax, ground + (list(drawn.legend_handles) if drawn else []))
-    return ax
+    draw_ground(ax, problem, points, walls)
+    return plot_paths(paths, ends, order=words, ax=ax)
 
 
 def _placed_path(path: FloatArray, shift: FloatArray) -> FloatArray:

@@ -29,7 +29,7 @@ from ssp_lp import (
     solve,
 )
 from ssp_lp.io import Controller, fingerprint, policy_table, write_controller
-from ssp_lp.io.policy_tables import memories_of
+from ssp_lp.io.policy_exports import memories_of
 from ssp_lp.policies.policy import as_lottery
 
 SOURCE = Path(ssp_lp.io.controller.__file__)

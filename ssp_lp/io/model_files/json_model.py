@@ -56,16 +56,16 @@ def parse_json(text: str, source: str, goal: Sequence[str], cost: str | None = N
     if not isinstance(table, dict):
         raise ModelError(f"{source} must hold {_TABLE}")
     if isinstance(table.get("format"), str):
-        return _explicit_json(table, source, goal, cost)
-    if isinstance(table.get("goal"), list):
-        return _json_document(table, source, goal, cost)
-    return _stated_model(table, source, goal, {}, None, cost)
+        return _stated_model(_explicit_json(table, source, goal, cost), source, (), None)
+    if not isinstance(table.get("goal"), list):
+        table = {"goal": [], "transitions": table}
+    return _stated_model(table, source, goal, cost)
 
 
 def _explicit_json(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
-) -> StatedModel:
-    """A published case: numbered states, and for each the list of its choices."""
+) -> dict[str, Any]:
+    """A published case, which numbers its states and lists the choices of each, as a document."""
     if not str(table["format"]).startswith(EXPLICIT):
         raise ModelError(f"{source}: the format {table['format'][:40]!r} is not known")
     try:
@@ -81,14 +81,16 @@ def _explicit_json(
                 paid = chosen_cost(source, {**none_given, **one["rewards"]}, cost)
                 name = str(one["name"]) if known[one["name"]] == 1 else f"{at}:{one['name']}"
                 actions[name] = [[chance, successor, paid] for successor, chance in one["to"]]
-        marked = {name: [str(s) for s in members] for name, members in labels.items()}
-        start = str(table["init"])
+        return {
+            "goal": [str(g) for g in goals],
+            "start": str(table["init"]),
+            "labels": {k: v for k, v in labels.items() if k not in {"goal", "init", "deadlock"}},
+            "transitions": transitions,
+        }
     except ModelError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{source} is no {EXPLICIT} file: {error!r}") from error
-    plain = {name: at for name, at in marked.items() if name not in {"goal", "init", "deadlock"}}
-    return _stated_model(transitions, source, [str(g) for g in goals], plain, start, None)
 
 
 def _without_repetition(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -115,43 +117,28 @@ class StatedModel(NamedTuple):
     start: Hashable | Mapping[Hashable, float] | None = None
 
 
-def _json_document(
+def _stated_model(
     table: Mapping[str, Any], source: str, goal: Sequence[str], cost: str | None
 ) -> StatedModel:
-    """A table of transitions with its goal, start and labels beside it."""
-    transitions, labels = table.get("transitions"), table.get("labels", {})
-    for what, found in (("transitions", transitions), ("labels", labels)):
+    """The model of a document: transitions by state and action, with goal, start and labels.
+
+    Raises:
+        ModelError: see :func:`parse_json`.
+    """
+    listed, labels, start = table.get("transitions"), table.get("labels", {}), table.get("start")
+    for what, found in (("transitions", listed), ("labels", labels)):
         if not isinstance(found, dict):
             raise ModelError(f"{source}: {what!r} must be an object")
     for name, members in labels.items():
         if not isinstance(members, list):
             raise ModelError(f"{source}: the label {name!r} must be a list of states")
     labels = {name: [str(state) for state in members] for name, members in labels.items()}
-    start = table.get("start")
-    if not isinstance(start, dict) and start is not None:
-        start = str(start)
-    goals = goal or [str(name) for name in table["goal"]]
-    return _stated_model(dict(transitions or {}), source, goals, labels, start, cost)
-
-
-def _stated_model(
-    table: dict[str, Any],
-    source: str,
-    goal: Sequence[str],
-    labels: Mapping[str, Any],
-    start: Hashable | Mapping[Hashable, float] | None,
-    cost: str | None,
-) -> StatedModel:
-    """The model of a JSON table of actions by state, with the labels and the start beside it.
-
-    Raises:
-        ModelError: see :func:`parse_json`.
-    """
+    goal = goal or [str(name) for name in table["goal"]]
     if not goal:
         told = f"{source} does not say which states are goals: name them by "
         raise ModelError(told, Argument("goal"))
     transitions: dict[Hashable, Any] = {}
-    for state, actions in table.items():
+    for state, actions in (listed or {}).items():
         if not isinstance(actions, dict):
             told = f"state {state!r} needs {{action: [[probability, successor, cost], ...]}}"
             raise ModelError(told)
@@ -171,7 +158,7 @@ def _stated_model(
     model = SSP.from_transitions(
         transitions, goals, state_labels=labels, treat_actionless_as_dead_ends=True
     )
-    return StatedModel(model, start)
+    return StatedModel(model, start if start is None or isinstance(start, dict) else str(start))
 
 
 def _json_outcome(where: str, outcome: Any, cost: str | None) -> tuple[Any, Hashable, Any]:

@@ -86,14 +86,12 @@ class TextFile:
 
     def float(self, word: str) -> float:
         """A word as a number, a fraction such as 1/3 too; raises :class:`ModelError` else."""
-        above, slash, below = word.partition("/")
+        plain = word if word.isascii() and "_" not in word else ""
+        above, slash, below = plain.partition("/")
         try:
-            value = int(above) / int(below) if slash else float(word)
+            return int(above) / int(below) if slash else float(plain)
         except (ValueError, ArithmeticError) as error:
             raise self.fault(f"{word[:60]!r} is no number") from error
-        if "_" in word or not word.isascii():
-            raise self.fault(f"{word[:60]!r} is no number")
-        return value
 
 
 def write_text(path: FilePath, pieces: Iterable[str]) -> None:

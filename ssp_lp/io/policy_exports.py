@@ -1,0 +1,589 @@
+"""Policies for other tools: as tables, chains, graphs, schedulers and controllers."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Hashable, Iterator, Mapping, Sequence
+from itertools import product as every_choice
+from os import PathLike
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ssp_lp.arrays import IntArray, segment_ids
+from ssp_lp.errors import ModelError, optional_module
+from ssp_lp.io.archives import are_numbers_in_turn, fingerprint, label_value
+from ssp_lp.io.controller import GIVE_UP as GIVE_UP_WORD, controller_checksum
+from ssp_lp.io.model_files.raw_model import (
+    GOAL,
+    Exported,
+    FilePath,
+    ModelFile,
+    exported,
+    write_text,
+)
+from ssp_lp.model import SSP
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
+from ssp_lp.model.product import HorizonSSP, ProductSSP
+from ssp_lp.policies import (
+    GIVE_UP,
+    CostAwarePolicy,
+    DeterministicPolicy,
+    MixedPolicy,
+    Policy,
+    StochasticPolicy,
+    TimedPolicy,
+)
+from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
+from ssp_lp.policies.remembering import JointMemory, RememberingPolicy, memory_size
+from ssp_lp.processes.failure_semantics import start_distribution
+
+
+class PolicyRow(NamedTuple):
+    """One decision of a policy."""
+
+    state: Hashable
+    memory: Hashable  # None: nothing is remembered; else see policy_table
+    action: Hashable  # or GIVE_UP
+    probability: float
+    member: int = 0  # of a lottery
+
+
+@explained
+def policy_table(policy: Policy | MixedPolicy) -> list[PolicyRow]:
+    """The decisions of a policy, in the order of members, memories and states.
+
+    States in which the policy never acts have no row. Memory is told by
+
+    - the cost paid so far (cost-aware policies, cost levels), "tail k" from the cap on;
+    - the time step, or (time step, memory of the stage) (timed policies);
+    - the product's memory, or (it, memory of the inner policy);
+    - a tuple, where several of these are kept side by side.
+
+    Args:
+        policy: any policy of the library.
+
+    Raises:
+        ModelError: the policy is of a class whose memory is not known.
+
+    Example:
+        >>> from ssp_lp import SSP, DeterministicPolicy
+        >>> model = SSP.from_transitions({"door": {"open": [(1.0, "out", 2.0)]}}, goal={"out"})
+        >>> policy_table(DeterministicPolicy.from_actions(model, {"door": "open"}))
+        [PolicyRow(state='door', memory=None, action='open', probability=1.0, member=0)]
+    """
+    members = enumerate(as_lottery(policy).policies)
+    return [row for k, member in members for row in _table_rows(member, k)]
+
+
+@explained
+def to_frame(policy: Policy | MixedPolicy) -> Any:
+    """:func:`policy_table` as a pandas ``DataFrame``, with a column for each field of a row.
+
+    Raises:
+        MissingDependencyError: pandas is not installed.
+        ModelError: the policy is of a class whose memory is not known.
+    """
+    pandas = optional_module("pandas", "frames")
+    return pandas.DataFrame(policy_table(policy), columns=list(PolicyRow._fields))
+
+
+def _table_rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
+    """The rows of a policy's table, a member's decisions."""
+    model, names = policy.model, policy.model.states
+    for code, told in memories_of(policy):
+        states = _table_states(policy, code)
+        found = policy.branches(states, np.full(len(states), code, dtype=np.int64))
+        decided = np.flatnonzero((found.pair != UNDECIDED) & (found.probability > 0.0))
+        here = states[found.situation[decided]].tolist()
+        pairs, shares = found.pair[decided].tolist(), found.probability[decided].tolist()
+        for state, pair, share in zip(here, pairs, shares, strict=True):
+            action = GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
+            yield PolicyRow(names[state], told, action, share, member)
+
+
+def _table_states(policy: Policy, memory: int) -> IntArray:
+    """The states that a table lists for a memory, [states]."""
+    if isinstance(policy, RememberingPolicy):
+        number = memory % len(policy.product.memories)
+        return np.flatnonzero(policy.product.table[:, number] >= 0)
+    if isinstance(policy, StochasticPolicy):
+        key, states = np.divmod(policy.situation_key, policy.model.n_states)
+        return np.asarray(states[key == memory])
+    return np.arange(policy.model.n_states)
+
+
+def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
+    """Every memory of a policy, and how a table tells of it.
+
+    Raises:
+        ModelError: the policy is of a class whose memory is not known.
+    """
+    match policy:
+        case DeterministicPolicy() | StochasticPolicy(carrier=None):
+            return [(0, None)]
+        case StochasticPolicy(carrier=Policy() as carrier):
+            return memories_of(carrier)
+        case CostAwarePolicy():
+            told = [layer * policy.unit for layer in range(policy.cap)]
+            told = told if policy.levels is None else policy.levels[:-1].tolist()
+            return list(enumerate([*told, *(f"tail {k}" for k in range(len(policy.tails)))]))
+        case TimedPolicy():
+            return _joined_in_table(range(len(policy.stages)), memories_of(policy.stages[0]))
+        case RememberingPolicy():
+            return _joined_in_table(policy.product.memories, memories_of(policy.inner))
+        case JointMemory(keepers=(keeper,)):
+            return memories_of(keeper)
+        case JointMemory():
+            sizes = [memory_size(keeper) for keeper in policy.keepers]
+            parts = every_choice(*(memories_of(keeper) for keeper in policy.keepers))
+            known = [tuple(zip(*some, strict=True)) for some in parts]
+            return [(int(np.ravel_multi_index(codes, sizes)), told) for codes, told in known]
+    raise ModelError(f"what a {type(policy).__name__} remembers is not known")
+
+
+def _joined_in_table(
+    last: Sequence[Hashable], inner: list[tuple[int, Hashable]]
+) -> list[tuple[int, Hashable]]:
+    """Two memories in one number, the inner one its leading digit."""
+    return [
+        (code * len(last) + k, outer if told is None else (outer, told))
+        for k, outer in enumerate(last)
+        for code, told in inner
+    ]
+
+
+START, GAVE_UP = "start", "gave up"
+"""States of the chain besides those of the policy: where its lottery is drawn, and its end."""
+
+_MOST_NODES = 300
+"""More than this no picture shows; Graphviz would take minutes, too."""
+
+
+def _member_chains(
+    policy: Policy | MixedPolicy, start: Hashable | Mapping[Hashable, float]
+) -> tuple[MixedPolicy, list[Chain]]:
+    """A policy as a lottery, and the chain of each of its members."""
+    lottery = as_lottery(policy)
+    begin = start_distribution(lottery.model, start)
+    return lottery, [policy_chain(lottery.model, member, begin) for member in lottery.policies]
+
+
+@explained
+def induced_chain(
+    policy: Policy | MixedPolicy, start: Hashable | Mapping[Hashable, float]
+) -> ModelFile:
+    """Make the Markov chain of a policy, whatever its memory, as a model with one action.
+
+    Its states are (state, memory), where there is a lottery (member, state, memory); "start", from
+    which a free step draws the member and the first state, and "gave up", where the policy gives
+    up. A state from which the policy does not come to the goal is an end. Costs stay with their
+    outcomes; labels of states are the model's, and "gave up". Any tool that reads the chain's file
+    can check what is said of the policy: the chance of the goal is the policy's, and its expected
+    total cost is the policy's cost until failure is certain (without that of a failing step).
+
+    Args:
+        policy: a policy or a lottery.
+        start: a state, or ``{state: probability}``.
+
+    Returns:
+        The chain and its initial state, "start".
+
+    Raises:
+        ModelError: the start is wrong, or the policy has no decision in a state that it reaches.
+    """
+    lottery, chains = _member_chains(policy, start)
+    model, drawn = lottery.model, list[tuple[float, Hashable, float]]()
+    transitions: dict[Hashable, Any] = {}
+    goals: list[Hashable] = []
+    labels: dict[str, list[Hashable]] = {name: [] for name in model.state_labels}
+    for k, (chain, weight) in enumerate(zip(chains, lottery.weights.tolist(), strict=True)):
+        nodes = zip(chain.state.tolist(), chain.memory.tolist(), strict=True)
+        named = [(model.states[state], memory) for state, memory in nodes]
+        names: list[Hashable] = [*named] if len(chains) == 1 else [(k, *name) for name in named]
+        transitions |= {name: {} for name in names}
+        goals += [names[node] for node in np.flatnonzero(model.goal_mask[chain.state])]
+        for label, members in model.state_labels.items():
+            labels[label] += [names[node] for node in np.flatnonzero(np.isin(chain.state, members))]
+        begun = np.flatnonzero(chain.start > 0.0)
+        drawn += [(weight * float(chain.start[node]), names[node], 0.0) for node in begun]
+        # the steps while the goal is in reach, the last of them giving up
+        hopeful = reaching_in_chain(chain, chain.goal > 0.0)
+        steps = chain.source, chain.target, chain.probability, chain.cost
+        for node, to, chance, cost in zip(*(part.tolist() for part in steps), strict=True):
+            if hopeful[node]:
+                paid = model.exact_costs.get(cost, cost)
+                transitions[names[node]].setdefault(0, []).append((chance, names[to], paid))
+        for node in np.flatnonzero((chain.give_up > 0.0) & hopeful).tolist():
+            quits = (float(chain.give_up[node]), GAVE_UP, 0.0)
+            transitions[names[node]].setdefault(0, []).append(quits)
+    made = SSP.from_transitions(
+        {**transitions, START: {0: drawn}, GAVE_UP: {}},
+        goals or [GOAL],  # a model has a goal, though this one is not reached
+        state_labels=labels | {GAVE_UP: [GAVE_UP]},
+        treat_actionless_as_dead_ends=True,
+        normalise=True,
+    )
+    return ModelFile(made, (START,))
+
+
+@explained
+def write_dot(
+    policy: Policy | MixedPolicy,
+    path: str | PathLike[str],
+    start: Hashable | Mapping[Hashable, float],
+    *,
+    most_nodes: int = _MOST_NODES,
+) -> None:
+    """Write what a policy does from a start as a graph: ``dot -Tsvg FILE`` draws it.
+
+    A node is a state with what is remembered, and the action taken there (with its probability, if
+    it is drawn); an edge is a step with its probability. Goals have two rings, dead-ends and giving
+    up a box. The members of a lottery stand side by side.
+
+    Args:
+        policy: any policy of the library.
+        path: of the file, ``policy.dot``.
+        start: a state, or ``{state: probability}``.
+        most_nodes: refuse more nodes than this.
+
+    Raises:
+        ModelError: there are more nodes, the policy has no decision in a state that it reaches, or
+            is of a class whose memory is not known.
+    """
+    lottery, chains = _member_chains(policy, start)
+    count = sum(chain.n_nodes for chain in chains)
+    if count > most_nodes:
+        raise ModelError(f"the policy's chain has {count:,} nodes, more than {most_nodes:,}")
+    lines = ["digraph policy {", "  rankdir=LR;", "  node [shape=ellipse];"]
+    for k, (member, chain) in enumerate(zip(lottery.policies, chains, strict=True)):
+        lines.append(f"  subgraph cluster_{k} {{")
+        if len(chains) > 1:
+            lines.append(f"    label={_dot_text(f'with probability {lottery.weights[k]:.6g}')};")
+        lines += [f"    {line}" for line in _dot_nodes(member, chain, k)]
+        steps = chain.matrix.tocoo()
+        for source, target, chance in zip(steps.row, steps.col, steps.data, strict=True):
+            if chance > 0.0:
+                share = _dot_text(f"{chance:.6g}")
+                lines.append(f"    n{k}_{source} -> n{k}_{target} [label={share}];")
+        lines.append("  }")
+    Path(path).write_text("\n".join([*lines, "}", ""]), encoding="utf-8")
+
+
+def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
+    """The nodes of the graph, as lines of dot."""
+    model, told = chain.model, dict(memories_of(policy))
+    actions = defaultdict(list)
+    branches = zip(chain.branch_node, chain.branch_pair, chain.branch_probability, strict=True)
+    for node, pair, probability in branches:
+        action = "give up" if pair == GIVE_UP_CODE else f"{model.action_of(int(pair))}"
+        share = "" if probability == 1.0 else f" {probability:.6g}"
+        actions[int(node)].append(f"{action}{share}")
+    for node in range(chain.n_nodes):
+        memory = told.get(int(chain.memory[node]))
+        goal, dead = chain.goal[node] > 0.0, chain.dead[node] > 0.0
+        silent = memory is None or goal or dead
+        name = f"{model.states[int(chain.state[node])]}{'' if silent else f' | {memory}'}"
+        boxed = dead or chain.give_up[node] == 1.0
+        shape = ", shape=box" if boxed else ", shape=doublecircle" if goal else ""
+        width = ", penwidth=2" if chain.start[node] > 0.0 else ""
+        label = _dot_text("\n".join([name, *actions[node]]))
+        yield f"n{member}_{node} [label={label}{shape}{width}];"
+
+
+def _dot_text(text: str) -> str:
+    """A text in quotation marks, as dot reads it, which escapes as JSON does."""
+    return json.dumps(text, ensure_ascii=False)
+
+
+@explained
+def write_scheduler(policy: Policy | MixedPolicy, path: FilePath, *, start: Hashable) -> None:
+    """Write a policy as a scheduler, as JSON of the form that Storm exports.
+
+    States "s" and choices "index" are the numbers of :func:`ssp_lp.io.write_drn` and
+    :func:`ssp_lp.io.to_stormpy`, "labels" the choice's action. A policy without memory says what
+    it does in every state, "undefined" where it has no decision. One with memory has an entry for
+    each state and memory "m" that it comes to, with the memory after each successor; memory 0 is
+    that of the start. Where a policy gives up, the scheduler surely avoids the goal from then on.
+
+    Args:
+        policy: a policy, or a lottery of one member; with several take the equivalent
+            ``solution.randomised_policy``, or :func:`~ssp_lp.io.induced_chain`.
+        path: the file; gzip if the name ends in .gz.
+        start: the initial state.
+
+    Raises:
+        ModelError: a lottery of several members, a policy that gives up where every action may
+            still lead to the goal, or one without a decision in a state that it reaches.
+    """
+    members = as_lottery(policy).policies
+    if len(members) > 1:
+        raise ModelError(
+            "a scheduler draws no lottery at the start: write solution.randomised_policy, or the "
+            "chain, induced_chain(policy, start)"
+        )
+    process, (chain,) = exported(policy.model, start), _member_chains(policy, start)[1]
+    acting = chain.memory[~_ended(chain)]
+    if np.unique(acting).size <= 1 and not (chain.give_up > 0.0).any():
+        memory = int(members[0].start_memory(chain.state[chain.start > 0.0])[0])
+        entries = _decisions_without_memory(members[0], memory, process)
+    else:
+        entries = _Scheduler(chain, process).entries()
+    text = ",\n".join(json.dumps(entry, indent=4, sort_keys=True) for entry in entries)
+    write_text(path, [f"[\n{text}\n]\n"])
+
+
+def _choice_entry(process: Exported, index: int, probability: float) -> dict[str, Any]:
+    """A choice of the scheduler, in Storm's words."""
+    return {"index": index, "labels": [process.actions[index]], "prob": probability}
+
+
+def _decisions_without_memory(
+    policy: Policy, memory: int, process: Exported
+) -> Iterator[dict[str, Any]]:
+    """An entry for each state of the file."""
+    acting = np.flatnonzero(np.diff(policy.model.pair_offsets))
+    branches = policy.branches(acting, np.full(acting.size, memory))
+    chosen: dict[int, list[dict[str, Any]]] = {state: [] for state in acting.tolist()}
+    for situation, pair, chance in zip(*(part.tolist() for part in branches), strict=True):
+        if pair >= 0 and chance > 0.0:
+            index = int(process.choice_of_pair[pair])
+            chosen[int(acting[situation])].append(_choice_entry(process, index, chance))
+    for state, first in enumerate(process.pair_offsets[:-1].tolist()):
+        choices = chosen.get(state, [_choice_entry(process, first, 1.0)])
+        yield {"s": state, "c": choices or "undefined"}
+
+
+def _ended(chain: Chain) -> Any:
+    """Which nodes are goals or dead-ends, [nodes]."""
+    return chain.model.goal_mask[chain.state] | (chain.dead > 0.0)
+
+
+class _Scheduler:
+    """What a policy with a memory does on the states of a file. Grows.
+
+    ``choices`` are in each state of the file and memory the choices, each with its probability and
+    the memory after each successor.
+    """
+
+    def __init__(self, chain: Chain, process: Exported) -> None:
+        self._process, self._model = process, chain.model
+        self._staying = attention_pairs(chain.model, attention_states(chain.model))
+        self._choices: dict[tuple[int, int], dict[int, tuple[float, dict[int, int]]]] = {}
+        start = int(chain.memory[int(np.argmax(chain.start))])
+        codes = [start, *sorted(set(chain.memory.tolist()) - {start})]
+        numbers = {code: k for k, code in enumerate(codes)}
+        self._given_up = len(codes)  # the memory of having given up
+        memory = [numbers[code] for code in chain.memory.tolist()]
+        nodes: list[tuple[int, int]] = list(zip(chain.state.tolist(), memory, strict=True))
+        moves: dict[tuple[int, int], dict[int, int]] = {}  # by node and pair
+        pairs = np.searchsorted(self._model.outcome_offsets, chain.outcome, side="right") - 1
+        steps = chain.source, pairs, chain.outcome, chain.target
+        for node, pair, outcome, target in zip(*(part.tolist() for part in steps), strict=True):
+            moves.setdefault((node, pair), {})[outcome] = memory[target]
+        for node in np.flatnonzero(_ended(chain)).tolist():
+            self._end(*nodes[node])
+        branches = chain.branch_node, chain.branch_pair, chain.branch_probability
+        quits: dict[int, float] = {}
+        for node, pair, chance in zip(*(part.tolist() for part in branches), strict=True):
+            if pair == GIVE_UP_CODE and chance > 0.0:
+                quits[node] = chance
+            elif chance > 0.0:
+                self._take(nodes[node], pair, chance, moves[node, pair])
+        for node, chance in quits.items():  # by actions that are not taken otherwise
+            self._quit(*nodes[node], chance)
+
+    def entries(self) -> Iterator[dict[str, Any]]:
+        """An entry for each state and memory that is reached."""
+        for (state, memory), choices in sorted(self._choices.items()):
+            entry: dict[str, Any] = {"s": state, "m": memory, "c": []}
+            for index, (chance, after) in sorted(choices.items()):
+                updates = [{"s'": successor, "m'": after[successor]} for successor in sorted(after)]
+                choice = _choice_entry(self._process, index, chance)
+                entry["c"].append(choice | {"memory-updates": updates})
+            yield entry
+
+    def _take(self, at: tuple[int, int], pair: int, chance: float, after: dict[int, int]) -> None:
+        """Take a pair; states that pay keep the memory until they have paid."""
+        process, updates = self._process, dict[int, int]()
+        for outcome, then in after.items():
+            target = int(process.target_of_outcome[outcome])
+            updates[target] = then
+            if target >= self._model.n_states:
+                pay = int(process.pair_offsets[target])
+                follower = int(process.successors[process.outcome_offsets[pay]])
+                self._choices[target, then] = {pay: (1.0, {follower: then})}
+        choices = self._choices.setdefault(at, {})
+        choices[int(process.choice_of_pair[pair])] = chance, updates
+
+    def _end(self, state: int, memory: int) -> None:
+        """Stay where nothing happens any more; a dead-end that has actions is left to them."""
+        if self._model.pair_offsets[state] < self._model.pair_offsets[state + 1]:
+            self._quit(state, memory, 1.0)
+            return
+        index = int(self._process.pair_offsets[state])
+        self._choices[state, memory] = {index: (1.0, {state: memory})}
+
+    def _quit(self, state: int, memory: int, chance: float) -> None:
+        """Give up: from here on avoid the goal."""
+        queue, waiting = [(state, memory, chance)], set[int]()
+        while queue:
+            here, code, share = queue.pop()
+            pair = self._avoiding(here, code)
+            begin, end = self._model.outcome_offsets[pair : pair + 2].tolist()
+            occurs = [k for k in range(begin, end) if self._model.probabilities[k] > 0.0]
+            self._take((here, code), pair, share, dict.fromkeys(occurs, self._given_up))
+            for there in {int(self._model.successors[k]) for k in occurs}:
+                if (there, self._given_up) in self._choices or there in waiting:
+                    continue
+                waiting.add(there)
+                if self._model.pair_offsets[there] < self._model.pair_offsets[there + 1]:
+                    queue.append((there, self._given_up, 1.0))
+                else:
+                    self._end(there, self._given_up)
+
+    def _avoiding(self, state: int, memory: int) -> int:
+        """A pair that surely avoids the goal and is not taken for another reason."""
+        taken = self._choices.get((state, memory), {})
+        for pair in range(*self._model.pair_offsets[state : state + 2].tolist()):
+            if self._staying[pair] and int(self._process.choice_of_pair[pair]) not in taken:
+                return pair
+        raise ModelError(
+            f"the policy gives up in state {self._model.states[state]!r}, where every action that "
+            "it does not take otherwise may lead to the goal: a scheduler cannot say so, "
+            "induced_chain(policy, start) can"
+        )
+
+
+_VERSION = 1
+
+
+@explained
+def write_controller(policy: Policy | MixedPolicy, path: FilePath) -> None:
+    """Write a policy as a JSON file that :class:`ssp_lp.io.Controller` runs.
+
+    That class stands in one file of its own, ``ssp_lp/io/controller.py``, which imports nothing but
+    the standard library and says what the file holds.
+
+    Args:
+        policy: deterministic, stochastic, cost-aware, of a problem with a horizon or on a product
+            with a memory (``on_original``), or a lottery over these.
+        path: of the file, ``controller.json``.
+
+    Raises:
+        ModelError: the policy is of another class, or a label is no str, int, float, bool, None or
+            tuple of them, or an action is called "give up".
+    """
+    lottery = as_lottery(policy)
+    model = lottery.model
+    if GIVE_UP_WORD in model.action_names:
+        raise ModelError(f"an action is called {GIVE_UP_WORD!r}, which says that a policy gives up")
+    codes = {name: k for k, name in enumerate(model.action_names)}
+    told = {
+        "format": "ssp-lp controller",
+        "version": _VERSION,
+        "model": fingerprint(model),
+        "states": model.n_states
+        if are_numbers_in_turn(model.states)
+        else [label_value(label) for label in model.states],
+        "actions": [label_value(label) for label in model.action_names],
+        "ends": np.flatnonzero(model.goal_mask | dead_ends(model)).tolist(),
+        "members": [
+            {
+                "weight": weight,
+                "memory": _controller_memory(member, codes),
+                "decision": _controller_decisions(member, codes),
+            }
+            for member, weight in zip(lottery.policies, lottery.weights.tolist(), strict=True)
+        ],
+    }
+    told["checksum"] = controller_checksum(told)
+    text = json.dumps(told, separators=(",", ":"), allow_nan=False)
+    Path(path).write_text(text + "\n", encoding="utf-8")
+
+
+def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[str, Any] | None:
+    """What the policy remembers, as the controller reads it.
+
+    Raises:
+        ModelError: the controller does not know such a memory.
+    """
+    match policy:
+        case DeterministicPolicy() | StochasticPolicy(carrier=None):
+            return None
+        case StochasticPolicy(carrier=Policy() as carrier):
+            return _controller_memory(carrier, codes)
+        case JointMemory(keepers=(keeper,)):
+            return _controller_memory(keeper, codes)
+        case RememberingPolicy(inner=inner, product=product):
+            place = {"place": product.table.T.tolist(), "inner": _controller_memory(inner, codes)}
+            return _controller_numbers(product, codes) | place
+        case CostAwarePolicy():
+            table = policy.tail_table
+            return {
+                "kind": "layers",
+                "unit": float(policy.unit),
+                "rounds_up": bool(policy.rounds_up),
+                "cap": policy.cap,
+                "tails": len(policy.tails),
+                "threshold": [  # None for never, 0 for always
+                    max(layer, 0.0) if layer < np.inf else None
+                    for layer in policy.tail_threshold.tolist()
+                ],
+                "table": None if table is None else table.tolist(),
+                "levels": None if policy.levels is None else policy.levels.tolist(),
+                "acting": (policy.tails[0] != UNDECIDED).astype(np.int64).tolist(),
+            }
+    raise ModelError(f"a controller cannot run a {type(policy).__name__}")
+
+
+def _controller_numbers(product: ProductSSP, codes: Mapping[Hashable, int]) -> dict[str, Any]:
+    """How the number of a product's memory goes on, for the controller's file."""
+    if isinstance(product, HorizonSSP):
+        acting = np.diff(product.original.pair_offsets) > 0
+        return {"kind": "steps", "steps": product.steps, "acting": acting.astype(int).tolist()}
+    known, numbers = product.table >= 0, np.empty(product.n_states, dtype=np.int64)
+    numbers[product.table[known]] = np.nonzero(known)[1]
+    pairs = segment_ids(product.outcome_offsets)
+    begin, end = numbers[product.pair_state[pairs]], numbers[product.successors]
+    action = np.array([codes[name] for name in product.action_names])[product.pair_action[pairs]]
+    here, there = product.original_state[product.pair_state[pairs]], product.original_state
+    steps = np.column_stack([begin, here, action, there[product.successors]])
+    after: dict[tuple[int, ...], dict[float, int]] = {}
+    for step, cost, then in zip(steps.tolist(), product.costs.tolist(), end.tolist(), strict=True):
+        after.setdefault(tuple(step), {})[cost] = then
+    moves: list[list[Any]] = []
+    for step, by_cost in after.items():
+        if len(set(by_cost.values())) > 1:
+            moves += [[*step, cost, then] for cost, then in by_cost.items()]
+        elif (then := next(iter(by_cost.values()))) != step[0]:
+            moves.append([*step, None, then])
+    return {"kind": "task", "start": product.memory_number[product.memory.start], "moves": moves}
+
+
+def _controller_decisions(policy: Policy, codes: Mapping[Hashable, int]) -> list[list[Any]]:
+    """What the policy does, [memories][states], of the innermost memory and its states."""
+    over = np.zeros(policy.model.n_states, dtype=np.bool_)
+    while isinstance(policy, RememberingPolicy):
+        product, policy = policy.product, policy.inner
+        idle = (np.diff(product.pair_offsets) == 0) & ~product.goal_mask
+        over = idle | np.where(dead_ends(product), True, over[product.original_state])
+    model = policy.model
+    action = np.array([codes[name] for name in model.action_names] or [0])
+    action = np.append(action[model.pair_action], 0)  # of a model without pairs, too
+    decisions = []
+    for memory in range(memory_size(policy)):
+        found = policy.branches(np.arange(model.n_states), np.full(model.n_states, memory))
+        choice = np.where(found.pair < 0, found.pair, action[np.maximum(found.pair, 0)])
+        # it gives up where it has no decision and all is over
+        choice = np.where(over[found.situation] & (choice == UNDECIDED), GIVE_UP_CODE, choice)
+        listed: list[list[list[Any]]] = [[] for _ in range(model.n_states)]
+        columns = found.situation, choice, found.probability
+        for state, code, share in zip(*(column.tolist() for column in columns), strict=True):
+            listed[state].append([code, share])
+        decisions.append([some[0][0] if len(some) == 1 else some for some in listed])
+    return decisions
