@@ -86,7 +86,8 @@ def _aligned(lines: list[str]) -> str:
 
 def _latex_text(text: str) -> str:
     """Text for LaTeX, what has a meaning there escaped."""
-    return re.sub(r"([#$%&_{}])", r"\\\1", text.replace("\\", "/"))
+    escaped = re.sub(r"([#$%&_{}])", r"\\\1", text.replace("\\", "/"))
+    return re.sub(r"([~^])", r"\\\1{}", escaped)
 
 
 def _sides(program: LinearProgram) -> Iterator[tuple[str, float]]:

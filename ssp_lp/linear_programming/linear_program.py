@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ssp_lp.arrays import BoolArray, FloatArray
+from ssp_lp.errors import is_number, wrong_argument
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,13 @@ class MeasuredRow(NamedTuple):
         if self.dual is not None and self.dual != self.price:
             told += f" of the ratio: {self.dual:.6g} for another unit of the bound"
         return f"{self.name}: {self.spent:.9g} {self.relation} {self.bound:g}{told}"
+
+
+def check_bounds(bounds: Mapping[str, object]) -> None:
+    """Raise :class:`ModelError`, naming the row, unless each of the bounds is a number."""
+    for name, bound in bounds.items():
+        if not is_number(bound) or np.isnan(float(bound)):
+            raise wrong_argument(name, "be a number, the bound of its row", bound)
 
 
 def program_residuals(program: LinearProgram, answer: LPAnswer) -> tuple[float, float, float]:

@@ -13,7 +13,7 @@ from cvxpy.constraints.nonpos import Inequality
 from cvxpy.constraints.zero import Equality
 
 from ssp_lp.arrays import FloatArray
-from ssp_lp.errors import ModelError, SolverError, is_number, wrong_argument
+from ssp_lp.errors import ModelError, SolverError
 from ssp_lp.linear_programming.convex_rows import (
     ScaledExpression,
     affine_parts,
@@ -21,6 +21,7 @@ from ssp_lp.linear_programming.convex_rows import (
     measured_rows,
 )
 from ssp_lp.linear_programming.convex_solving import Conflict, contradicting, solve_stated, stated
+from ssp_lp.linear_programming.linear_program import check_bounds
 from ssp_lp.processes.failure_semantics import AS_ASKED
 from ssp_lp.processes.quantities import Quantity
 from ssp_lp.programs.occupation_measure import NOISES, OccupationMeasure
@@ -143,9 +144,7 @@ class ConvexProgram:
         began, as_stated = time.perf_counter(), self._is_as_stated
         opened = {"failure"} if self.program.at_least and as_stated else set[str]()
         asked = {n: options.pop(n) for n in self.bounds.keys() | opened if n in options}
-        for name, bound in asked.items():
-            if not is_number(bound):
-                raise wrong_argument(name, "be a number, the bound of its row", bound)
+        check_bounds(asked)
         start = self._begun if start is None else start
         program = self.program.bounded_by(self._now | asked) if as_stated else self.program
         program = program if start is None else program.started(start)

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+import numpy.typing as npt
 
 from ssp_lp.arrays import BELOW_RATIO, FloatArray
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
 from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, words_as_latex
-from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer
+from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, check_bounds
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.naming import ByName, html_text
 from ssp_lp.model.product import ProductSSP
@@ -123,9 +123,10 @@ class OccupationProgram:
             anew: False: with the columns that it has.
 
         Raises:
-            ModelError: there is no such row.
+            ModelError: there is no such row, or a bound is no number.
             InfeasibleError: the budget is below the least failure.
         """
+        check_bounds(bounds)
         now = {row.name: row.bound for row in self.rows}
         make = self.remade if anew and (self.at_least or self.augmented.copies > 1) else None
         opened = {"failure"} if self.at_least and make is not None else set[str]()
@@ -344,7 +345,7 @@ class OccupationProgram:
         )
 
     @explained
-    def measure(self, x: ArrayLike) -> OccupationMeasure:
+    def measure(self, x: npt.ArrayLike) -> OccupationMeasure:
         """Any solution of the program's rows, however it was found, as a measure.
 
         It is taken as it is; ``residual`` says how far it is from keeping to the rows. Nothing is

@@ -215,6 +215,8 @@ def test_latex_is_the_program() -> None:
     assert r"\langle \text{cost}, x \rangle / \langle \text{goal}, x \rangle" in told
     assert r"\langle \text{failure}, x \rangle \le 0.05 && \text{failure}" in told
     assert r"50 \% \& more" in told
+    odd = MCMP(DEPOT, "depot", 0.05, constraints={"x^2 ~ y": visits("depot") <= 9.0})
+    assert r"\text{x\^{}2 \~{} y}" in odd.program().to_latex()
 
 
 def test_evaluation_says_the_same_as_the_rows() -> None:

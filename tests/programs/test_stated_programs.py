@@ -125,6 +125,11 @@ def test_bounds_that_no_policy_keeps_are_named() -> None:
     with pytest.raises(InfeasibleError, match=r"at least 0\.1") as refused:
         MCMP(forced, "s", 0.2).program().bounded_by({"failure": 0.05}).solve()
     assert refused.value.least_failure == pytest.approx(0.1)
+    for bound in (np.nan, "half"):
+        with pytest.raises(ModelError, match="cost must be a number, the bound of its row"):
+            cheap.bounded_by({"cost": bound})
+        with pytest.raises(ModelError, match="cost must be a number, the bound of its row"):
+            cheap.to_cvxpy().solve(cp.CLARABEL, cost=bound)
 
 
 def test_the_open_end_lets_every_action_go_on() -> None:
@@ -354,6 +359,8 @@ def test_any_visits_make_a_measure() -> None:
         assert found.objective == pytest.approx(solved.objective, rel=1e-7)
         with pytest.raises(ModelError, match="finite numbers"):
             program.measure(solved.visits[1:])
+        with pytest.raises(ModelError, match="x must be numbers, not 'often'"):
+            program.measure("often")
 
 
 def test_one_action_in_each_state_by_whole_numbers() -> None:
