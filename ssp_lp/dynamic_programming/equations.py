@@ -90,6 +90,11 @@ class System:
         """Whether totals are exact whatever accuracy is asked for: no component is large."""
         return self.components.largest <= EXACTLY_SOLVED
 
+    @property
+    def is_solved_reward_by_reward(self) -> bool:
+        """Whether two rewards took twice as long as one, and that was long."""
+        return any(block.is_solved_reward_by_reward for block in self._large.values())
+
     @cached_property
     def home(self) -> IntArray:
         """Each state's own row, [states]."""

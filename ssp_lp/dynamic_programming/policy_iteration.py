@@ -204,6 +204,7 @@ def howard_rounds(
     choice, work, rounds, changed_before = latest[0], Work(), 0, np.inf
     before: IntArray | None = None
     scale_before = np.inf
+    values, is_single = np.zeros(0), False
     above: FloatArray | None = None  # values of the last policy, where they were exact
     while True:
         check_time()
@@ -212,16 +213,21 @@ def howard_rounds(
         else:
             system, choice = leaving_chain(dynamics, choice, before)
         latest[0] = choice
-        totals = system.solve(rewards[choice], totals, accuracy)
+        exact = system.is_solved_exactly
+        if is_single and not exact:  # until the end only what is compared
+            values = system.solve(pair_cost[choice][:, None], values[:, None], accuracy)[:, 0]
+            up_to_date = False
+        else:
+            totals = system.solve(rewards[choice], totals, accuracy)
+            values, up_to_date = weighted(totals, weights), True
+        is_single = is_single or system.is_solved_reward_by_reward
         spent, system.products = system.products, 0
         work, rounds = work + Work(1, spent), rounds + 1
-        values = weighted(totals, weights)
         if accuracy <= _FINE and above is not None:
             rounding = NEARLY * float(np.abs(above).max(initial=0.0))
             if not (values <= above + rounding).all():
                 raise SolverError("a policy that was to improve the last one is worse")
         backup = best_pairs(dynamics.pair_offsets, transitions, pair_cost, values, choice)
-        exact = system.is_solved_exactly
         missed = 0.0 if exact and accuracy <= _FINE else accuracy
         better, gain, scale = _gains_of_round(backup, values, missed, floor)
         if accuracy > _FINE and scale > _RISEN * scale_before:
@@ -237,6 +243,8 @@ def howard_rounds(
             better, gain, scale = _gains_of_round(backup, values, 0.0, floor)
         above = values if accuracy <= _FINE else None
         if not better.any():
+            if totals is None or not up_to_date:
+                totals = system.solve(rewards[choice], totals, accuracy)
             return choice, system, totals, gain, work
         if rounds > MOST_ROUNDS:
             raise SolverError("policy iteration goes round in circles")

@@ -39,6 +39,7 @@ _MOST_STATES = 200_000
 _BAND_WORK = 6e8
 """States times the square of the bandwidth: about a second of compiled reduction."""
 
+_BANDED = 4.0  # times the work of sparse factors that are worth a reduction without subtractions
 _MOST_BAND_WORK = 1e10  # the same where nothing else is precise enough
 _TRIAL = 6  # sweeps over which the contraction is judged
 _CONTRACTION = 0.7  # per sweep; slower components are left to other methods
@@ -53,6 +54,11 @@ _LEAST_RESIDUAL = 1e-12
 _LITTLE_WORK = 1e6
 """Multiplications of a direct solution that take as long as the calls around a Krylov method."""
 
+_FACTOR_STATE, _FACTOR_BLOCK = 2_000.0, 0.1
+"""Work of sparse factors, as measured: for each state, and for each multiplication of dense
+separators, of which several run at once."""
+
+_DEAR = 200  # passes for a reward from which the others are left out until they are needed
 _ENTRY = 2.0  # multiplications of a direct solution that take as long as an entry of a sweep
 
 
@@ -78,16 +84,23 @@ class LargeComponent:
             self._own, lambda: weak.direct_work, is_compiled=self._is_compiled
         )
 
+    @property
+    def is_solved_reward_by_reward(self) -> bool:
+        """Whether a Krylov method took the rewards one after the other, and long for each."""
+        return self._iteration.dearest > _DEAR
+
     @cached_property
     def direct_work(self) -> float:
-        """About the multiplications of a direct solution: states times the square of the width."""
+        """About the multiplications of a direct solution: as a band, or by sparse factors."""
         size = len(self._states)
         if not self._is_compiled:
             return float(size) * self._band[1] ** 2
-        from ssp_lp.compiled.equations import widest_level
+        from ssp_lp.compiled.equations import work_of_levels
 
         own = self._own
-        return float(size) * widest_level(unsigned(own.indptr), unsigned(own.indices)) ** 2
+        width, dissection = work_of_levels(unsigned(own.indptr), unsigned(own.indices))
+        factors = _FACTOR_STATE * size + _FACTOR_BLOCK * dissection
+        return min(float(size) * width**2, factors if size <= _MOST_STATES else np.inf)
 
     @cached_property
     def _band(self) -> tuple[IntArray, int]:
@@ -182,7 +195,7 @@ class LargeComponent:
         exits = self._leaving / self._departs
         if self.direct_work <= _BAND_WORK:
             order, width = self._band
-            if len(order) * width**2 <= _BAND_WORK:
+            if len(order) * width**2 <= min(_BAND_WORK, _BANDED * self.direct_work):
                 if self._is_compiled:
                     return band_solver(self._own, exits, order, width)
                 return factor_solver(self._own, exits, order)
@@ -204,6 +217,7 @@ class Iteration:
         """
         self.own, self._is_compiled, self._direct_work = own, is_compiled, direct_work
         self.products = 0  # passes over the matrix
+        self.dearest = 1  # passes that one reward has taken: the next ones will take as many
 
     @property
     def _passes_left(self) -> int:
@@ -231,7 +245,8 @@ class Iteration:
             y[:, poor] = 0.0
             if self._swept(right, y, accuracy):
                 return True
-        return self._passes_left > 0 and self._by_krylov(right, y, accuracy)
+        expected = right.shape[1] * self.dearest
+        return expected <= self._passes_left and self._by_krylov(right, y, accuracy)
 
     @cached_property
     def _own_arrays(self) -> tuple[IntArray, IntArray, FloatArray]:
@@ -271,8 +286,10 @@ class Iteration:
     def _by_krylov(self, right: FloatArray, y: FloatArray, target: float) -> bool:
         """BiCGStab on each reward; whether all reached the target, or what must do."""
         for j in range(right.shape[1]):
+            before = self.products
             column, wanted = np.ascontiguousarray(y[:, j]), np.ascontiguousarray(right[:, j])
             reached = self._krylov(wanted, column, target)
+            self.dearest = max(self.dearest, self.products - before)
             if not reached <= max(target, _LEAST_RESIDUAL):
                 return False
             y[:, j] = column
@@ -470,13 +487,13 @@ def factorised(system: sp.csc_array, *, in_order: bool = False) -> linalg.SuperL
     Raises:
         SolverError: the matrix is singular.
     """
-    order = "NATURAL" if in_order else "COLAMD"
-    threshold = 0.0 if in_order else 1.0  # diagonally dominant by rows: the order is kept
+    order = "NATURAL" if in_order else "MMD_AT_PLUS_A"
     try:
         found: linalg.SuperLU = linalg.splu(
             system,  # type: ignore[call-overload]
             permc_spec=order,
-            diag_pivot_thresh=threshold,
+            diag_pivot_thresh=0.0,  # diagonally dominant by rows: no pivot is needed
+            options={"SymmetricMode": not in_order},  # fill in as the order foresees
         )
         return found
     except RuntimeError as error:
