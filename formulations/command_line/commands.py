@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import math
 import re
 import sys
 from argparse import Namespace
@@ -45,7 +44,7 @@ Start = Hashable | Mapping[Hashable, float]
 
 
 @dataclass(frozen=True)
-class CommandModel:
+class _CommandModel:
     """A model, where it begins, and the environment that it is of, if it is of one."""
 
     asked: Namespace
@@ -93,7 +92,7 @@ class CommandModel:
         return command_model(Namespace(**{**vars(self.asked), "cost": name})).model
 
 
-def command_model(asked: Namespace) -> CommandModel:
+def command_model(asked: Namespace) -> _CommandModel:
     """Read the model that a command names.
 
     Raises:
@@ -110,7 +109,7 @@ def command_model(asked: Namespace) -> CommandModel:
     model, start = stated
     if asked.start is not None:
         start = state_named(model, asked.start)
-    return CommandModel(asked, model, start, None if asked.horizon == "env" else asked.horizon)
+    return _CommandModel(asked, model, start, None if asked.horizon == "env" else asked.horizon)
 
 
 @cache
@@ -119,7 +118,7 @@ def _model_from_standard_input() -> str:
     return sys.stdin.read()
 
 
-def _model_of_environment(asked: Namespace) -> CommandModel:
+def _model_of_environment(asked: Namespace) -> _CommandModel:
     """The model of a Gymnasium environment that the command line names."""
     gymnasium = optional_module("gymnasium", "gym")
     name, *words = asked.model.removeprefix(ENVIRONMENT).split(",")
@@ -137,7 +136,7 @@ def _model_of_environment(asked: Namespace) -> CommandModel:
         start=None if asked.start is None else _value_for_model(asked.start),
     )
     horizon = world.step_limit if asked.horizon == "env" else asked.horizon
-    return CommandModel(asked, world.model, world.start, horizon, environment)
+    return _CommandModel(asked, world.model, world.start, horizon, environment)
 
 
 def _value_for_model(word: str) -> Any:
@@ -164,7 +163,7 @@ _OF_STATES = {"visits": ssp_lp.visits, "end": ssp_lp.end_probability}
 _SIGNS: dict[str, Callable[..., ssp_lp.Constraint]] = {"<=": le, ">=": ge, "==": eq}
 
 
-def problem_of(asked: Namespace, of: CommandModel) -> Problem:
+def problem_of(asked: Namespace, of: _CommandModel) -> Problem:
     """The problem that a command asks about.
 
     Raises:
@@ -190,7 +189,7 @@ def problem_of(asked: Namespace, of: CommandModel) -> Problem:
     return cast("Problem", criterion(of.model, of.start, **asked_for))
 
 
-def _problem_limit(words: str, of: CommandModel) -> tuple[str, ssp_lp.Constraint]:
+def _problem_limit(words: str, of: _CommandModel) -> tuple[str, ssp_lp.Constraint]:
     """A limit and its name, the words of its quantity.
 
     Raises:
@@ -203,7 +202,7 @@ def _problem_limit(words: str, of: CommandModel) -> tuple[str, ssp_lp.Constraint
     return found["words"], _SIGNS[found["sign"]](measured, bound)
 
 
-def _problem_quantity(words: str, of: CommandModel) -> ssp_lp.Quantity:
+def _problem_quantity(words: str, of: _CommandModel) -> ssp_lp.Quantity:
     """A sum of quantities, " + " between them.
 
     Raises:
@@ -213,7 +212,7 @@ def _problem_quantity(words: str, of: CommandModel) -> ssp_lp.Quantity:
     return sum(terms[1:], start=terms[0])
 
 
-def _problem_term(words: str, whole: str, of: CommandModel) -> ssp_lp.Quantity:
+def _problem_term(words: str, whole: str, of: _CommandModel) -> ssp_lp.Quantity:
     """A term of the sum of quantities that the command's problem limits."""
     found = _TERM.fullmatch(words)
     if found is None:
@@ -240,16 +239,8 @@ def _problem_number(word: str, whole: str) -> float:
 
 def json_answer(answer: Any) -> list[str]:
     """The lines of an answer in JSON; what is no finite number is null."""
-    return [json.dumps(_finite_answer(answer), indent=2, ensure_ascii=False)]
-
-
-def _finite_answer(value: Any) -> Any:
-    """An answer in which what is no finite number is None."""
-    if isinstance(value, Mapping):
-        return {name: _finite_answer(one) for name, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite_answer(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    finite = json.loads(json.dumps(answer), parse_constant=lambda _: None)
+    return [json.dumps(finite, indent=2, ensure_ascii=False)]
 
 
 def with_options(error: ssp_lp.SSPError) -> str:
@@ -275,7 +266,7 @@ def figure_for(path: str | None) -> Figure | None:
     return figure
 
 
-PolicyWriter = Callable[[Solution, CommandModel, str], None]
+PolicyWriter = Callable[[Solution, _CommandModel, str], None]
 
 
 def policy_writer(path: str | None) -> PolicyWriter | None:
@@ -292,7 +283,7 @@ def policy_writer(path: str | None) -> PolicyWriter | None:
     raise ModelError(f"a policy is written as {', '.join(_WRITERS)}, not {path!r}")
 
 
-def _write_answer_table(solution: Solution, of: CommandModel, path: str) -> None:
+def _write_answer_table(solution: Solution, of: _CommandModel, path: str) -> None:
     """Write the policy of an answer as a table."""
     with Path(path).open("w", encoding="utf-8", newline="") as file:
         rows = csv.writer(file)
@@ -417,7 +408,7 @@ def _simulate_command(asked: Namespace) -> Iterable[str]:
         ends = {name: getattr(report, name) for name in ("goal", "failed", "gave_up", "truncated")}
     else:
         report = ssp_lp.simulate(policy, problem, rng=asked.seed, **settings)
-        ends, names = report.ends, names | {"expected_cost": "cost_until_failure"}
+        ends, names = dict(report.ends), names | {"expected_cost": "cost_until_failure"}
     names |= {"mean_steps": "mean_steps", "note": "note"}
     numbers = {name: getattr(report, of, "") for of, name in names.items()}
     told = {

@@ -19,9 +19,7 @@ Start = Hashable | Mapping[Hashable, float]
 _JSON, _ARCHIVE = (".json", ".json.gz"), ".npz"
 _STORM = (".prism", ".nm", ".pm", ".jani", ".umb")
 _READERS: dict[str, Callable[..., ModelFile]] = {
-    ".drn": read_drn,
-    ".drn.gz": read_drn,
-    ".tra": read_prism,
+    **{".drn": read_drn, ".drn.gz": read_drn, ".tra": read_prism},
     **dict.fromkeys(_STORM, read_with_storm),
 }
 """What reads a file whose goals are the states of one label, by the ending of its name."""
@@ -76,9 +74,8 @@ def read_any(
         told = f"{file}: name the one label whose states are goals ("
         raise ModelError(told, Argument("goal"), ")")
     more = {"constants": constants} if ending in _STORM else {}
-    answer = _READERS[ending](file, goal=goals[0], cost=cost, **more)
-    states = answer.initial_states
-    return StatedModel(answer.model, states[0] if len(states) == 1 else None)
+    found = _READERS[ending](file, goal=goals[0], cost=cost, **more)
+    return StatedModel(found.model, found.start if len(found.initial_states) == 1 else None)
 
 
 @explained

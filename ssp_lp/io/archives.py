@@ -21,9 +21,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ssp_lp import policies
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import Argument, ModelError
+from ssp_lp.io.controller import controller_label
 from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
@@ -32,13 +34,7 @@ from ssp_lp.model.graph import kept
 from ssp_lp.model.product import HorizonSSP, ProductSSP, unroll_steps
 from ssp_lp.model.ssp import check_model
 from ssp_lp.options import Status
-from ssp_lp.policies import (
-    CostAwarePolicy,
-    DeterministicPolicy,
-    MixedPolicy,
-    StochasticPolicy,
-    TimedPolicy,
-)
+from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy
 from ssp_lp.policies.remembering import JointMemory, RememberingPolicy
 from ssp_lp.problem import Problem, conditions_of, unrolled
@@ -103,10 +99,11 @@ def _read_archive(path: FilePath, kind: str) -> tuple[Any, dict[str, Array]]:
 
 
 @contextmanager
-def _damage_named(path: FilePath) -> Iterator[None]:
-    """Raise :class:`ModelError`, naming the archive, for what only a damaged one can say."""
+def _opened_archive(path: FilePath, kind: str) -> Iterator[tuple[Any, dict[str, Array]]]:
+    """The header and the arrays; :class:`ModelError` names the file where they make no sense."""
+    found = _read_archive(path, kind)
     try:
-        yield
+        yield found
     except ModelError as error:
         raise ModelError(f"{path}: ", *error.args) from error
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as error:
@@ -187,8 +184,7 @@ def load_model(path: FilePath) -> SSP:
             makes no model.
         OSError: the file cannot be opened.
     """
-    header, arrays = _read_archive(path, "model")
-    with _damage_named(path):
+    with _opened_archive(path, "model") as (header, arrays):
         return _model_in_archive(header, arrays)
 
 
@@ -201,7 +197,7 @@ def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> 
             raise ModelError(f"the array {name} has another type or size than it should")
     n_states, labels = arrays["pair_offsets"].size - 1, arrays["label_offsets"]
     states, actions = (
-        None if texts[name] is None else [label_of(part) for part in texts[name]]
+        None if texts[name] is None else [controller_label(part) for part in texts[name]]
         for name in ("states", "actions")
     )
     if states is not None and len(states) != n_states:
@@ -220,7 +216,7 @@ def _model_in_archive(texts: Mapping[str, Any], arrays: Mapping[str, Array]) -> 
         states=states,
         actions=actions,
         state_labels=dict(zip(texts["state_labels"], marked, strict=True)),
-        exact_costs=_exact_costs_in_archive(texts),
+        exact_costs=_exact_costs_in_archive(texts["exact_costs"]),
         treat_actionless_as_dead_ends=True,
     )
     return replace(model, probabilities=read_only(arrays["probabilities"]))  # not rounded again
@@ -233,14 +229,12 @@ def _named_in_archive(names: Sequence[Hashable], numbers: Array, what: str) -> l
     return [names[k] for k in numbers.tolist()]
 
 
-def _exact_costs_in_archive(texts: Mapping[str, Any]) -> Mapping[float, Fraction]:
+def _exact_costs_in_archive(listed: Sequence[tuple[float, str]]) -> Mapping[float, Fraction]:
     """Costs that were given as fractions; digits are counted before they are read."""
-    exact: dict[float, Fraction] = {}
-    for number, text in texts["exact_costs"]:
+    for _, text in listed:
         if not _FRACTION.fullmatch(text):
             raise ModelError(f"the exact cost {text[:60]!r} is no fraction")
-        exact[float(number)] = Fraction(text)
-    return exact
+    return {float(number): Fraction(text) for number, text in listed}
 
 
 @explained
@@ -278,8 +272,7 @@ def load_policy(path: FilePath, model: SSP, *, check: bool = True) -> AnyPolicy:
         ModelError: the file is none of a policy, or the model is another one.
     """
     check_model(model, "load_policy")
-    header, arrays = _read_archive(path, "policy")
-    with _damage_named(path):
+    with _opened_archive(path, "policy") as (header, arrays):
         horizon = header.get("horizon")
         if horizon is not None and not isinstance(model, HorizonSSP):
             begin = arrays[horizon["begin"]]
@@ -329,10 +322,10 @@ def _policy_in(
 
 
 _CLASSES: dict[str, type[Any]] = {
-    "deterministic": DeterministicPolicy,
-    "stochastic": StochasticPolicy,
-    "cost aware": CostAwarePolicy,
-    "timed": TimedPolicy,
+    "deterministic": policies.DeterministicPolicy,
+    "stochastic": policies.StochasticPolicy,
+    "cost aware": policies.CostAwarePolicy,
+    "timed": policies.TimedPolicy,
     "mixed": MixedPolicy,
     "remembering": RememberingPolicy,
     "joint memory": JointMemory,
@@ -364,8 +357,8 @@ class _PolicyRecords:
         if isinstance(model, HorizonSSP):
             begin = np.flatnonzero(model.positions[:, 0] >= 0)
             horizon = {"steps": model.steps, "begin": self.add_array(begin)}
-        known = {"model": fingerprint(model), "pairs": pair_print(model), "sizes": repr(model)}
-        return {**known, "policies": self._records, "horizon": horizon}
+        prints = {"model": fingerprint(model), "pairs": pair_print(model)}
+        return prints | {"sizes": repr(model), "policies": self._records, "horizon": horizon}
 
     def add_array(self, array: Array) -> str:
         """The name under which an array is found again; equal ones are kept once."""
@@ -450,8 +443,7 @@ def load_solution(path: FilePath, problem: Problem) -> Solution:
             another criterion, start, budget, discount, penalty, or other limits.
     """
     model = unrolled(problem).model
-    header, arrays = _read_archive(path, "solution")
-    with _damage_named(path):
+    with _opened_archive(path, "solution") as (header, arrays):
         policy = _policy_in(header, arrays, model, check=True)
         _check_problem(problem, header["problem"], arrays[header["start"]])
         if not isinstance(policy, MixedPolicy):
@@ -596,20 +588,6 @@ def label_value(label: Hashable) -> Any:
     raise ModelError(
         f"the label {label!r} cannot be written: str, int, float, bool, None and tuples of them can"
     )
-
-
-def label_of(value: Any) -> Hashable:
-    """The label that a value in JSON was: lists as tuples.
-
-    Raises:
-        ModelError: an object, which no label becomes.
-    """
-    if isinstance(value, list):
-        return tuple(label_of(part) for part in value)
-    if isinstance(value, dict):
-        raise ModelError(f"{str(value)[:60]!r} is no name of a state or an action")
-    found: Hashable = value
-    return found
 
 
 def stated_value(label: Hashable) -> Any:

@@ -80,9 +80,9 @@ class Controller:
             raise ValueError(f"{path} is damaged: its content does not agree with its checksum")
         self.model: str = told["model"]
         states, self._are_numbered = told["states"], isinstance(told["states"], int)
-        labels = range(states) if self._are_numbered else map(_controller_label, states)
+        labels = range(states) if self._are_numbered else map(controller_label, states)
         self._index: dict[Hashable, int] = {label: k for k, label in enumerate(labels)}
-        self._actions: list[Hashable] = [_controller_label(action) for action in told["actions"]]
+        self._actions: list[Hashable] = [controller_label(action) for action in told["actions"]]
         self._ends = frozenset(told["ends"])
         self._members: list[dict[str, Any]] = told["members"]
         self._rng = random.Random()
@@ -194,10 +194,10 @@ def controller_checksum(told: dict[str, Any]) -> str:
     return sha256(json.dumps(said, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
 
 
-def _controller_label(value: Any) -> Hashable:
+def controller_label(value: Any) -> Hashable:
     """A label from its JSON value: lists are tuples."""
     if isinstance(value, list):
-        return tuple(_controller_label(part) for part in value)
+        return tuple(controller_label(part) for part in value)
     return cast("Hashable", value)
 
 

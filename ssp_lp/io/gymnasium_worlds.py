@@ -14,18 +14,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
 
-from ssp_lp.analysis.simulation import (
-    Estimate,
-    greatest_total,
-    mean_estimate,
-    proportion_estimate,
-)
-from ssp_lp.arrays import (
-    SINGLE_PRECISION_SUM,
-    FloatArray,
-    ReadOnlyCopies,
-    read_only,
-)
+from ssp_lp.analysis.simulation import Estimate, greatest_total, mean_estimate, proportion_estimate
+from ssp_lp.arrays import SINGLE_PRECISION_SUM, FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.errors import (
     Argument,
     ModelError,
@@ -341,13 +331,11 @@ class RolloutReport(ReadOnlyCopies):
 
     def summary(self) -> str:
         """Two lines for a person."""
-        failure, cost = self.failure_probability, self.conditional_cost
         cut = ", cut where truncated" if self.truncated else ""
         ends = f"goal {self.goal:,}, failed {self.failed:,}, gave up {self.gave_up:,}"
         return (
-            f"{self.episodes:,} episodes: {ends}, truncated {self.truncated:,}\n"
-            f"  failure {failure.value:.4f} [{failure.low:.4f}, {failure.high:.4f}], cost given "
-            f"success {cost.value:.4f} [{cost.low:.4f}, {cost.high:.4f}]{cut}"
+            f"{self.episodes:,} episodes: {ends}, truncated {self.truncated:,}\n  failure "
+            f"{self.failure_probability}, cost given success {self.conditional_cost}{cut}"
         )
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ssp_lp import policies
 from ssp_lp.arrays import IntArray, segment_ids
 from ssp_lp.errors import ModelError, optional_module
 from ssp_lp.io.archives import are_numbers_in_turn, fingerprint, label_value
@@ -28,15 +29,7 @@ from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import attention_pairs, attention_states, dead_ends
 from ssp_lp.model.product import HorizonSSP, ProductSSP
-from ssp_lp.policies import (
-    GIVE_UP,
-    CostAwarePolicy,
-    DeterministicPolicy,
-    MixedPolicy,
-    Policy,
-    StochasticPolicy,
-    TimedPolicy,
-)
+from ssp_lp.policies import MixedPolicy, Policy, StochasticPolicy
 from ssp_lp.policies.chain import Chain, policy_chain, reaching_in_chain
 from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, as_lottery
 from ssp_lp.policies.remembering import JointMemory, RememberingPolicy, memory_size
@@ -102,7 +95,7 @@ def _table_rows(policy: Policy, member: int) -> Iterator[PolicyRow]:
         here = states[found.situation[decided]].tolist()
         pairs, shares = found.pair[decided].tolist(), found.probability[decided].tolist()
         for state, pair, share in zip(here, pairs, shares, strict=True):
-            action = GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
+            action = policies.GIVE_UP if pair == GIVE_UP_CODE else model.action_of(pair)
             yield PolicyRow(names[state], told, action, share, member)
 
 
@@ -124,15 +117,15 @@ def memories_of(policy: Policy) -> list[tuple[int, Hashable]]:
         ModelError: the policy is of a class whose memory is not known.
     """
     match policy:
-        case DeterministicPolicy() | StochasticPolicy(carrier=None):
+        case policies.DeterministicPolicy() | StochasticPolicy(carrier=None):
             return [(0, None)]
         case StochasticPolicy(carrier=Policy() as carrier):
             return memories_of(carrier)
-        case CostAwarePolicy():
+        case policies.CostAwarePolicy():
             told = [layer * policy.unit for layer in range(policy.cap)]
             told = told if policy.levels is None else policy.levels[:-1].tolist()
             return list(enumerate([*told, *(f"tail {k}" for k in range(len(policy.tails)))]))
-        case TimedPolicy():
+        case policies.TimedPolicy():
             return _joined_in_table(range(len(policy.stages)), memories_of(policy.stages[0]))
         case RememberingPolicy():
             return _joined_in_table(policy.product.memories, memories_of(policy.inner))
@@ -263,13 +256,12 @@ def write_dot(
     for k, (member, chain) in enumerate(zip(lottery.policies, chains, strict=True)):
         lines.append(f"  subgraph cluster_{k} {{")
         if len(chains) > 1:
-            lines.append(f"    label={_dot_text(f'with probability {lottery.weights[k]:.6g}')};")
+            lines.append(f'    label="with probability {lottery.weights[k]:.6g}";')
         lines += [f"    {line}" for line in _dot_nodes(member, chain, k)]
         steps = chain.matrix.tocoo()
         for source, target, chance in zip(steps.row, steps.col, steps.data, strict=True):
             if chance > 0.0:
-                share = _dot_text(f"{chance:.6g}")
-                lines.append(f"    n{k}_{source} -> n{k}_{target} [label={share}];")
+                lines.append(f'    n{k}_{source} -> n{k}_{target} [label="{chance:.6g}"];')
         lines.append("  }")
     Path(path).write_text("\n".join([*lines, "}", ""]), encoding="utf-8")
 
@@ -291,13 +283,8 @@ def _dot_nodes(policy: Policy, chain: Chain, member: int) -> Iterator[str]:
         boxed = dead or chain.give_up[node] == 1.0
         shape = ", shape=box" if boxed else ", shape=doublecircle" if goal else ""
         width = ", penwidth=2" if chain.start[node] > 0.0 else ""
-        label = _dot_text("\n".join([name, *actions[node]]))
+        label = json.dumps("\n".join([name, *actions[node]]), ensure_ascii=False)
         yield f"n{member}_{node} [label={label}{shape}{width}];"
-
-
-def _dot_text(text: str) -> str:
-    """A text in quotation marks, as dot reads it, which escapes as JSON does."""
-    return json.dumps(text, ensure_ascii=False)
 
 
 @explained
@@ -513,7 +500,7 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
         ModelError: the controller does not know such a memory.
     """
     match policy:
-        case DeterministicPolicy() | StochasticPolicy(carrier=None):
+        case policies.DeterministicPolicy() | StochasticPolicy(carrier=None):
             return None
         case StochasticPolicy(carrier=Policy() as carrier):
             return _controller_memory(carrier, codes)
@@ -522,7 +509,7 @@ def _controller_memory(policy: Policy, codes: Mapping[Hashable, int]) -> dict[st
         case RememberingPolicy(inner=inner, product=product):
             place = {"place": product.table.T.tolist(), "inner": _controller_memory(inner, codes)}
             return _controller_numbers(product, codes) | place
-        case CostAwarePolicy():
+        case policies.CostAwarePolicy():
             table = policy.tail_table
             return {
                 "kind": "layers",

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 INK, PALE = "#333333", "#777777"
 
 
-class Look(NamedTuple):
+class _Look(NamedTuple):
     """How one of several things in a picture is drawn: never by its colour alone."""
 
     colour: str
@@ -37,11 +37,11 @@ class Look(NamedTuple):
 
 
 LOOKS = (
-    Look("#0072B2", "-", "o", "////"),
-    Look("#D55E00", "--", "X", "\\\\\\\\"),
-    Look("#009E73", "-.", "^", "...."),
-    Look("#CC79A7", ":", "s", "xxxx"),
-    Look("#000000", (0, (5, 1, 1, 1, 1, 1)), "D", "||||"),
+    _Look("#0072B2", "-", "o", "////"),
+    _Look("#D55E00", "--", "X", "\\\\\\\\"),
+    _Look("#009E73", "-.", "^", "...."),
+    _Look("#CC79A7", ":", "s", "xxxx"),
+    _Look("#000000", (0, (5, 1, 1, 1, 1, 1)), "D", "||||"),
 )
 """Okabe and Ito's colours, which people with any colour vision can tell apart."""
 
@@ -127,7 +127,7 @@ def plot_frontier(
     return ax
 
 
-def _draw_frontier(ax: Axes, frontier: Frontier, look: Look, label: str) -> None:
+def _draw_frontier(ax: Axes, frontier: Frontier, look: _Look, label: str) -> None:
     """The frontier, its turning points, and the band where the optimum may lie below."""
     # budgets along every segment
     failure = frontier.failure
@@ -154,7 +154,7 @@ def _budgets_between(begin: float, end: float, count: int) -> FloatArray:
     return np.clip(np.union1d(even, np.geomspace(begin, end, count)), begin, end)
 
 
-def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: Look) -> None:
+def _mark_on_frontier(ax: Axes, frontier: Frontier, budget: float, look: _Look) -> None:
     """The budget with its value and its tangents, or with its bounds."""
     ax.axvline(budget, color=PALE, linewidth=0.8, linestyle=":", zorder=1)
     try:
@@ -262,7 +262,7 @@ def plot_bounds(record: BoundsRecord, solution: Any, *, ax: Axes | None = None) 
     return ax
 
 
-def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: Look, words: str) -> None:
+def _draw_bound(ax: Axes, seconds: FloatArray, values: FloatArray, look: _Look, words: str) -> None:
     """Draw one of the bounds as steps over the seconds."""
     known = np.isfinite(values)
     ax.step(seconds[known], values[known], where="post", color=look.colour, linestyle=look.line,

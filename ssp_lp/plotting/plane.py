@@ -347,11 +347,7 @@ _SPREAD = 0.3  # of a cell's side: how far from its middle a path may be moved
 
 @explained
 def plot_paths(
-    paths: Sequence[Any],
-    ends: Sequence[str],
-    *,
-    order: Sequence[str] = (),
-    ax: Axes | None = None,
+    paths: Sequence[Any], ends: Sequence[str], *, order: Sequence[str] = (), ax: Axes | None = None
 ) -> Axes:
     """Draw paths in the plane; each way to end has its colour, line and marker.
 

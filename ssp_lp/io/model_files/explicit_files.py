@@ -340,8 +340,7 @@ def _read_table(path: Path, widths: dict[int, int]) -> _Table:
     lines = filter(None, file.lines())
     first = next(lines, "").split()
     if len(first) not in widths or not all(re.fullmatch(r"\d{1,18}", w, re.ASCII) for w in first):
-        wanted = " or ".join(map(str, sorted(widths)))
-        raise file.fault(f"the first line must have {wanted} whole numbers")
+        raise file.fault(f"the first line must have {' or '.join(map(str, widths))} whole numbers")
     width, keys, values, names = widths[len(first)], array("q"), array("d"), list[str]()
     for line in lines:
         words = line.split()
