@@ -245,8 +245,7 @@ def json_answer(answer: Any) -> list[str]:
 
 def with_options(error: ssp_lp.SSPError) -> str:
     """An error's message, in which options of the command line stand for Python's arguments."""
-    parts = (option(*part) if isinstance(part, Argument) else str(part) for part in error.args)
-    return "".join(parts)
+    return "".join(option(*one) if isinstance(one, Argument) else str(one) for one in error.args)
 
 
 def figure_for(path: str | None) -> Figure | None:

@@ -122,8 +122,7 @@ def from_gymnasium(
     begin = _start_of(env, start)
     if not callable(cost) and cost not in _COSTS:
         raise wrong_argument("cost", "be 'step', 'reward' or a function", cost)
-    paid = cost if callable(cost) else _COSTS[cost]
-    model = _model_of_table(table, begin, goal, paid)
+    model = _model_of_table(table, begin, goal, cost if callable(cost) else _COSTS[cost])
     logging.getLogger("ssp_lp.building").info("%r", model)
     if isinstance(horizon, str) and horizon != "env":
         raise wrong_argument("horizon", "be 'env', a number of steps or None", horizon)
