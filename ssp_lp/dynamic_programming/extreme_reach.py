@@ -48,6 +48,7 @@ _SWEEPS = 25  # before the first evaluation: more than most distances take to sp
 _MOST_SWEEPS = 300  # where sweeps alone are to enclose the optimum
 _FOLLOWED = 8  # sweeps along the policy after each one over all pairs
 _NEARER = 0.1  # so much nearer it is before it is tried again from above
+_WAITED = 5  # sweeps from above that cost as much as one from below with what follows it
 _SLOWEST = 0.9999  # share of a sweep's gain that the next one is taken to gain at most
 _QUICK = 0.1  # the same below which states that nobody asked for are waited for, too
 _STEPS = 1_000  # over which it is gathered what is lost where cost decides
@@ -213,7 +214,7 @@ def _swept_towards(
     order = order[~stuck[order]]
     directions = cycle((order, np.ascontiguousarray(order[::-1])))
     sweep = partial(_sweep, dynamics, wanted, directions, is_compiled, choice)
-    near, size, most, rate = 0.5 * PROVED, 0.0, 1.0, 1.0
+    near, size, most, rate, next_attempt = 0.5 * PROVED, 0.0, 1.0, 1.0, 0
     try:
         for turn in range(_SWEEPS if last_digits else _MOST_SWEEPS):
             begun, size_before, most_before, rate_before = low.copy(), size, most, rate
@@ -223,13 +224,14 @@ def _swept_towards(
             rate = most / max(most_before, most, LEAST_RISE)
             # values go on to rise by that share of the last rise; where that is quick, all settle
             slower = max(rate, rate_before)
-            if not last_digits and size > 0.0 and slower < _SLOWEST:
+            if not last_digits and size > 0.0 and slower < _SLOWEST and turn >= next_attempt:
                 ahead = step * (2.0 * slower / (1.0 - slower))
                 waiting = ahead[asked] if slower > _QUICK else ahead
                 if float(waiting.max(initial=0.0)) <= near * size:
                     high, near = np.minimum(low + ahead + 0.5 * PROVED * size, 1.0), _NEARER * near
-                    for _ in range(max(turn, _SWEEPS)):
+                    for ups in range(1, max(turn, _SWEEPS) + 1):
                         settled = sweep(high, up=True) <= 0.0
+                        next_attempt = turn + 1 + ups // _WAITED  # at most half the time is lost
                         if ((high - low)[asked] > PROVED * size).any():
                             break
                         if settled:
