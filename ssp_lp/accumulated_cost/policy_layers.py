@@ -40,6 +40,7 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.dynamic_programming.equations import System, strong_components
 from ssp_lp.dynamic_programming.evaluation import evaluate_chain
+from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import (
     dead_ends,
@@ -616,6 +617,9 @@ LARGE = 300_000
 
 _NOTHING = np.zeros(0, dtype=np.int64)
 
+_FEW_NODES = 1_000
+"""Nodes of a chain that is written out however much its policy may remember: laws soon followed."""
+
 
 def chain_of_law(
     model: SSP, policy: Policy, start: FloatArray, *, least_nodes: int = LARGE
@@ -644,6 +648,36 @@ def chain_of_law(
     return (
         policy_chain(model, policy, start) if found is None else _spine_of_law(model, layers, found)
     )
+
+
+def chains_of_law(
+    model: SSP, policy: Policy, start: FloatArray, chain: Chain | None = None, *, soon: bool = False
+) -> tuple[Chain, Chain]:
+    """Chains with the law of a policy's total cost as it is paid, and as the policy counts it.
+
+    Both are one where it rounds nothing up, and where it may remember much and comes to many nodes.
+
+    Args:
+        model: the model.
+        policy: on the model.
+        start: distribution over states, [states].
+        chain: of the policy, where it is at hand.
+        soon: whether a chain of many nodes is not looked at, even if it may remember little.
+
+    Raises:
+        ModelError: the policy has no decision in a state that it reaches.
+    """
+    layers = policy.layers()
+    if layers is None or not layers.rounds_up:
+        own = chain or chain_of_law(model, policy, start)
+        return own, own
+    counted = chain_of_law(model, policy, start, least_nodes=0)
+    many = soon or layers.count * model.n_states >= LARGE
+    try:
+        paid = chain or policy_chain(model, policy, start, _FEW_NODES if many else np.inf)
+    except ModelError:
+        return counted, counted
+    return counted if many and len(paid.start) > _FEW_NODES else paid, counted
 
 
 def _is_exact_law(model: SSP, layers: CostLayers) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
@@ -13,13 +13,11 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import TailMeanOf, Utility, utilities
 from ssp_lp.accumulated_cost.law import ArrivalSweep, ChainProspect, Followed, LiveChain, cost_of
-from ssp_lp.accumulated_cost.policy_layers import chain_of_law
+from ssp_lp.accumulated_cost.policy_layers import chains_of_law
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.errors import ModelError, in_short, wrong_argument
-from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
 from ssp_lp.policies.chain import Chain
-from ssp_lp.policies.cost_aware import CostAwarePolicy
 from ssp_lp.policies.policy import MixedPolicy, Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
 from ssp_lp.processes.failure_semantics import as_percentage, start_distribution
@@ -55,48 +53,39 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
     lottery, problem = on_one_model(policy, problem, "success_costs")
     start = start_distribution(problem.model, problem.start)
     used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
-    paid = [chain_of_law(problem.model, p, start) for p, _ in used]
-    counted = [
-        chain_as_counted(problem.model, p, start, chain)
-        for (p, _), chain in zip(used, paid, strict=True)
-    ]
-    return law_of_chains(paid, np.array([w for _, w in used]), () if counted == paid else counted)
+    paid, counted = both_chains(chains_of_law(problem.model, p, start) for p, _ in used)
+    return law_of_chains(paid, np.array([w for _, w in used]), counted)
 
 
 def costs_as_counted(policy: MixedPolicy, problem: Problem) -> CostLaw:
-    """The law of :func:`success_costs` with costs as the members count them, maybe rounded up."""
-    start = start_distribution(problem.model, problem.start)
-    chains = [chain_as_counted(problem.model, member, start) for member in policy.policies]
-    return law_of_chains(chains, policy.weights)
+    """The law of :func:`success_costs`, of costs as members round them up unless that is soon done.
 
-
-def chain_as_counted(
-    model: SSP, policy: Policy, start: FloatArray, chain: Chain | None = None
-) -> Chain:
-    """A chain with the law of a policy's costs as it counts them: rounded up where it does so.
-
-    Args:
-        model: the model.
-        policy: on the model.
-        start: distribution over states, [states].
-        chain: of the policy, where it is at hand.
+    It is what :func:`~ssp_lp.analysis.evaluation.evaluate` goes by.
     """
-    if isinstance(policy, CostAwarePolicy) and policy.rounds_up:
-        return chain_of_law(model, policy, start, least_nodes=0)
-    return chain or chain_of_law(model, policy, start)
+    start, members = start_distribution(problem.model, problem.start), policy.policies
+    each = (chains_of_law(problem.model, member, start, soon=True) for member in members)
+    paid, counted = both_chains(each)
+    return law_of_chains(paid, policy.weights, counted)
+
+
+def both_chains(chains: Iterable[tuple[Chain, Chain]]) -> tuple[list[Chain], list[Chain]]:
+    """The members' chains as costs are paid, and as they are counted; none where that is one."""
+    paid, counted = map(list, zip(*chains, strict=True))
+    same = all(own is up for own, up in zip(paid, counted, strict=True))
+    return paid, [] if same else counted
 
 
 def law_of_chains(
-    chains: Sequence[Chain], weights: FloatArray, rounded: Sequence[Chain] = ()
+    chains: Sequence[Chain], weights: FloatArray, counted: Sequence[Chain] = ()
 ) -> CostLaw:
     """The law of a lottery from its members' chains.
 
     Args:
         chains: of the members.
         weights: of the members, > 0, [members].
-        rounded: the same with costs as the members count them; none: as they are paid.
+        counted: the same with costs as the members count them; none: as they are paid.
     """
-    own, up = (tuple(ChainProspect.of(chain) for chain in some) for some in (chains, rounded))
+    own, up = (tuple(ChainProspect.of(chain) for chain in some) for some in (chains, counted))
     return CostLaw(own, weights, up)
 
 
@@ -123,6 +112,11 @@ class CostLaw:
     _prospects: tuple[ChainProspect, ...]  # of the members of the lottery
     _weights: FloatArray  # [members]
     _rounded: tuple[ChainProspect, ...] = ()  # of costs as the members round them up, if they do
+
+    @property
+    def is_finer(self) -> bool:
+        """Whether it is of costs as they are paid, and members round them up."""
+        return bool(self._rounded)
 
     @cached_property
     def goal(self) -> float:

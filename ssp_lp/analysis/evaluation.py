@@ -15,8 +15,9 @@ from ssp_lp.accumulated_cost.policy_layers import (
     LayerMoves,
     LayerSweep,
     TotalledReward,
+    chains_of_law,
 )
-from ssp_lp.analysis.cost_law import chain_as_counted, law_of_chains
+from ssp_lp.analysis.cost_law import both_chains, law_of_chains
 from ssp_lp.analysis.quantity_values import (
     check_giving_up,
     complement,
@@ -142,12 +143,13 @@ def evaluate_each(
             found = _evaluated_measures(chain, problem)
         members.append(found)
         if measure is not None and weight > 0.0:  # the law needs it as well
-            chains.append(chain_as_counted(problem.model, member, start, chain))
+            chains.append(chains_of_law(problem.model, member, start, chain, soon=True))
     evaluation = _evaluation_of(mean_of(members, lottery.weights), problem)
     each = [_evaluation_of(member, problem) for member in members]
     if measure is None:
         return evaluation, each
-    law = law_of_chains(chains, lottery.weights[lottery.weights > 0.0])
+    paid, counted = both_chains(chains)
+    law = law_of_chains(paid, lottery.weights[lottery.weights > 0.0], counted)
     return replace(evaluation, objective=measure.of(law)), each
 
 

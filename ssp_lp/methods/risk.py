@@ -64,6 +64,7 @@ from ssp_lp.column_generation.search import DualGuess
 from ssp_lp.compiled.deadline import Stop, WithIncumbent, has_answer, is_late
 from ssp_lp.errors import ModelError
 from ssp_lp.methods.columns import refined_optimum
+from ssp_lp.methods.exact_totals import ExactTotals, rises_by_each_step
 from ssp_lp.methods.refinement import Proved
 from ssp_lp.methods.rows import Truth, bound_at, least_goal_within, row_activities, rows_optimum
 from ssp_lp.model import SSP
@@ -305,7 +306,7 @@ class _QuestionWithinBudget:
         proof = compiled.pricing().prove(price, slack=slack and self.budget is not None)
         by_layer = required(proof.by_layer)
         last = len(by_layer) - 1
-        return lambda k: self._share(replace(proof, bound=by_layer[min(number - k, last)]))
+        return lambda k: self.share(replace(proof, bound=by_layer[min(number - k, last)]))
 
     def _charging(self, charge: Charge, kappa: float) -> CompiledArrivalCost:
         """The process with a charge, as large as a price of failure asks for."""
@@ -317,9 +318,9 @@ class _QuestionWithinBudget:
     def _bound(self, compiled: CompiledArrivalCost, kappa: float, *, slack: bool = False) -> float:
         """One sweep's bound at a price of failure."""
         kappa, slack = (0.0, False) if self.budget is None else (kappa, slack)
-        return self._share(compiled.pricing().prove(kappa, slack=slack))
+        return self.share(compiled.pricing().prove(kappa, slack=slack))
 
-    def _share(self, proof: Proof) -> float:
+    def share(self, proof: Proof) -> float:
         """A bound given success, from one of every policy's value."""
         if self.budget is not None:
             return FailureRow(self.budget, ratio=True).lower_bound(proof)
@@ -594,6 +595,61 @@ def _beyond_refuted(question: Question, refuted: int) -> float:
     if places.sharp:
         return places.total(refuted + 1)
     return places.total(refuted) if refuted >= 0 else 0.0
+
+
+_BELOW = 1e-10  # relative: a quantile is proved to be no less than what lies so far below it
+_TURNS = 8  # prices that are tried
+_STEEPER = 8.0  # times a price at which the best policy fails too often
+_PLACES = 2_000, 50_000  # looked at for a price, at least and at most
+_CELLS_A_PLACE = 64  # of the table, for each of them in between
+
+
+def exactly_refuted(question: Question, model: SSP, level: float, quantile: float) -> float:
+    """A quantile, by next to nothing less, if exact totals prove that no policy has a lower one.
+
+    Args:
+        question: the policies that count, with costs rounded down.
+        model: with its true costs.
+        level: in (0, 1).
+        quantile: of some policy.
+
+    Returns:
+        The bound; 0 where nothing is proved.
+    """
+    bound, share = quantile * (1.0 - _BELOW), _late_share(level)
+    if not (isinstance(question, _QuestionWithinBudget) and rises_by_each_step(model, bound)):
+        return 0.0
+    compiled, budget = question.compiled.charging(LateCharge(bound)), question.budget
+    if compiled.base.width == 1:  # all costs are rounded to nothing
+        return 0.0
+    cells = compiled.process.cap * compiled.base.n_nodes
+    places = int(np.clip(cells // _CELLS_A_PLACE, *_PLACES))
+    usable = compiled.greatest.usable if budget is None else None
+    within: tuple[float, float] | None = None  # failure, and value at no price, of its line
+    beyond: tuple[float, float] | None = None
+    lowest = share * (1.0 + _ABOVE)  # price, at which a budget is slack
+    price = 0.0 if budget is None else max(1.0, lowest)
+    for _ in range(_TURNS if budget is not None else 1):
+        proof = compiled.pricing().prove(price)
+        search = ExactTotals(model, compiled.start, compiled.process, proof, bound, usable)
+        enough = share * (1.0 - question.allowed) + price * question.allowed
+        found = search.raised(enough, places)
+        if question.share(replace(proof, bound=found.bound)) > share:
+            return quantile * (1.0 - 2.0 * _BELOW)
+        if not found.finished or budget is None or (price == lowest and found.failure <= budget):
+            break
+        line = found.failure, found.bound - price * found.failure
+        within, beyond = (line, beyond) if found.failure <= budget else (within, line)
+        if beyond is None:
+            price = max(price / _STEEPER, lowest)
+        elif within is None:
+            price *= _STEEPER
+        else:  # where both are equal: no price proves more than they do there
+            price = max((within[1] - beyond[1]) / (beyond[0] - within[0]), lowest)
+            most = within[1] + price * (within[0] - budget)
+            if most <= share * (1.0 - budget):
+                break
+    return 0.0
 
 
 def _late_share(level: float) -> float:

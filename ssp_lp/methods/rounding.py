@@ -55,7 +55,7 @@ from ssp_lp.methods.columns import (
 )
 from ssp_lp.methods.incumbent import Incumbent
 from ssp_lp.methods.refinement import Proved, refine
-from ssp_lp.methods.risk import Near, least_risk, question_of_compiled
+from ssp_lp.methods.risk import Near, exactly_refuted, least_risk, question_of_compiled
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends
 from ssp_lp.options import CERTIFYING, SolveOptions
@@ -507,7 +507,7 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Roun
     """The best policy, and the best bound, that are known after each unit."""
     attempt: _Rounded | None = None
     sign = -1.0 if problem.semantics.maximises else 1.0
-    bound, span = _no_worse(problem), span_of_totals(problem)
+    bound, span, measure = _no_worse(problem), span_of_totals(problem), problem.semantics.measure
     for unit in rounding_units(problem, span):
         best = None if attempt is None else attempt.solution
         rough = float(unit) / span if attempt is None else _SHARE * attempt.gap
@@ -517,13 +517,17 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Roun
             # the best policy of costs rounded up, on the model itself
             solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=True), finer, near)
             members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
-            solution = replace(
-                solution, policy=MixedPolicy(members, solution.policy.weights), value_function=None
-            )
+            policy = MixedPolicy(members, solution.policy.weights)
+            solution = replace(solution, policy=policy, value_function=None)
+            if isinstance(measure, CostQuantileOf):  # one of the totals, where these are few
+                law = costs_as_counted(policy, problem)
+                if law.is_finer:
+                    attained = min(law.quantile(measure.level), solution.objective)
+                    solution = replace(solution, objective=attained)
             if best is None or sign * solution.objective < sign * best.objective:
                 best = solution
             with WithIncumbent():
-                proved = lattice_bound(problem, unit, finer, near)[0]
+                proved = lattice_bound(problem, unit, finer, best.objective, near)[0]
                 bound = sign * max(sign * bound, sign * proved)
         except ModelError:  # a table of so many layers is too large
             if best is None:
@@ -553,7 +557,7 @@ def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> I
     bound, allowed = _no_worse(problem), np.inf
     for unit in rounding_units(problem, span_of_totals(problem), finest=True):
         try:
-            proved, allowed = lattice_bound(problem, unit, rough)
+            proved, allowed = lattice_bound(problem, unit, rough, attained)
         except ModelError:  # a table of so many layers is too large
             if np.isinf(allowed):
                 raise
@@ -563,19 +567,32 @@ def _rounded_proofs(problem: Problem, attained: float, rough: SolveOptions) -> I
 
 
 def lattice_bound(
-    problem: Problem, unit: Fraction, options: SolveOptions, near: Near | None = None
+    problem: Problem,
+    unit: Fraction,
+    options: SolveOptions,
+    attained: float,
+    near: Near | None = None,
 ) -> tuple[float, float]:
     """What no policy does better than, by costs rounded down, and the failure that is allowed.
+
+    A quantile is one of the totals: exact ones may prove what is attained to be the best.
 
     Args:
         problem: the problem.
         unit: of which costs are multiples.
         options: tolerance and limits.
+        attained: what some policy does.
         near: where a search may begin; None: unknown.
     """
-    solution = _solved_on_lattice(_with_rounded_costs(problem, unit, up=False), options, near)
+    rounded, budget = _with_rounded_costs(problem, unit, up=False), problem.failure_budget
+    measure = problem.semantics.measure
+    if isinstance(measure, CostQuantileOf):
+        question = question_of_compiled(rounded.compile(), budget)
+        bound = exactly_refuted(question, problem.model, measure.level, attained)
+        if bound > 0.0:
+            return bound, question.allowed
+    solution = _solved_on_lattice(rounded, options, near)
     bound = solution.lower_bound if solution.upper_bound is None else solution.upper_bound
-    budget = problem.failure_budget
     return bound, solution.budget_used if budget is None else max(budget, solution.budget_used)
 
 

@@ -117,15 +117,20 @@ class Chain:
         return {}
 
 
-def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
+def policy_chain(
+    model: SSP, policy: Policy, start: FloatArray, most_nodes: float = np.inf
+) -> Chain:
     """Follow a policy from the start and build its chain.
 
     Args:
+        model: the model.
+        policy: on the model.
         start: distribution over states, [states].
+        most_nodes: that its memory may make of the states.
 
     Raises:
-        ModelError: the policy has no decision in a state that it reaches, or its memory grows
-            without end.
+        ModelError: the policy has no decision in a state that it reaches, its memory grows without
+            end, or its nodes are more than there may be.
     """
     dead = dead_ends(model)
     ended = dead | model.goal_mask
@@ -139,11 +144,14 @@ def policy_chain(model: SSP, policy: Policy, start: FloatArray) -> Chain:
         found = [_expand_chain(model, policy, keys, ended)]
         return _assemble_chain(model, visited, start_key, start[first], dead, found)
     visited = np.zeros(0, dtype=np.bool_)
-    frontier, found = sorted_unique(start_key), []
+    frontier, found, reached = sorted_unique(start_key), [], 0
     while frontier.size:
         check_time()
         visited = _grown_chain(visited, int(frontier[-1]))
         visited[frontier] = True
+        reached += frontier.size
+        if reached > most_nodes:
+            raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
         step = _expand_chain(model, policy, frontier, ended)
         found.append(step)
         visited = _grown_chain(visited, int(step[1].max(initial=0)))

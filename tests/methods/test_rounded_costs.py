@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from fractions import Fraction
 from itertools import product
 from typing import Any
 
@@ -14,6 +15,7 @@ from formulations import EGUBS, GUBS, CostBoundedReach, CostQuantile, CVaR
 from small_models import model_of
 from ssp_lp import SSP, MixedPolicy, ModelError, Solution, Status, certify, evaluate, solve
 from ssp_lp.methods import rounding
+from ssp_lp.methods.risk import exactly_refuted, question_of_compiled
 
 STEP = 2.0**0.5
 DEAR = [1e4, 1e8, 1e12]
@@ -39,7 +41,7 @@ def questions(model: SSP, levels: int) -> list:
 
     return [
         CVaR(model, "r0", 0.8, 0.2, cost_levels=levels),
-        CostQuantile(model, "r0", 0.8, 0.2, cost_levels=levels),
+        CostQuantile(model, "r0", 0.9, 0.2, cost_levels=levels),
         CostBoundedReach(model, "r0", 9.0, 0.2, cost_levels=levels),
         GUBS(model, "r0", utility, 0.5, cost_levels=levels),
         EGUBS(model, "r0", -0.1, 0.5, cost_levels=levels),
@@ -132,6 +134,7 @@ def test_ctrl_c_while_a_bound_is_worked_out_keeps_the_policy(
     number: int, turn: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Units of 128 and 200 in the totals that matter: the bound of the first or of the second."""
+    monkeypatch.setattr(rounding, "exactly_refuted", lambda *_: 0.0)  # else the first is enough
     problem = questions(corridor([1.3, STEP, 0.4], 2.0), 200)[number]
     best = solve(replace(problem, cost_levels=128) if turn == 0 else problem)
     pressed = pressed_at(turn, rounding.lattice_bound)
@@ -152,6 +155,38 @@ def test_ctrl_c_while_the_answer_is_measured_keeps_it(monkeypatch: pytest.Monkey
     check_interrupted(solution, best)
     assert solution.upper_bound == pytest.approx(best.upper_bound, rel=1e-14)
     assert solution.gap > best.gap
+
+
+@pytest.mark.parametrize("budget", [None, 0.25])
+@pytest.mark.parametrize("level", [0.5, 0.9, 0.99])
+def test_a_quantile_is_one_of_the_totals(level: float, budget: float | None) -> None:
+    """Rounded costs and exact totals find what all sums say, and prove it."""
+    model = corridor([1.3, STEP, 0.4], 2.0)
+    exact = solve(CostQuantile(model, "r0", level, budget))
+    assert exact.gap <= 1e-9
+    solution = solve(CostQuantile(model, "r0", level, budget, cost_levels=1_000))
+    assert solution.objective == pytest.approx(exact.objective, rel=1e-12)
+    assert solution.gap <= 1e-9
+    certificate = certify(solution)
+    assert certificate.accepted
+    assert certificate.gap <= 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_exact_totals_refute_what_no_policy_keeps_to_and_nothing_else(seed: int) -> None:
+    """Drawn rooms, beside the optimum that all sums give, for units of any size."""
+    draw = np.random.default_rng(seed)
+    model = corridor(draw.choice([0.4, 1.3, STEP, 3.0**0.5, 0.1 * np.pi], 3).tolist(), 2.0)
+    level, budget = float(draw.uniform(0.3, 0.99)), [None, 0.25][seed % 2]
+    best = solve(CostQuantile(model, "r0", level, budget)).objective
+    problem = CostQuantile(model, "r0", level, budget, cost_levels=50)
+    for unit in (Fraction(3, 10), Fraction(1, 50)):
+        rounded = rounding._with_rounded_costs(problem, unit, up=False)
+        question = question_of_compiled(rounded.compile(), budget)
+        assert exactly_refuted(question, model, level, 0.9 * best) == pytest.approx(0.9 * best)
+        assert exactly_refuted(question, model, level, best) == pytest.approx(best, rel=1e-9)
+        assert exactly_refuted(question, model, level, best * (1.0 + 1e-8)) == 0.0
+        assert exactly_refuted(question, model, level, 1.1 * best) == 0.0
 
 
 @pytest.mark.parametrize("levels", [None, 5])
