@@ -6,16 +6,32 @@ import logging
 import warnings
 from bisect import bisect
 from collections import Counter
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from fractions import Fraction
+from functools import cache, cached_property
+from itertools import chain
 from math import fsum
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
 
 import numpy as np
+import numpy.typing as npt
 
-from ssp_lp.analysis.simulation import Estimate, greatest_total, mean_estimate, proportion_estimate
-from ssp_lp.arrays import SINGLE_PRECISION_SUM, FloatArray, ReadOnlyCopies, read_only
+from ssp_lp.analysis.simulation import (
+    Estimate,
+    greatest_total,
+    mean_estimate,
+    proportion_estimate,
+)
+from ssp_lp.arrays import (
+    SINGLE_PRECISION_SUM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    ReadOnlyCopies,
+    offsets_of,
+    read_only,
+)
 from ssp_lp.errors import (
     Argument,
     ModelError,
@@ -61,9 +77,16 @@ class EnvironmentSSP(SSP):
 
     step_cost: CostFunction = field(kw_only=True)
 
+    @cached_property
+    def ends(self) -> frozenset[Hashable]:
+        """The environment's states that the model has an end of its own for."""
+        return frozenset(
+            label[1] for label in self.states if isinstance(label, tuple) and label[0] == END
+        )
+
     def label(self, state: Hashable, terminated: bool) -> Hashable:
         """The model's state for what the environment shows after a step."""
-        return (END, state) if terminated and self.find((END, state)) is not None else state
+        return (END, state) if terminated and state in self.ends else state
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +141,8 @@ def from_gymnasium(
         >>> world.model, world.start, world.horizon
         (HorizonSSP(1,568 states, 4,288 pairs, 12,864 outcomes, 95 goals), {(0, 0): 1.0}, 100)
     """
-    limit, table = _step_limit_of(env), _table_of(env)
-    begin = _start_of(env, start)
+    limit = _step_limit_of(env)
+    table, begin = _table_of(env), _start_of(env, start)
     if not callable(cost) and cost not in _COSTS:
         raise wrong_argument("cost", "be 'step', 'reward' or a function", cost)
     model = _model_of_table(table, begin, goal, cost if callable(cost) else _COSTS[cost])
@@ -157,11 +180,18 @@ def _name_of(env: Any) -> str:
     return str(env.spec.id if env.spec is not None else type(env.unwrapped).__name__)
 
 
-_Step = tuple[float, Any, float, bool]
-"""Probability (> 0), the environment's next state, reward, and whether the episode terminates."""
+class _Table(NamedTuple):
+    """An environment's table: its states, then those that only outcomes name."""
 
-_Table = dict[Any, dict[Any, list[_Step]]]
-"""The steps by state and action."""
+    states: list[Hashable]  # [states]
+    listed: int  # of them in the table
+    pair_state: IntArray  # [pairs]
+    actions: list[Hashable]  # [pairs]
+    pair: IntArray  # [outcomes]
+    probability: FloatArray  # [outcomes], > 0
+    target: IntArray  # [outcomes]
+    reward: FloatArray  # [outcomes]
+    over: BoolArray  # [outcomes] whether an episode terminates
 
 
 def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
@@ -174,29 +204,50 @@ def _table_of(env: gymnasium.Env[Any, Any]) -> _Table:
     if listed is None:
         name = _name_of(env)
         raise ModelError(f"{name} is not tabular: it has no table of transitions, env.unwrapped.P")
-    table: _Table = {state: dict(_items(actions)) for state, actions in _items(listed)}
-    for state, actions in table.items():
-        for action, outcomes in actions.items():
-            if any(len(outcome) != 4 for outcome in outcomes):
-                raise ModelError(
-                    "an outcome in the table must be (probability, state, reward, terminated)"
-                )
-            total = sum([float(outcome[0]) for outcome in outcomes])
-            if not abs(total - 1.0) <= SINGLE_PRECISION_SUM:
-                where = f"action {action!r} of state {state!r}"
-                raise ModelError(f"{where}: the table's probabilities sum to {total:.9g}")
-            actions[action] = [
-                (float(p), _plain(to), float(reward), bool(over))
-                for p, to, reward, over in outcomes
-                if p != 0.0
-            ]
-    return table
+    # no lists of lists: their collector would take longer than all the rest
+    names, tables = _keys(listed), list(_values(listed))
+    index = {_plain(name): k for k, name in enumerate(names)}
+    actions = list(map(_plain, chain.from_iterable(map(_keys, tables))))
+    outcomes = list(chain.from_iterable(map(_values, tables)))
+    pair_state = np.repeat(np.arange(len(tables)), list(map(len, tables)))
+    pair = np.repeat(np.arange(len(outcomes)), list(map(len, outcomes)))
+    entries = list(chain.from_iterable(outcomes))
+    if set(map(len, entries)) - {4}:
+        raise ModelError("an outcome in the table must be (probability, state, reward, terminated)")
+    flat = list(chain.from_iterable(entries))
+    probability, targets = np.array(flat[::4], dtype=np.float64), flat[1::4]
+    total = np.bincount(pair, probability, minlength=len(outcomes))
+    wrong = ~(np.abs(total - 1.0) <= SINGLE_PRECISION_SUM)
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise ModelError(
+            f"action {actions[k]!r} of state {list(index)[int(pair_state[k])]!r}: the table's "
+            f"probabilities sum to {total[k]:.9g}"
+        )
+    for state in dict.fromkeys(targets):
+        index.setdefault(_plain(state), len(index))
+    occurs = probability != 0.0
+    return _Table(
+        states=list(index),
+        listed=len(tables),
+        pair_state=pair_state,
+        actions=actions,
+        pair=pair[occurs],
+        probability=probability[occurs],
+        target=np.fromiter(map(index.__getitem__, targets), np.int64, len(targets))[occurs],
+        reward=np.array(flat[2::4], dtype=np.float64)[occurs],
+        over=np.array(flat[3::4], dtype=np.bool_)[occurs],
+    )
 
 
-def _items(listed: Any) -> Iterable[tuple[Any, Any]]:
-    """Keys and values of the environment's dict, or positions and entries of a list."""
-    pairs = listed.items() if isinstance(listed, Mapping) else enumerate(listed)
-    return ((_plain(key), value) for key, value in pairs)
+def _keys(listed: Any) -> Any:
+    """Keys of the environment's dict, or positions in a list."""
+    return listed if isinstance(listed, Mapping) else range(len(listed))
+
+
+def _values(listed: Any) -> Any:
+    """Values of the environment's dict, or entries of a list."""
+    return listed.values() if isinstance(listed, Mapping) else listed
 
 
 def _plain(value: Any) -> Any:
@@ -213,7 +264,7 @@ def _start_of(
         if shares is None:
             told = "the environment has no initial_state_distrib: give "
             raise ModelError(told, Argument("start"))
-        start = {state: float(share) for state, share in _items(shares)}
+        start = dict(zip(_keys(shares), map(float, _values(shares)), strict=True))
     if not isinstance(start, Mapping):
         return {_plain(start): 1.0}
     total = fsum(start.values())
@@ -250,39 +301,49 @@ def _model_of_table(
     Raises:
         ModelError: goals that cannot be told, or a cost that is no number >= 0.
     """
-    steps = [step for actions in table.values() for some in actions.values() for step in some]
-    known = dict.fromkeys([*table, *(to for _, to, _, _ in steps)])
-    goes_on = {to for _, to, _, over in steps if not over} | set(begin)
-    ends = {to for _, to, _, over in steps if over} - goes_on  # where nothing happens any more
-    going = {state: actions for state, actions in table.items() if state not in ends}
-    entered: dict[Any, set[bool]] = {}  # by state: whether the steps that end there are rewarded
-    for actions in going.values():
-        for some in actions.values():
-            for _, to, reward, over in some:
-                if over:
-                    entered.setdefault(to, set()).add(reward > 0.0)
+    n_states = len(table.states)
+    listed = np.arange(n_states) < table.listed
+    goes_on = np.array([state in begin for state in table.states])
+    goes_on[table.target[~table.over]] = True
+    going = listed.copy()
+    going[table.target[table.over]] = False  # an end, unless an episode may go on from there
+    going |= listed & goes_on
+    steps = np.flatnonzero(going[table.pair_state[table.pair]])
+    target, over = table.target[steps], table.over[steps]
     if goal is None:
-        goals, parted = _rewarded(entered), goes_on
+        goals, parted = _rewarded(table, steps), goes_on
     else:
-        goals = {state for state in known if goal(state)}
-        parted = goes_on - goals
-    named = {to: (END, to) for to in entered if to in parted}
-    transitions: dict[Hashable, dict[Any, list[tuple[float, Hashable, float]]]] = {}
-    for state, actions in going.items():
-        acts = state not in goals or state in parted
-        transitions[state] = {
-            action: [
-                (p, named.get(to, to) if over else to, cost(state, action, to, reward))
-                for p, to, reward, over in some
-            ]
-            for action, some in (actions.items() if acts else ())
-        }
-    led = [to for actions in transitions.values() for some in actions.values() for _, to, _ in some]
-    for to in led:
-        transitions.setdefault(to, {})
-    plain = SSP.from_transitions(
-        transitions,
-        [named.get(state, state) for state in known if state in goals],
+        listed[target] = True
+        asked = zip(listed.tolist(), table.states, strict=True)
+        goals = np.array([known and bool(goal(state)) for known, state in asked])
+        parted = goes_on & ~goals
+    # where the environment also goes on from, the end has a number of its own, n_states higher
+    led = target + n_states * (over & parted[target])
+    reached, first = np.unique(led, return_index=True)
+    aims = np.flatnonzero(goals) + n_states * parted[goals]
+    numbered = np.concatenate([np.flatnonzero(going), reached[np.argsort(first)], aims])
+    order = np.array(list(dict.fromkeys(numbered.tolist())), dtype=np.int64)
+    number = np.full(2 * n_states, -1)
+    number[order] = np.arange(order.size)
+    acting = (going & ~(goals & ~parted))[table.pair_state]
+    taken = acting[table.pair[steps]]
+    kept = steps[taken]
+    costs, exact = _costs_of_outcomes(table, kept, cost)
+    plain = SSP.from_arrays(
+        pair_offsets=offsets_of(
+            np.bincount(number[table.pair_state[acting]], minlength=order.size)
+        ),
+        outcome_offsets=offsets_of(np.bincount(table.pair[kept], minlength=acting.size)[acting]),
+        successors=number[led[taken]],
+        probabilities=table.probability[kept],
+        costs=costs,
+        goal_states=number[aims],
+        states=[
+            (END, table.states[k - n_states]) if k >= n_states else table.states[k]
+            for k in order.tolist()
+        ],
+        actions=[table.actions[k] for k in np.flatnonzero(acting).tolist()],
+        exact_costs=exact,
         treat_actionless_as_dead_ends=True,
         normalise=True,
     )
@@ -290,22 +351,47 @@ def _model_of_table(
     return EnvironmentSSP(**fields, step_cost=cost)
 
 
-def _rewarded(entered: Mapping[Any, set[bool]]) -> set[Any]:
-    """The states in which the environment terminates with a reward.
+def _costs_of_outcomes(
+    table: _Table, kept: IntArray, cost: CostFunction
+) -> tuple[npt.ArrayLike, dict[float, Fraction]]:
+    """What some of the table's outcomes cost, and the fractions among it."""
+    if cost is _step_cost:
+        return 1.0, {}
+    if cost is _reward_cost:
+        return np.maximum(-table.reward[kept], 0.0) + 0.0, {}
+    pair = table.pair[kept].tolist()
+    columns = table.pair_state[pair].tolist(), pair, table.target[kept].tolist()
+    names, actions = table.states, table.actions
+    paid: list[Any] = [
+        cost(names[state], actions[k], names[to], reward)
+        for state, k, to, reward in zip(*columns, table.reward[kept].tolist(), strict=True)
+    ]
+    return paid, {float(one): one for one in paid if isinstance(one, Fraction)}
+
+
+def _rewarded(table: _Table, steps: IntArray) -> BoolArray:
+    """Whether the environment terminates in a state with a reward, [states].
 
     Raises:
         ModelError: there are none, or one is entered with a reward and without.
     """
-    mixed = [state for state, rewarded in entered.items() if len(rewarded) > 1]
-    if mixed:
+    ending = steps[table.over[steps]]
+    to, reward = table.target[ending], table.reward[ending]
+    least, most = np.full((2, len(table.states)), np.inf) * [[1.0], [-1.0]]
+    np.minimum.at(least, to, reward)
+    np.maximum.at(most, to, reward)
+    mixed = (least <= 0.0) & (most > 0.0)
+    if mixed.any():
+        state = table.states[int(to[int(np.argmax(mixed[to]))])]
         raise ModelError(
-            f"state {mixed[0]!r} ends some episodes with a reward and some without: ", *_SAY_GOALS
+            f"state {state!r} ends some episodes with a reward and some without: ", *_SAY_GOALS
         )
-    goals = {state for state, rewarded in entered.items() if True in rewarded}
-    if not goals:
-        told = f"no step into one of the environment's ends {list(entered)[:5]} is rewarded: "
+    goals = (least > 0.0) & (most > 0.0)
+    if not goals.any():
+        ends = [table.states[k] for k in list(dict.fromkeys(to.tolist()))[:5]]
+        told = f"no step into one of the environment's ends {ends} is rewarded: "
         raise ModelError(told, *_SAY_GOALS)
-    return goals
+    return np.asarray(goals)
 
 
 class StepLimitWarning(UserWarning):
