@@ -104,6 +104,12 @@ def least_integer_type(most: int) -> npt.DTypeLike:
     return np.min_scalar_type(-max(most, 2) - 1)
 
 
+def narrow(offsets: IntArray) -> IntArray:
+    """Offsets in 32 bits where they fit, to match the columns of scipy's matrices."""
+    fits = int(offsets[-1]) <= np.iinfo(np.int32).max
+    return offsets.astype(np.int32, copy=False) if fits else offsets
+
+
 def unsigned(indices: IntArray) -> npt.NDArray[Any]:
     """A view of non-negative whole numbers as unsigned ones."""
     return indices.view(np.uint32 if indices.dtype.itemsize == 4 else np.uint64)

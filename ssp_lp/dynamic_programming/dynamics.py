@@ -34,8 +34,7 @@ from ssp_lp.dynamic_programming.equations import (
 )
 from ssp_lp.dynamic_programming.solvers import HOLDS_MASS
 from ssp_lp.errors import SolverError
-from ssp_lp.model.graph import nearer_pairs
-from ssp_lp.model.predecessors import Graph
+from ssp_lp.model.graph import Graph, nearer_pairs
 
 _KEPT_CHAINS = 4
 """Layers of accumulated cost ask for the equations of the same few policies again and again."""

@@ -29,10 +29,9 @@ from ssp_lp.io.controller import controller_label
 from ssp_lp.io.model_files.raw_model import FilePath
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.builders import check_offsets
 from ssp_lp.model.graph import kept
 from ssp_lp.model.product import HorizonSSP, ProductSSP, unroll_steps
-from ssp_lp.model.ssp import check_model
+from ssp_lp.model.ssp import check_model, check_offsets
 from ssp_lp.options import Status
 from ssp_lp.policies import MixedPolicy
 from ssp_lp.policies.policy import Policy

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from fractions import Fraction
 from functools import wraps
 from inspect import signature
-from itertools import islice
+from itertools import islice, repeat
 from numbers import Integral
 from os import PathLike
 from types import NoneType, SimpleNamespace, UnionType
@@ -41,9 +42,32 @@ _WORDS: dict[Any, tuple[str, str]] = {
     PathLike: ("a path", "paths"),
     Hashable: ("hashable", "hashable things"),
     tuple: ("a tuple", "tuples"),
+    Sequence: ("a list", "lists"),
+    Iterable: ("a list", "lists"),
     _Numbers: ("numbers", "numbers"),
 }
 """What a type is called, and several of it."""
+
+_FITS: dict[Any, Callable[[Any], bool]] = {
+    Any: lambda value: True,
+    bool: lambda value: isinstance(value, (bool, np.bool_)),
+    int: lambda value: isinstance(value, Integral) and value is not True,
+    float: lambda value: is_number(value) and value is not True,
+    Fraction: lambda value: isinstance(value, Fraction) and is_number(value),
+    Hashable: lambda value: _goes_into(hash, value),
+    tuple: lambda value: isinstance(value, (tuple, list)),
+    Iterable: lambda value: isinstance(value, Iterable) and not isinstance(value, str),
+    Sequence: lambda value: (
+        hasattr(value, "__len__")
+        and hasattr(value, "__getitem__")
+        and not isinstance(value, (str, Mapping))
+    ),
+    np.ndarray: lambda value: (
+        isinstance(value, (np.ndarray, list, tuple)) and _FITS[_Numbers](value)
+    ),
+    _Numbers: lambda value: value is not None and _goes_into(np.asarray, value, np.float64),
+}
+"""Whether a value is of a type, as far as calls are concerned: lists for tuples, numpy's."""
 
 
 def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
@@ -56,13 +80,13 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
     Args:
         public: a function or method that users call.
     """
-    order = list(signature(public).parameters)
+    form = signature(public)
     flags = [name for name, hint in public.__annotations__.items() if hint == "bool"]
 
     @wraps(public)
     def call(*given: _Given.args, **named: _Given.kwargs) -> _Answer:
         """The function, once its flags have been checked."""
-        stated = dict(zip(order, given, strict=False)) | named if flags else {}
+        stated = dict(zip(form.parameters, given, strict=False)) | named if flags else {}
         for flag in flags:
             check_flag(flag, stated.get(flag, False))
         try:
@@ -70,10 +94,13 @@ def explained(public: Callable[_Given, _Answer]) -> Callable[_Given, _Answer]:
         except SSPError:
             raise
         except (TypeError, AttributeError, LookupError, ValueError, OverflowError) as error:
-            told = _wrong_argument(public, given, named)
-            if told is None:
+            fault = None
+            with suppress(TypeError):  # an argument is missing, or one too many
+                fault = _misfit_among(public, form.bind(*given, **named).arguments)
+            if fault is None:
                 raise
-            raise ModelError(told) from error
+            name = public.__qualname__.removesuffix(".__init__").replace(".<locals>", "")
+            raise ModelError(f"{name}: {fault}") from error
 
     return call
 
@@ -84,151 +111,97 @@ def explained_class(made: type[_Made]) -> type[_Made]:
     return made
 
 
-def _wrong_argument(
-    public: Callable[..., Any], given: Sequence[Any], named: Mapping[str, Any]
-) -> str | None:
-    """What to say of the first argument that does not fit; None: all do, or one is missing."""
-    try:
-        bound = signature(public).bind(*given, **named).arguments
-    except TypeError:
-        return None
-    name = public.__qualname__.removesuffix(".__init__").replace(".<locals>", "")
-    for part, annotation in public.__annotations__.items():
-        hint = _argument_hint(annotation, sys.modules[public.__module__])
-        if part in bound and (fault := _misfit_of_argument(part, bound[part], hint)) is not None:
-            return f"{name}: {fault}"
-    return None
-
-
 def check_fields(made: object) -> None:
     """Raise :class:`ModelError` for a field of a dataclass that does not fit its annotation."""
     for base in type(made).__mro__[-2::-1]:
-        for part, annotation in vars(base).get("__annotations__", {}).items():
-            hint = _argument_hint(annotation, sys.modules[base.__module__])
-            fault = _misfit_of_argument(part, getattr(made, part, None), hint)
-            if fault is not None:
-                raise ModelError(f"{type(made).__name__}: {fault}")
+        if (fault := _misfit_among(base, vars(made))) is not None:
+            raise ModelError(f"{type(made).__name__}: {fault}")
 
 
-def _argument_hint(annotation: Any, module: Any) -> Any:
-    """What an annotation says; Any where it names what only a type checker imports."""
-    stated = SimpleNamespace(__annotations__={"it": annotation})
-    try:
-        return get_type_hints(stated, {**vars(module), "npt": _NUMPY})["it"]
-    except (NameError, AttributeError):
-        return Any
+def _misfit_among(annotated: Any, values: Mapping[str, Any]) -> str | None:
+    """What to say of the first of some values that does not fit its annotation; None: all do."""
+    names = {**vars(sys.modules[annotated.__module__]), "npt": _NUMPY}
+    for part, annotation in getattr(annotated, "__annotations__", {}).items():
+        if part not in values:
+            continue
+        try:
+            stated = SimpleNamespace(__annotations__={"it": annotation})
+            hint = get_type_hints(stated, names)["it"]
+        except (NameError, AttributeError):  # it names what only a type checker imports
+            continue
+        if (fault := _misfit(part, values[part], hint)) is not None:
+            return fault
+    return None
 
 
-def _misfit_of_argument(place: str, value: Any, hint: Any) -> str | None:
-    """What to say of an argument that is not what its hint says: which part, and the remedy."""
+def _misfit(place: str, value: Any, hint: Any) -> str | None:
+    """What to say of a value that is not what its hint says: which part, and the remedy."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
-    wrong = f"{place} must be {_hint_in_words(hint)}, not {in_short(value)}"
-    if kind in (_Numbers, np.ndarray):
-        listed = kind is _Numbers or isinstance(value, (np.ndarray, list, tuple))
-        return None if listed and _are_number_arguments(value) else wrong
+    wrong = f"{place} must be {_in_words(hint)}, not {in_short(value)}"
     if kind in (Union, UnionType):
-        faults = [_misfit_of_argument(place, value, part) for part in parts]
+        faults = [_misfit(place, value, part) for part in parts]
         inner = [fault for fault in faults if fault and not fault.startswith(f"{place} ")]
         return None if None in faults else inner[0] if inner else wrong
-    if kind is Literal:
-        return None if value in parts else wrong
-    if kind is Callable:
-        return None if _argument_takes(value, parts) else wrong
-    if not isinstance(kind, type) or kind in (Any, object):
+    if not _fits(value, kind, parts):
+        own = (name for name in ("policy", "model", "problem") if hasattr(value, name))
+        fit = (name for name in own if kind not in _WORDS and _fits(getattr(value, name), kind))
+        return wrong + next((f"; it has one: .{name}" for name in fit), "")
+
+    # what a table, a tuple or a list holds
+    is_table = isinstance(value, Mapping)
+    listed = isinstance(value, Collection) and is_table == (kind is Mapping)
+    if not (parts and listed) or kind in (Literal, Callable, np.ndarray):
         return None
-    if not _is_argument_of(value, kind):
-        parts_of = (name for name in ("policy", "model", "problem") if hasattr(value, name))
-        own = [
-            name
-            for name in parts_of
-            if kind not in _WORDS and _is_argument_of(getattr(value, name), kind)
-        ]
-        return wrong + "".join(f"; it has one: .{name}" for name in own[:1])
-    return _misfit_inside(place, value, kind, parts) or None
+    is_fixed = kind is tuple and Ellipsis not in parts
+    if is_fixed and len(value) != len(parts):
+        return f"{place} must have {len(parts)} entries, not {in_short(value)}"
+    hints = parts if is_fixed else repeat(parts[0] if kind is tuple else parts[-1])
+    entries = value.items() if is_table else enumerate(value)
+    within = islice(zip(entries, hints, strict=False), _LOOKED_AT)
+    inside = (_misfit(f"{place}[{key!r}]", one, of) for (key, one), of in within)
+    return next(filter(None, inside), None)
 
 
-def _misfit_inside(place: str, value: Any, kind: type, parts: tuple[Any, ...]) -> str | None:
-    """The same of the entries of an argument that is a table, a tuple or a list."""
-    entries: Iterable[tuple[Any, Any, Any]] = ()
-    if kind is Mapping and parts:
-        entries = ((key, one, parts[1]) for key, one in value.items())
-    elif kind is tuple and Ellipsis not in parts and parts:
-        if len(value) != len(parts):
-            return f"{place} must have {len(parts)} entries, not {in_short(value)}"
-        entries = zip(range(len(parts)), value, parts, strict=True)
-    elif parts and isinstance(value, Collection) and not isinstance(value, Mapping):
-        entries = ((k, one, parts[0]) for k, one in enumerate(value))
-    found = (
-        _misfit_of_argument(f"{place}[{k!r}]", one, hint)
-        for k, one, hint in islice(entries, _LOOKED_AT)
-    )
-    return next((fault for fault in found if fault is not None), None)
-
-
-def _is_argument_of(value: Any, kind: type) -> bool:
-    """Whether a value is of a kind, as far as calls are concerned: lists for tuples, numpy's."""
-    if kind is bool:
-        return isinstance(value, (bool, np.bool_))
-    if kind in (int, float):
-        fits = is_number(value) if kind is float else isinstance(value, Integral)
-        return fits and value is not True
-    if kind is Hashable:
+def _fits(value: Any, kind: Any, parts: tuple[Any, ...] = ()) -> bool:
+    """Whether a value is of a kind, whatever it holds."""
+    if kind is Literal:
+        return value in parts
+    if kind is Callable:
+        if not callable(value) or not parts or parts[0] is Ellipsis:
+            return callable(value)
         try:
-            return hash(value) is not None
-        except TypeError:
-            return False
-    if kind is tuple:
-        return isinstance(value, (tuple, list))
-    if kind is Iterable:
-        return isinstance(value, Iterable) and not isinstance(value, str)
-    if kind is Sequence:
-        return (
-            hasattr(value, "__len__")
-            and hasattr(value, "__getitem__")
-            and not isinstance(value, (str, Mapping))
-        )
+            return _goes_into(signature(value).bind, *parts[0])
+        except ValueError:  # of a built-in
+            return True
+    if kind in _FITS:
+        return _FITS[kind](value)
     if getattr(kind, "_is_protocol", False):
-        names = (name for name in vars(kind) if not name.startswith("_"))
-        return all(hasattr(value, name) for name in names)
-    return isinstance(value, kind) and (kind is not Fraction or is_number(value))
+        return all(hasattr(value, name) for name in vars(kind) if not name.startswith("_"))
+    return not isinstance(kind, type) or isinstance(value, kind)
 
 
-def _are_number_arguments(value: Any) -> bool:
-    """Whether an argument is made of numbers."""
+def _goes_into(function: Callable[..., object], *arguments: Any) -> bool:
+    """Whether a function takes some arguments."""
     try:
-        return value is not None and np.asarray(value, dtype=np.float64) is not None
+        function(*arguments)
     except (TypeError, ValueError, OverflowError):
         return False
-
-
-def _argument_takes(value: Any, parts: tuple[Any, ...]) -> bool:
-    """Whether a value is a function of so many arguments, as far as can be told."""
-    if not callable(value) or not parts or parts[0] is Ellipsis:
-        return callable(value)
-    try:
-        signature(value).bind(*parts[0])
-    except TypeError:
-        return False
-    except ValueError:  # of a built-in
-        return True
     return True
 
 
-def _hint_in_words(hint: Any, *, several: bool = False) -> str:
-    """What an argument's hint asks for."""
+def _in_words(hint: Any, *, several: bool = False) -> str:
+    """What a hint asks for."""
     kind, parts = get_origin(hint) or hint, get_args(hint)
     if kind in (Union, UnionType):
-        return " or ".join(dict.fromkeys(_hint_in_words(part, several=several) for part in parts))
+        return " or ".join(dict.fromkeys(_in_words(part, several=several) for part in parts))
     if kind is Literal:
         return " or ".join(map(repr, parts))
     if kind is Callable:
         known = bool(parts) and parts[0] is not Ellipsis
         return f"a function of {len(parts[0])} arguments" if known else "a function"
-    if hint in _WORDS or kind in _WORDS:
-        return _WORDS[hint if hint in _WORDS else kind][several]
-    if kind in (Sequence, Iterable, list, set, frozenset):
-        of = _hint_in_words(parts[0], several=True) if parts else ""
-        return f"{'lists' if several else 'a list'}{f' of {of}' if of else ''}"
+    if kind in _WORDS:
+        of = _in_words(parts[0], several=True) if kind in (Sequence, Iterable) and parts else ""
+        return _WORDS[kind][several] + (f" of {of}" if of else "")
     name = getattr(kind, "__name__", "")
     if several or name in ("", "Any"):
         return "" if name == "Any" else name

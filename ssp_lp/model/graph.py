@@ -1,4 +1,4 @@
-"""A model's graph: its components, and which states can, may or need not reach the goal.
+"""The graph of a model or a process: who leads where, its components, what may reach the goal.
 
 Facts about a model are worked out once and kept with it, for every problem on it.
 """
@@ -6,8 +6,9 @@ Facts about a model are worked out once and kept with it, for every problem on i
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from functools import wraps
-from typing import TypeVar
+from dataclasses import dataclass
+from functools import cached_property, wraps
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,14 +18,127 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    concatenated_ranges,
+    narrow,
     pieces_of_chunks,
+    read_only,
+    segment_chunks,
+    segment_ids,
+    sorted_unique,
 )
 from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time
-from ssp_lp.model.predecessors import Graph, narrow, possible_steps
-from ssp_lp.model.ssp import SSP
+
+if TYPE_CHECKING:
+    from ssp_lp.model.ssp import SSP
 
 Fact = TypeVar("Fact")
+
+
+@dataclass(frozen=True, eq=False)
+class Predecessors:
+    """The pairs that lead to each state with positive probability, ascending.
+
+    A pair is listed once for each of its outcomes that goes there.
+    """
+
+    offsets: IntArray  # [states + 1] entries of state s: offsets[s] : offsets[s + 1]
+    pairs: IntArray  # [entries]
+
+    def entering(self, states: IntArray, among: BoolArray) -> IntArray:
+        """The pairs of ``among`` that may lead to one of the states, ascending, each once.
+
+        Args:
+            states: distinct states.
+            among: [pairs].
+        """
+        first = self.offsets[states]
+        lengths = self.offsets[states + 1] - first
+        found = [self.pairs[:0]]
+        for some in segment_chunks(np.concatenate([[0], np.cumsum(lengths)])):
+            pairs = self.pairs[concatenated_ranges(first[some], lengths[some])]
+            found.append(sorted_unique(pairs[among[pairs]]))
+        return found[-1] if len(found) <= 2 else sorted_unique(np.concatenate(found))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Graph:
+    """Which pairs lead where: of a model, or of a process."""
+
+    pair_offsets: IntArray  # [states + 1] pairs of state s: pair_offsets[s] : pair_offsets[s + 1]
+    outcome_offsets: IntArray  # [pairs + 1] outcomes of pair k, likewise
+    successors: IntArray  # [outcomes]
+    probabilities: FloatArray  # [outcomes], each pair's sum to one
+
+    @cached_property
+    def n_states(self) -> int:
+        """Number of states, goals included."""
+        return len(self.pair_offsets) - 1
+
+    @cached_property
+    def n_pairs(self) -> int:
+        """Number of state-action pairs."""
+        return len(self.outcome_offsets) - 1
+
+    @cached_property
+    def n_outcomes(self) -> int:
+        """Number of outcomes over all pairs."""
+        return len(self.successors)
+
+    @cached_property
+    def pair_state(self) -> IntArray:
+        """The state of each pair, [pairs]."""
+        return read_only(segment_ids(self.pair_offsets))
+
+    @cached_property
+    def predecessors(self) -> Predecessors:
+        """For each state the pairs that may lead to it; found at first use, then kept."""
+        arrays = self.outcome_offsets, self.successors, self.probabilities
+        if accelerated(self.n_outcomes):
+            from ssp_lp.compiled.graphs import transpose_graph
+
+            offsets, pairs = transpose_graph(self.n_states, *arrays)
+        else:
+            # offsets, [states + 1], and pairs, [entries], by scipy's conversion of rows to columns
+            ends, columns = possible_steps(*arrays)
+            present = np.ones(columns.size, dtype=np.bool_)
+            shape = self.n_pairs, self.n_states
+            rows = sp.csr_array((present, columns, narrow(ends)), shape=shape).tocsc()
+            offsets, pairs = rows.indptr.astype(np.int64), rows.indices.astype(np.int32, copy=False)
+        return Predecessors(read_only(offsets), read_only(pairs))
+
+
+def possible_steps(
+    outcome_offsets: IntArray,
+    successors: IntArray,
+    probabilities: FloatArray,
+    chosen: BoolArray | None = None,
+) -> tuple[IntArray, IntArray]:
+    """The outcomes of positive probability, of which predecessors are told.
+
+    Args:
+        outcome_offsets: [pairs + 1].
+        successors: [outcomes].
+        probabilities: [outcomes].
+        chosen: [pairs]; all if left out.
+
+    Returns:
+        For each pair the end of its entries, after a leading 0, [pairs + 1]; and the successors,
+        [entries].
+    """
+    counts = np.zeros(len(outcome_offsets), dtype=np.int64)
+    found = [successors[:0]]
+    for piece in pieces_of_chunks(outcome_offsets):
+        kept = probabilities[piece.entries] > 0
+        if chosen is not None:
+            kept &= np.repeat(chosen[piece.segments], piece.lengths)
+        some = successors[piece.entries]
+        found.append(some if kept.all() else some[kept])
+        filled = np.flatnonzero(piece.lengths)
+        sums = np.add.reduceat(kept, piece.firsts[filled], dtype=np.int64) if filled.size else 0
+        counts[1:][piece.segments][filled] = sums
+    ends = np.cumsum(counts, out=counts)
+    return ends, successors if ends[-1] == len(successors) else np.concatenate(found)
 
 
 def kept(find: Callable[[SSP], Fact]) -> Callable[[SSP], Fact]:
@@ -359,19 +473,15 @@ def _label_end_components(
         model.probabilities,
         inside & pending[model.pair_state],
     )
-    found = _strong_components(columns, ends[model.pair_offsets])
-    _, first, back = np.unique(found, return_index=True, return_inverse=True)
-    label[pending] = first[back[pending]]
-
-
-def _strong_components(columns: IntArray, offsets: IntArray) -> IntArray:
-    """For end components, the strong component of each state by scipy."""
-    shape = len(offsets) - 1, len(offsets) - 1
-    present = np.ones(columns.size, dtype=np.bool_)
+    # strong components by scipy, of each link once
+    offsets, present = ends[model.pair_offsets], np.ones(columns.size, dtype=np.bool_)
+    shape = model.n_states, model.n_states
     once = sp.csr_array((present, columns.copy(), narrow(offsets)), shape=shape)
     once.sum_duplicates()
-    graph = edges(once.indices, once.indptr)
-    return np.asarray(csgraph.connected_components(graph, connection="strong")[1])
+    links = edges(once.indices, once.indptr)
+    found = np.asarray(csgraph.connected_components(links, connection="strong")[1])
+    _, first, back = np.unique(found, return_index=True, return_inverse=True)
+    label[pending] = first[back[pending]]
 
 
 def _crossing_end_components(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections import Counter
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import cached_property
 from html import escape
@@ -125,14 +124,6 @@ class Naming(ReadOnlyCopies):
         """The sizes as a table, for notebooks."""
         rows = [(name, f"{count:,}") for name, count in self._sizes.items()]
         return html_table(type(self).__name__, rows)
-
-
-def check_state_names(states: Sequence[Hashable]) -> None:
-    """Raise :class:`ModelError` if two states bear one label."""
-    if isinstance(states, range) or len(set(states)) == len(states):
-        return
-    twice = next(s for s, n in Counter(states).items() if n > 1)
-    raise ModelError(f"{twice!r} is the label of several states")
 
 
 def text_table(rows: Iterable[Sequence[str]], left: int = 1) -> list[str]:

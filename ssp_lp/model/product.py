@@ -27,9 +27,8 @@ from ssp_lp.arrays import (
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.errors import Argument, ModelError, check_whole
 from ssp_lp.model.arguments import check_fields, explained
-from ssp_lp.model.builders import no_lone_string
 from ssp_lp.model.graph import dead_ends
-from ssp_lp.model.ssp import SSP, check_model
+from ssp_lp.model.ssp import SSP, check_model, no_lone_string
 
 MEMORY_FAILS = "memory fails"
 """Label of states where the memory fails."""

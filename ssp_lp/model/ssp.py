@@ -1,35 +1,48 @@
-"""The stochastic shortest path model with dead-ends (paper, section 2.1)."""
+"""The stochastic shortest path model with dead-ends (paper, section 2.1), and its builders.
+
+What users state of it is checked here; errors name the state and the action.
+"""
 
 from __future__ import annotations
 
+import logging
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import numpy.typing as npt
 
-from ssp_lp.arrays import BoolArray, FloatArray, IntArray, read_only
-from ssp_lp.errors import ModelError, in_short
-from ssp_lp.model.arguments import explained
-from ssp_lp.model.builders import (
-    Outcomes,
-    action_table,
-    check_idle_states,
-    check_offsets,
-    check_outcomes,
-    cost_array,
-    flatten_successors,
-    flatten_transitions,
-    goal_mask_of,
-    index_array,
-    indexed_labels,
-    unit_sums,
+from ssp_lp.arrays import (
+    PROBABILITY_SUM,
+    SINGLE_PRECISION_SUM,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    chunks,
+    pieces_of_chunks,
+    read_only,
 )
-from ssp_lp.model.naming import Naming, check_state_names
-from ssp_lp.model.predecessors import Graph
+from ssp_lp.errors import ModelError, check_whole, did_you_mean, in_short
+from ssp_lp.model.arguments import explained
+from ssp_lp.model.graph import Graph
+from ssp_lp.model.naming import Naming
+
+Outcomes = Iterable[tuple[float, Hashable, float]]
+
+ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
+"""Names that reports give to the ways in which an episode ends."""
+
+_PROGRESS_EVERY = 10_000
+_EXPLORING = logging.getLogger("ssp_lp.exploring")
+_NEGATIVE_COST = (
+    "has a negative cost: costs must be >= 0 (rewards? pass costs=-rewards; a constant added to "
+    "every step would ask another question)"
+)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -85,8 +98,18 @@ class SSP(Graph, Naming):
             >>> model.n_states, model.n_pairs, model.n_outcomes
             (3, 1, 2)
         """
+        if not isinstance(transitions, Mapping):
+            raise ModelError(
+                "a model is told as {state: {action: [(probability, successor, cost), ...]}}, not "
+                f"as {in_short(transitions)}"
+            )
+        goals = dict.fromkeys(no_lone_string(goal, "goal"))
+        flat = _FlatModel([*transitions, *(g for g in goals if g not in transitions)], closed=True)
+        for state in flat.states:
+            reached = state in goals
+            flat.add(state, {} if reached else transitions[state], goal=reached)
         return cls.from_arrays(
-            **flatten_transitions(transitions, goal),
+            **flat.arrays,
             state_labels=state_labels,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
@@ -121,13 +144,30 @@ class SSP(Graph, Naming):
         Raises:
             ModelError: naming the state and the action at fault, or that the limit was passed.
         """
-        flat = flatten_successors(start, successors, goal, state_limit, progress)
+        check_whole("state_limit", state_limit)
+        is_goal = goal if callable(goal) else set(no_lone_string(goal, "goal")).__contains__
+        several = isinstance(start, (list, set, frozenset))
+        flat = _FlatModel(list(dict.fromkeys(cast(Iterable[Any], start))) if several else [start])
+        for done, state in enumerate(flat.states, start=1):  # it grows while it is walked
+            reached = is_goal(state)
+            flat.add(state, {} if reached else successors(state), goal=reached)
+            count = len(flat.states)
+            if count > state_limit:
+                raise ModelError(
+                    f"more than state_limit={state_limit:,} states are reachable; raise the limit "
+                    f"or bound the model (the last state expanded was {state!r})"
+                )
+            if done % _PROGRESS_EVERY == 0:
+                _EXPLORING.debug("%d states found, %d expanded", count, done)
+            if progress is not None and (done % _PROGRESS_EVERY == 0 or done == count):
+                progress(count)
+        _EXPLORING.info("%d states found", len(flat.states))
         marked = {
-            name: [s for s in flat["states"] if holds(s)]
+            name: [s for s in flat.states if holds(s)]
             for name, holds in (state_labels or {}).items()
         }
         return cls.from_arrays(
-            **flat,
+            **flat.arrays,
             state_labels=marked,
             treat_actionless_as_dead_ends=treat_actionless_as_dead_ends,
             normalise=normalise,
@@ -173,61 +213,40 @@ class SSP(Graph, Naming):
         Raises:
             ModelError: naming the state and the action at fault.
         """
-        draft = cls._draft(pair_offsets, outcome_offsets, goal_states, states, actions)
-        n_outcomes = int(draft.outcome_offsets[-1])
-        target = index_array("successors", successors)
-        chance = read_only(probabilities, np.float64)
-        if target.shape != (n_outcomes,) or chance.shape != (n_outcomes,):
-            raise ModelError(f"successors and probabilities must have length {n_outcomes}")
-        stage_cost = cost_array(costs, draft.outcome_offsets)
-        check_outcomes(target, chance, stage_cost, draft.n_states, draft._describe_outcome)
-        chance = unit_sums(chance, draft.outcome_offsets, draft.describe_pair, normalise=normalise)
-        check_idle_states(
-            draft.pair_offsets, draft.goal_mask, draft.states, treat_actionless_as_dead_ends
-        )
-        return replace(
-            draft,
-            successors=read_only(target, np.int32),
-            probabilities=read_only(chance),
-            costs=stage_cost,
-            state_labels=indexed_labels(state_labels or {}, draft.index_of),
-            exact_costs=dict(exact_costs or {}),
-        )
-
-    @classmethod
-    def _draft(
-        cls,
-        pair_offsets: npt.ArrayLike,
-        outcome_offsets: npt.ArrayLike,
-        goal_states: npt.ArrayLike,
-        states: Sequence[Hashable] | None,
-        actions: Sequence[Hashable] | None,
-    ) -> SSP:
-        """A model without outcomes: enough to name states and actions while checking the rest."""
-        pairs = read_only(index_array("pair_offsets", pair_offsets), np.int64)
-        outcomes = read_only(index_array("outcome_offsets", outcome_offsets), np.int64)
-        n_states, n_pairs = pairs.size - 1, outcomes.size - 1
+        pairs = read_only(_indices("pair_offsets", pair_offsets), np.int64)
+        outcomes = read_only(_indices("outcome_offsets", outcome_offsets), np.int64)
+        n_states, n_pairs, n_outcomes = pairs.size - 1, outcomes.size - 1, int(outcomes[-1:].sum())
         check_offsets("pair_offsets", pairs, n_pairs)
-        check_offsets("outcome_offsets", outcomes, int(outcomes[-1]) if outcomes.size else 0)
+        check_offsets("outcome_offsets", outcomes, n_outcomes)
         names = range(n_states) if states is None else states
         if len(names) != n_states:
             raise ModelError(f"{len(names)} state labels given for {n_states} states")
-        check_state_names(names)
-        action_names, pair_action = action_table(actions, pairs)
-        nothing = read_only(np.zeros(0))
-        return cls(
+        if not isinstance(names, range) and len(set(names)) < n_states:
+            twice = next(state for state, n in Counter(names).items() if n > 1)
+            raise ModelError(f"{twice!r} is the label of several states")
+        action_names, pair_action = _action_table(actions, pairs)
+        target, chance = _indices("successors", successors), read_only(probabilities, np.float64)
+        if target.shape != (n_outcomes,) or chance.shape != (n_outcomes,):
+            raise ModelError(f"successors and probabilities must have length {n_outcomes}")
+        draft = cls(
             states=names,
             action_names=action_names,
             pair_action=read_only(pair_action),
             pair_offsets=pairs,
             outcome_offsets=outcomes,
-            successors=nothing.astype(np.int32),
-            probabilities=nothing,
-            costs=nothing,
-            goal_mask=goal_mask_of(goal_states, n_states),
+            successors=target,
+            probabilities=chance,
+            costs=_costs_of_outcomes(costs, outcomes),
+            goal_mask=_goal_mask(goal_states, n_states),
             state_labels={},
-            exact_costs={},
+            exact_costs=dict(exact_costs or {}),
         )
+        _check_outcomes(draft)
+        chance = _with_unit_sums(draft, normalise)
+        _check_idle_states(draft, treat_actionless_as_dead_ends)
+        labels = _indexed_labels(draft, state_labels or {})
+        target = read_only(target, np.int32)
+        return replace(draft, successors=target, probabilities=chance, state_labels=labels)
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:
@@ -244,3 +263,260 @@ def check_model(model: object, verb: str) -> None:
     if not isinstance(model, SSP):
         told = "; it has one: .model" if isinstance(getattr(model, "model", None), SSP) else ""
         raise ModelError(f"{verb} takes an SSP, not {in_short(model)}{told}")
+
+
+class _FlatModel:
+    """States in the order in which they were found, and the flat lists of those expanded. Grows."""
+
+    def __init__(self, states: list[Any], *, closed: bool = False) -> None:
+        """Begin with some distinct states; closed: there are no others."""
+        self.states, self._closed = states, closed
+        self._index = {state: i for i, state in enumerate(states)}
+        lists = ("actions", "goal_states", "successors", "probabilities", "costs")
+        self.arrays: dict[str, Any] = {name: [] for name in lists}  # as ``from_arrays`` takes them
+        self.arrays |= {"states": states, "pair_offsets": [0], "outcome_offsets": [0]}
+        self.arrays |= {"exact_costs": {}}
+
+    def add(self, state: Hashable, actions: Any, *, goal: bool) -> None:
+        """Append the next state's actions and note what is new among their successors.
+
+        Raises:
+            ModelError: no actions, an outcome that is no triple, what is no number, or a state that
+                is not known of a closed model.
+        """
+        if not isinstance(actions, Mapping):
+            raise ModelError(
+                f"state {state!r} needs a dict {{action: [(probability, successor, cost), ...]}}, "
+                f"not {actions!r}"
+            )
+        flat, index, states = self.arrays, self._index, self.states
+        successors, probabilities, costs = flat["successors"], flat["probabilities"], flat["costs"]
+        for action, outcomes in actions.items():
+            for outcome in outcomes:
+                if not isinstance(outcome, (tuple, list)) or len(outcome) != 3:
+                    raise ModelError(
+                        f"action {action!r} of state {state!r}: an outcome must be a triple "
+                        f"(probability, successor, cost), not {outcome!r}"
+                    )
+                probability, successor, cost = outcome
+                try:
+                    place = index.get(successor)
+                except TypeError as error:
+                    raise ModelError(
+                        f"action {action!r} of state {state!r} leads to {in_short(successor)}: a "
+                        "state holds no list, dict or set"
+                    ) from error
+                if place is None:
+                    if self._closed:
+                        raise ModelError(
+                            f"action {action!r} of state {state!r} leads to {successor!r}, which "
+                            "is neither a state of the model nor a goal"
+                            f"{did_you_mean(successor, states)}"
+                        )
+                    place = index[successor] = len(states)
+                    states.append(successor)
+                successors.append(place)
+                if type(probability) is not float:
+                    probability = _number(probability, "probability", state, action)
+                probabilities.append(probability)
+                if type(cost) is not float:
+                    exact, cost = cost, _number(cost, "cost", state, action)
+                    if isinstance(exact, Fraction):
+                        flat["exact_costs"][cost] = exact
+                costs.append(cost)
+            flat["actions"].append(action)
+            flat["outcome_offsets"].append(len(successors))
+        if goal:
+            flat["goal_states"].append(len(flat["pair_offsets"]) - 1)
+        flat["pair_offsets"].append(len(flat["actions"]))
+
+
+def no_lone_string(states: Iterable[Hashable], name: str) -> Iterable[Hashable]:
+    """The states themselves; a lone string, whose letters they would be, is an error."""
+    if isinstance(states, str):
+        raise ModelError(f"{name} must be a set of states, such as {{{states!r}}}, not a string")
+    if not isinstance(states, Iterable):
+        raise ModelError(f"{name} must be a set of states, not {in_short(states)}")
+    return states
+
+
+def _number(value: Any, what: str, state: Hashable, action: Hashable) -> float:
+    """A number of an outcome, as a float."""
+    if not isinstance(value, (str, bytes)):
+        with suppress(TypeError, ValueError, OverflowError):
+            return float(value)
+    told = f"action {action!r} of state {state!r} has a {what} that is no number"
+    raise ModelError(f"{told}: {in_short(value)}")
+
+
+def check_offsets(name: str, offsets: IntArray, end: int) -> None:
+    """Raise :class:`ModelError` unless ``offsets`` rise from 0 to ``end``."""
+    if offsets.ndim != 1 or offsets.size == 0 or offsets[0] != 0 or offsets[-1] != end:
+        raise ModelError(f"{name} must be one-dimensional and run from 0 to {end}")
+    falls = offsets[1:] < offsets[:-1]
+    if falls.any():
+        raise ModelError(f"{name} decreases at position {int(np.argmax(falls))}")
+
+
+def _check_outcomes(model: SSP) -> None:
+    """Check each outcome: known successor, probability in [0, 1], finite non-negative cost.
+
+    Raises:
+        ModelError: naming the first outcome at fault.
+    """
+    chances, costs = model.probabilities, model.costs
+    paid = costs[:1] if costs.strides == (0,) else costs  # one number for all
+    n_states = model.n_states
+    rules: list[tuple[npt.NDArray[Any], Callable[[npt.NDArray[Any]], BoolArray], str]] = [
+        (model.successors, lambda s: (s < 0) | (s >= n_states), "has a successor that is no state"),
+        (chances, np.isnan, "has a probability that is NaN"),
+        (chances, lambda p: p < 0, "has a negative probability"),
+        (chances, np.isinf, "has an infinite probability"),
+        (paid, np.isnan, "has a cost that is NaN"),
+        (paid, lambda c: c < 0, _NEGATIVE_COST),
+        (paid, np.isinf, "has an infinite cost"),
+    ]
+    for values, is_broken, complaint in rules:
+        for some in chunks(values.size):
+            broken = is_broken(values[some])
+            if broken.any():
+                outcome = some.start + int(np.argmax(broken))
+                raise ModelError(f"{model._describe_outcome(outcome)} {complaint}")
+
+
+def _with_unit_sums(model: SSP, normalise: bool) -> FloatArray:
+    """The probabilities with rounding of their sums (up to 1e-9) divided out, [outcomes].
+
+    Args:
+        model: the model.
+        normalise: divide out the rounding of single precision as well (up to 1e-5).
+
+    Raises:
+        ModelError: a pair without outcomes, or whose probabilities do not sum to one.
+    """
+    offsets, chances = model.outcome_offsets, model.probabilities
+    empty = offsets[1:] == offsets[:-1]
+    if empty.any():
+        raise ModelError(f"{model.describe_pair(int(np.argmax(empty)))} has no outcomes")
+    sums = np.empty(empty.size)
+    for piece in pieces_of_chunks(offsets):
+        sums[piece.segments] = np.add.reduceat(chances[piece.entries], piece.firsts)
+    off = np.abs(sums - 1.0)
+    wrong = off > (SINGLE_PRECISION_SUM if normalise else PROBABILITY_SUM)
+    if wrong.any():
+        pair = int(np.argmax(wrong))
+        told = f"{model.describe_pair(pair)}: probabilities sum to {sums[pair]:.12g}, not to 1"
+        if off[wrong].max() <= SINGLE_PRECISION_SUM:
+            told += "; normalise=True divides out the rounding of single precision"
+        raise ModelError(told)
+    if np.all(sums == 1.0):
+        return chances
+    shared = np.empty_like(chances)
+    for piece in pieces_of_chunks(offsets):
+        by = np.repeat(sums[piece.segments], piece.lengths)
+        np.divide(chances[piece.entries], by, out=shared[piece.entries])
+    return read_only(shared)
+
+
+def _indices(name: str, indices: npt.ArrayLike) -> IntArray:
+    """Indices as integers, of the width they have; raises :class:`ModelError` if they are none."""
+    array = np.asarray(indices)
+    if array.size and not np.issubdtype(array.dtype, np.integer):
+        raise ModelError(f"{name} must be integers (indices)")
+    return read_only(array, np.int64 if array.dtype.itemsize > 4 else np.int32)
+
+
+def _costs_of_outcomes(costs: npt.ArrayLike, outcome_offsets: IntArray) -> FloatArray:
+    """Spread costs over outcomes, [outcomes]; a number for all of them takes no room.
+
+    Args:
+        costs: one number, or one per pair, or one per outcome.
+        outcome_offsets: [pairs + 1].
+
+    Raises:
+        ModelError: they are of another length.
+    """
+    given = np.asarray(costs, dtype=np.float64)
+    n_pairs, n_outcomes = len(outcome_offsets) - 1, int(outcome_offsets[-1])
+    if given.ndim == 0 or given.shape == (n_outcomes,):
+        return read_only(np.broadcast_to(given, (n_outcomes,)))
+    if given.shape == (n_pairs,):
+        return read_only(np.repeat(given, np.diff(outcome_offsets)))
+    raise ModelError(f"costs must be a number, {n_pairs} or {n_outcomes} numbers")
+
+
+def _check_idle_states(model: SSP, accept: bool) -> None:
+    """Check that goals have no pairs and, unless accepted, that all other states have some.
+
+    Raises:
+        ModelError: naming the state and the remedy.
+    """
+    acting = np.diff(model.pair_offsets) > 0
+    wrong, idle = model.goal_mask & acting, ~(acting | model.goal_mask)
+    if wrong.any():
+        state = model.states[int(np.argmax(wrong))]
+        raise ModelError(f"goal state {state!r} has actions: an episode ends there; drop them")
+    if idle.any() and not accept:
+        raise ModelError(
+            f"state {model.states[int(np.argmax(idle))]!r} has no actions and is no goal; "
+            "pass treat_actionless_as_dead_ends=True to accept such states as dead-ends"
+        )
+
+
+def _goal_mask(goal_states: npt.ArrayLike, n_states: int) -> BoolArray:
+    """Turn indices of goal states into a mask, [states].
+
+    Raises:
+        ModelError: there are none, or one is no index of a state.
+    """
+    goals = np.asarray(goal_states).reshape(-1)
+    if goals.size and not np.issubdtype(goals.dtype, np.integer):
+        raise ModelError("goal_states must be indices of states (integers), no mask")
+    goals = goals.astype(np.int64)
+    if goals.size == 0:
+        raise ModelError("the model has no goal state; name at least one")
+    if goals.min() < 0 or goals.max() >= n_states:
+        raise ModelError(f"goal states must be indices of states, 0 .. {n_states - 1}")
+    mask = np.zeros(n_states, dtype=np.bool_)
+    mask[goals] = True
+    return read_only(mask)
+
+
+def _action_table(
+    actions: Sequence[Hashable] | None, pair_offsets: IntArray
+) -> tuple[Sequence[Hashable], IntArray]:
+    """Distinct action labels and, per pair, the position of its label among them."""
+    n_pairs = int(pair_offsets[-1])
+    if actions is None:
+        most = int(np.diff(pair_offsets).max(initial=0))
+        position = np.empty(n_pairs, dtype=np.min_scalar_type(most))
+        for piece in pieces_of_chunks(pair_offsets):
+            first = np.repeat(piece.firsts, piece.lengths)
+            position[piece.entries] = np.arange(first.size) - first
+        return range(most), position
+    if len(actions) != n_pairs:
+        raise ModelError(f"{len(actions)} action labels given for {n_pairs} pairs")
+    table: dict[Hashable, int] = {}
+    code = np.array([table.setdefault(a, len(table)) for a in actions], dtype=np.int32)
+    state = np.repeat(np.arange(len(pair_offsets) - 1), np.diff(pair_offsets))
+    order = np.lexsort((code, state))
+    again = (np.diff(state[order]) == 0) & (np.diff(code[order]) == 0)
+    if again.any():
+        pair = int(order[int(np.argmax(again))])
+        raise ModelError(f"state number {state[pair]} has the action {actions[pair]!r} twice")
+    return tuple(table), code
+
+
+def _indexed_labels(model: SSP, labels: Mapping[str, Iterable[Hashable]]) -> Mapping[str, IntArray]:
+    """State labels with their members as sorted indices.
+
+    Raises:
+        ModelError: an unknown member, or a name that reports use for something else.
+    """
+    indexed = {}
+    for name, members in labels.items():
+        if name in ENDS:
+            raise ModelError(f"state label {name!r} is taken: reports use {', '.join(ENDS)}")
+        places = sorted({model.index_of(state) for state in no_lone_string(members, name)})
+        indexed[name] = read_only(np.array(places, dtype=np.int64))
+    return indexed

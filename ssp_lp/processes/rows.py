@@ -18,6 +18,7 @@ from ssp_lp.arrays import (
     IntArray,
     concatenated_ranges,
     csr_of,
+    narrow,
     offsets_of,
     segment_chunks,
     segment_ids,
@@ -27,7 +28,6 @@ from ssp_lp.compiled.accelerator import accelerated
 from ssp_lp.compiled.deadline import check_time, pieces
 from ssp_lp.dynamic_programming.bellman import SharedRows, SparseRows
 from ssp_lp.model import SSP
-from ssp_lp.model.predecessors import narrow
 
 
 def uniform_cost(model: SSP) -> float | None:

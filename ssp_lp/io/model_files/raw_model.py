@@ -23,7 +23,7 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray, offsets_of, segment_ids
 from ssp_lp.errors import Argument, ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.builders import ENDS
+from ssp_lp.model.ssp import ENDS
 
 FilePath = str | PathLike[str]
 
