@@ -32,8 +32,8 @@ from ssp_lp.dynamic_programming.dynamics import Dynamics, without_self_loops
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.processes.conditions import UpperRow, free_pairs
-from ssp_lp.processes.failure_semantics import Aim, survival_of
+from ssp_lp.processes.conditions import UpperRow
+from ssp_lp.processes.failure_semantics import Aim, free_pairs, survival_of
 from ssp_lp.processes.quotient import Quotient, Spread, build_quotient
 from ssp_lp.processes.rows import (
     RowChoice,

@@ -13,11 +13,12 @@ from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, dead_ends, end_components
 from ssp_lp.policies.chain import Chain, reaching_in_chain
 from ssp_lp.problem import Problem, conditions_of, objective_of
-from ssp_lp.processes.conditions import StepTerm, Term, free_pairs
+from ssp_lp.processes.conditions import StepTerm, Term
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     GiveUp,
     dead_end_charges,
+    free_pairs,
     give_up_charges,
     survival_of,
 )

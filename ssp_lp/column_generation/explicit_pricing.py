@@ -3,7 +3,7 @@
 Where a row's price is 0, end components that cost nothing but that row are free in the pricing
 problem, and to stay in one for ever would be a policy of less priced cost than any that leaves.
 Such policies do not count: their expected total of that row is infinite. What is free is contracted
-(``processes.contraction``), and policy iteration never finds a policy that stays:
+(``processes.explicit``), and policy iteration never finds a policy that stays:
 
 Let v be the values of a policy that leaves, and pi a policy that takes a pair of strictly smaller
 ``c + P v`` in some states and the first one's pair elsewhere, so that v >= c_pi + P_pi v. If pi had
@@ -35,8 +35,7 @@ from ssp_lp.dynamic_programming.evaluation import evaluate_policy
 from ssp_lp.dynamic_programming.policy_iteration import first_of_equals, iterate_policy, switched
 from ssp_lp.errors import ModelError
 from ssp_lp.policies.policy import Policy
-from ssp_lp.processes.contraction import Contraction, bound_of, contract
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit import Contraction, ExplicitProcess, bound_of, contract
 from ssp_lp.processes.failure_label import FailureLabelled
 
 LOST = 4.0 * MACHINE_EPSILON

@@ -197,14 +197,48 @@ def product(
     check_model(model, "product")
     if not isinstance(memory, Memory):
         raise ModelError(f"product takes a Memory after the model, not {memory!r}")
-    task = _ProductTask(model, memory)
+
+    def is_at_goal(label: Label) -> bool:
+        """Whether a goal of the original is reached, and the memory does not fail."""
+        return bool(model.goal_mask[model.index_of(label[0])]) and not memory.fails(label[1])
+
+    def is_goal(label: Label) -> bool:
+        """Whether the memory accepts it, too."""
+        return is_at_goal(label) and bool(memory.accepts(label[1]))
+
+    def successors(label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
+        """What each action of the original leads to; nothing where the episode is over."""
+        if is_at_goal(label) or memory.fails(label[1]):
+            return {}
+        state, kept = label
+        here, found = model.index_of(state), {}
+        for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
+            action = model.action_of(pair)
+            some = slice(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))
+            arrays = model.probabilities[some], model.successors[some], model.costs[some]
+            rows = zip(*(array.tolist() for array in arrays), strict=True)
+            ends = [(p, model.states[to], cost) for p, to, cost in rows if p > 0.0]
+            found[action] = [
+                (p, (to, memory.update(kept, state, action, to, cost)), cost)
+                for p, to, cost in ends
+            ]
+        return found
+
+    # the labels of the original, and why an episode failed; a label may say both
+    labels: dict[str, Callable[[Label], bool]] = {
+        MEMORY_FAILS: lambda label: bool(memory.fails(label[1])),
+        NOT_ACCEPTED: lambda label: is_at_goal(label) and not is_goal(label),
+    }
+    for name, members in model.state_labels.items():
+        among = frozenset(model.states[k] for k in members.tolist())
+        labels[name] = partial(_is_labelled, among, labels.get(name, _never_in_product))
     begin = model.states if start is None else no_lone_string(start, "start")
     plain = SSP.from_successors(
         [(state, memory.start) for state in begin],
-        task.successors,
-        task.is_goal,
+        successors,
+        is_goal,
         state_limit=state_limit,
-        state_labels=task.labels(),
+        state_labels=labels,
         treat_actionless_as_dead_ends=True,
     )
     fields = {name: getattr(plain, name) for name in SSP.__dataclass_fields__}
@@ -212,74 +246,11 @@ def product(
     return ProductSSP(**fields, original=model, memory=memory)
 
 
-@dataclass(frozen=True)
-class _ProductTask:
-    """The product as functions of (state, memory)."""
-
-    model: SSP
-    memory: Memory
-
-    def has_failed(self, label: Label) -> bool:
-        """Whether the memory fails."""
-        return bool(self.memory.fails(label[1]))
-
-    def is_at_goal(self, label: Label) -> bool:
-        """Whether a goal of the original is reached, and the memory does not fail."""
-        at_goal = bool(self.model.goal_mask[self.model.index_of(label[0])])
-        return at_goal and not self.has_failed(label)
-
-    def is_goal(self, label: Label) -> bool:
-        """Whether the memory accepts it, too."""
-        return self.is_at_goal(label) and bool(self.memory.accepts(label[1]))
-
-    def is_refused(self, label: Label) -> bool:
-        """Whether it does not."""
-        return self.is_at_goal(label) and not self.is_goal(label)
-
-    def successors(self, label: Label) -> dict[Hashable, list[tuple[float, Label, float]]]:
-        """What each action of the original leads to; nothing where the episode is over."""
-        if self.is_at_goal(label) or self.has_failed(label):
-            return {}
-        model, update, (state, kept) = self.model, self.memory.update, label
-        here = model.index_of(state)
-        found = {}
-        for pair in range(int(model.pair_offsets[here]), int(model.pair_offsets[here + 1])):
-            action = model.action_of(pair)
-            found[action] = [
-                (p, (to, update(kept, state, action, to, cost)), cost)
-                for p, to, cost in _outcomes_for_product(model, pair)
-            ]
-        return found
-
-    def labels(self) -> dict[str, Callable[[Label], bool]]:
-        """The labels of the original, and why an episode failed; a label may say both."""
-        found: dict[str, Callable[[Label], bool]] = {
-            MEMORY_FAILS: self.has_failed,
-            NOT_ACCEPTED: self.is_refused,
-        }
-        for name, members in self.model.state_labels.items():
-            among = frozenset(self.model.states[k] for k in members.tolist())
-            found[name] = partial(_holds_in_product, among, found.get(name, _never_in_product))
-        return found
-
-
-def _holds_in_product(
+def _is_labelled(
     among: frozenset[Hashable], otherwise: Callable[[Label], bool], label: Label
 ) -> bool:
-    """Whether a label holds in a state of the product."""
+    """Whether a state of the product bears a label of the original's, or one of its own."""
     return label[0] in among or otherwise(label)
-
-
-def _outcomes_for_product(model: SSP, pair: int) -> list[tuple[float, Hashable, float]]:
-    """The possible outcomes of a pair."""
-    some = slice(int(model.outcome_offsets[pair]), int(model.outcome_offsets[pair + 1]))
-    rows = zip(
-        model.probabilities[some].tolist(),
-        model.successors[some].tolist(),
-        model.costs[some].tolist(),
-        strict=True,
-    )
-    return [(p, model.states[to], cost) for p, to, cost in rows if p > 0.0]
 
 
 def check_product(model: SSP) -> ProductSSP:
@@ -438,14 +409,51 @@ def unroll_steps(model: SSP, steps: int, begin: Sequence[int] | None) -> Horizon
         steps: how many, >= 1.
         begin: states in which episodes may begin; None: all.
     """
-    first = np.full(model.n_states, begin is None)
-    first[list(begin or ())] = True
-    horizon = _unrolled_by_steps(model, _reached_within_steps(model, first, int(steps)))
+    steps = int(steps)
+    reached = _reached_within_steps(model, begin, steps)
+    step, state = np.nonzero(reached)
+    position = np.cumsum(reached.ravel()).reshape(reached.shape) - 1
+
+    # what may be done, and what comes of it: copies of the model's pairs and outcomes
+    actions = np.where(step < steps, np.diff(model.pair_offsets)[state], 0)
+    pairs = concatenated_ranges(model.pair_offsets[state], actions)
+    possible = np.flatnonzero(model.probabilities > 0.0)
+    offsets = np.searchsorted(possible, model.outcome_offsets)
+    ends = np.diff(offsets)[pairs]
+    outcomes = possible[concatenated_ranges(offsets[pairs], ends)]
+    layer = np.repeat(np.repeat(step, actions), ends)
+    successors = position[layer + 1, model.successors[outcomes]]
+
+    over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
+    count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
+    table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
+    table[state, count] = np.arange(len(state))
+    marked = {LATE: _steps_needed(model, steps)[state] > steps - step}
+    for name, members in model.state_labels.items():
+        among = np.isin(state, members)
+        marked[name] = among | marked[name] if name in marked else among
+    horizon = HorizonSSP(
+        states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
+        action_names=model.action_names,
+        pair_action=read_only(model.pair_action[pairs]),
+        pair_offsets=read_only(offsets_of(actions)),
+        outcome_offsets=read_only(offsets_of(ends)),
+        successors=read_only(successors, np.int32),
+        probabilities=read_only(model.probabilities[outcomes]),
+        costs=read_only(model.costs[outcomes]),
+        goal_mask=read_only(model.goal_mask[state]),
+        state_labels={name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()},
+        exact_costs=model.exact_costs,
+        original=model,
+        memory=Memory(start=0, update=_StepCount(model, steps).after, fails=_is_late),
+        steps=steps,
+        positions=read_only(table),
+    )
     _BUILDING.info("%r", horizon)
     return horizon
 
 
-def _reached_within_steps(model: SSP, begin: BoolArray, steps: int) -> BoolArray:
+def _reached_within_steps(model: SSP, begin: Sequence[int] | None, steps: int) -> BoolArray:
     """The states that an episode may be in after each number of steps, [steps + 1, states].
 
     Raises:
@@ -461,7 +469,7 @@ def _reached_within_steps(model: SSP, begin: BoolArray, steps: int) -> BoolArray
     source = model.pair_state[segment_ids(model.outcome_offsets)][possible]
     target = model.successors[possible]
     reached = np.zeros((steps + 1, model.n_states), dtype=np.bool_)
-    reached[0] = begin
+    reached[0, slice(None) if begin is None else begin] = True
     for step in range(steps):
         check_time()
         reached[step + 1][target[reached[step][source]]] = True
@@ -481,60 +489,3 @@ def _steps_needed(model: SSP, steps: int) -> IntArray:
             break
         needed[nearer] = step
     return needed
-
-
-def _unrolled_by_steps(model: SSP, reached: BoolArray) -> HorizonSSP:
-    """The model once for each number of steps, one layer after the other."""
-    steps = len(reached) - 1
-    step, state = np.nonzero(reached)
-    position = np.cumsum(reached.ravel()).reshape(reached.shape) - 1
-
-    # what may be done, and what comes of it: copies of the model's pairs and outcomes
-    actions = np.where(step < steps, np.diff(model.pair_offsets)[state], 0)
-    pairs = concatenated_ranges(model.pair_offsets[state], actions)
-    possible = np.flatnonzero(model.probabilities > 0.0)
-    offsets = np.searchsorted(possible, model.outcome_offsets)
-    ends = np.diff(offsets)[pairs]
-    outcomes = possible[concatenated_ranges(offsets[pairs], ends)]
-    layer = np.repeat(np.repeat(step, actions), ends)
-    successors = position[layer + 1, model.successors[outcomes]]
-
-    over = (step == steps) & (np.diff(model.pair_offsets)[state] > 0)
-    count = np.where(over, steps + 1, step).astype(least_integer_type(steps + 1))
-    table = np.full((model.n_states, steps + 2), -1, dtype=np.int64)
-    table[state, count] = np.arange(len(state))
-    counter = _StepCount(model, steps)
-    return HorizonSSP(
-        states=_StepLabels(model.states, (*range(steps + 1), LATE), read_only(state), count),
-        action_names=model.action_names,
-        pair_action=read_only(model.pair_action[pairs]),
-        pair_offsets=_offsets_within_steps(actions),
-        outcome_offsets=_offsets_within_steps(ends),
-        successors=read_only(successors, np.int32),
-        probabilities=read_only(model.probabilities[outcomes]),
-        costs=read_only(model.costs[outcomes]),
-        goal_mask=read_only(model.goal_mask[state]),
-        state_labels=_labels_within_steps(
-            model, state, _steps_needed(model, steps)[state] > steps - step
-        ),
-        exact_costs=model.exact_costs,
-        original=model,
-        memory=Memory(start=0, update=counter.after, fails=_is_late),
-        steps=steps,
-        positions=read_only(table),
-    )
-
-
-def _offsets_within_steps(counts: IntArray) -> IntArray:
-    """Offsets from how many entries each step has."""
-    return read_only(offsets_of(counts), np.int64)
-
-
-def _labels_within_steps(model: SSP, state: IntArray, late: BoolArray) -> dict[str, IntArray]:
-    """The labels of the original, and "out of time", [members] each."""
-    marked = {LATE: late}
-    for name, members in model.state_labels.items():
-        among = np.zeros(model.n_states, dtype=np.bool_)
-        among[members] = True
-        marked[name] = among[state] | marked.get(name, np.zeros(len(state), dtype=np.bool_))
-    return {name: read_only(np.flatnonzero(mask)) for name, mask in marked.items()}

@@ -137,26 +137,54 @@ def policy_chain(
     first = np.flatnonzero(start > 0)
     memory = np.where(ended[first], 0, policy.start_memory(first))
     start_key = memory * model.n_states + first
+    visited, found, reached = np.zeros(model.n_states, dtype=np.bool_), [], 0
+    frontier = sorted_unique(start_key)
     if policy.is_stationary:
-        keys = _stationary_nodes(model, policy, first, ended)
-        visited = np.zeros(model.n_states, dtype=np.bool_)
-        visited[keys] = True
-        found = [_expand_chain(model, policy, keys, ended)]
-        return _assemble_chain(model, visited, start_key, start[first], dead, found)
-    visited = np.zeros(0, dtype=np.bool_)
-    frontier, found, reached = sorted_unique(start_key), [], 0
+        frontier = _stationary_nodes(model, policy, first, ended)
     while frontier.size:
         check_time()
-        visited = _grown_chain(visited, int(frontier[-1]))
-        visited[frontier] = True
         reached += frontier.size
-        if reached > most_nodes:
+        if reached > most_nodes and not policy.is_stationary:
             raise ModelError(f"the policy's chain has more than {most_nodes:,} nodes")
         step = _expand_chain(model, policy, frontier, ended)
         found.append(step)
-        visited = _grown_chain(visited, int(step[1].max(initial=0)))
+        last = max(int(frontier[-1]), int(step[1].max(initial=0)))
+        if last >= _MOST_KEYS:
+            raise ModelError("the policy's chain is too large: its memory does not settle")
+        if last >= visited.size:  # make room for so many keys
+            room = max(last + 1 - visited.size, visited.size)
+            visited = np.append(visited, np.zeros(room, dtype=np.bool_))
+        visited[frontier] = True
         frontier = sorted_unique(step[1][~visited[step[1]]])
-    return _assemble_chain(model, visited, start_key, start[first], dead, found)
+
+    # the nodes by number, in place of keys
+    source, target, chance, cost, outcome, node, pair, weight = (
+        np.concatenate(part) for part in zip(*found, strict=True)
+    )
+    known = np.flatnonzero(visited)
+    position = np.zeros(visited.size, dtype=np.int32)
+    position[known] = np.arange(known.size)
+    memory, state = np.divmod(known, model.n_states)
+    begin = np.bincount(position[start_key], weights=start[first], minlength=known.size)
+    node = position[node]
+    gives_up = pair == GIVE_UP_CODE
+    give_up = np.bincount(node[gives_up], weights=weight[gives_up], minlength=known.size)
+    return Chain(
+        model=model,
+        state=read_only(state),
+        memory=read_only(memory),
+        start=read_only(begin),
+        give_up=read_only(give_up.astype(np.float64)),
+        dead=read_only(dead[state].astype(np.float64)),
+        source=position[source],
+        target=position[target],
+        probability=chance,
+        cost=cost,
+        outcome=outcome,
+        branch_node=node,
+        branch_pair=pair,
+        branch_probability=weight,
+    )
 
 
 def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolArray) -> IntArray:
@@ -172,17 +200,6 @@ def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolAr
     edges = np.bincount(np.repeat(source, count)[possible], minlength=model.n_states)
     offsets = offsets_of(edges)
     return np.flatnonzero(reached_along(model.successors[outcome[possible]], offsets, start))
-
-
-def _grown_chain(visited: BoolArray, key: int) -> BoolArray:
-    """The marks of a chain's nodes, with room for a key."""
-    if key < visited.size:
-        return visited
-    if key >= _MOST_KEYS:
-        raise ModelError("the policy's chain is too large: its memory does not settle")
-    wider = np.zeros(max(key + 1, 2 * visited.size), dtype=np.bool_)
-    wider[: visited.size] = visited
-    return wider
 
 
 Step = tuple[IntArray, IntArray, FloatArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
@@ -212,44 +229,6 @@ def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) 
     target = after * model.n_states + successor
     return (keys[situation], target, chance[chance > 0], cost, outcome,
             keys[branch.situation], branch.pair, branch.probability)  # fmt: skip
-
-
-def _assemble_chain(
-    model: SSP,
-    visited: BoolArray,
-    start_key: IntArray,
-    start: FloatArray,
-    dead: BoolArray,
-    found: list[Step],
-) -> Chain:
-    """The chain of the nodes and steps that were found."""
-    source, target, chance, cost, outcome, node, pair, weight = (
-        np.concatenate([step[i] for step in found]) for i in range(8)
-    )
-    known = np.flatnonzero(visited)
-    position = np.zeros(visited.size, dtype=np.int32)
-    position[known] = np.arange(known.size)
-    memory, state = np.divmod(known, model.n_states)
-    begin = np.bincount(position[start_key], weights=start, minlength=known.size)
-    node = position[node]
-    gives_up = pair == GIVE_UP_CODE
-    give_up = np.bincount(node[gives_up], weights=weight[gives_up], minlength=known.size)
-    return Chain(
-        model=model,
-        state=read_only(state),
-        memory=read_only(memory),
-        start=read_only(begin),
-        give_up=read_only(give_up.astype(np.float64)),
-        dead=read_only(dead[state].astype(np.float64)),
-        source=position[source],
-        target=position[target],
-        probability=chance,
-        cost=cost,
-        outcome=outcome,
-        branch_node=node,
-        branch_pair=pair,
-        branch_probability=weight,
-    )
 
 
 def reaching_in_chain(chain: Chain, ends: BoolArray) -> BoolArray:

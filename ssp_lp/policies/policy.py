@@ -125,8 +125,6 @@ class Playable(ReadOnlyCopies, ABC):
         Raises:
             ModelError: a lottery without a generator.
         """
-        from ssp_lp.policies.policy import Episode
-
         return Episode(self.start_many(1, rng, world=world))
 
     def start_many(
@@ -142,8 +140,6 @@ class Playable(ReadOnlyCopies, ABC):
         Raises:
             ModelError: no episodes, or a lottery without a generator.
         """
-        from ssp_lp.policies.policy import EpisodeBatch
-
         check_whole("episodes", episodes, most=MOST_EPISODES)
         drawn = None if rng is None else generator_of(rng)
         return EpisodeBatch(*self.draw(episodes, drawn), drawn, world)
@@ -158,8 +154,8 @@ class Playable(ReadOnlyCopies, ABC):
 class Policy(Playable):
     """A policy without or with a finite memory, which starts, decides and remembers.
 
-    The three abstract methods work on many episodes at once. Memory is an integer whose meaning
-    is the policy's own.
+    Its methods work on many episodes at once. Memory is an integer whose meaning is the policy's
+    own; a class that says nothing of it has none.
     """
 
     model: SSP
@@ -176,9 +172,9 @@ class Policy(Playable):
         """The steps within which it was made to reach the goal; None: it knows of none."""
         return None
 
-    @abstractmethod
     def start_memory(self, states: IntArray) -> IntArray:
         """Memory at the start of episodes that begin in these states, [episodes]."""
+        return np.zeros(len(states), dtype=np.int64)
 
     def layers(self) -> CostLayers | None:
         """The policy layer by layer of the cost paid; None where its memory is another one."""
@@ -188,11 +184,11 @@ class Policy(Playable):
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The decisions with their probabilities in each (state, memory), [situations]."""
 
-    @abstractmethod
     def remember(
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """Memory after taking these pairs to these successors at these costs, [episodes]."""
+        return memory
 
     def sample(
         self, states: IntArray, memory: IntArray, rng: np.random.Generator | None
@@ -326,58 +322,48 @@ class EpisodeBatch:
         moved = np.flatnonzero(~self.over)
         successor, pairs = there[moved], self._pairs[moved]
         check_costs(paid[moved])
+        if self._is_model and self._is_observed and pairs.size:
+            raise ModelError(f"observe() was called twice after one action; {_OTHER_WORLD}")
         if self._is_model:
-            self._check_steps(pairs, successor)
+            model, first = self.model, self.model.outcome_offsets[pairs]
+            count = model.outcome_offsets[pairs + 1] - first
+            index = concatenated_ranges(first, count)
+            hit = model.successors[index] == np.repeat(successor, count)
+            mass = segment_sums(np.where(hit, model.probabilities[index], 0.0), offsets_of(count))
+            if (mass == 0.0).any():
+                k = int(np.argmin(mass))
+                told, to = model.describe_pair(int(pairs[k])), model.states[int(successor[k])]
+                raise ModelError(f"{told} cannot lead to {to!r}; {_OTHER_WORLD}")
         going = ~self._ends[successor]
         self.remember(moved[going], pairs[going], successor[going], paid[moved[going]])
         self._state[moved] = successor
         self.over[moved] = ~going
         self._is_observed = True
 
-    def _check_steps(self, pairs: IntArray, successors: IntArray) -> None:
-        """Raise :class:`ModelError` unless each step is new, and one of the model's."""
-        if self._is_observed and pairs.size:
-            raise ModelError(f"observe() was called twice after one action; {_OTHER_WORLD}")
-        first, model = self.model.outcome_offsets[pairs], self.model
-        count = model.outcome_offsets[pairs + 1] - first
-        index = concatenated_ranges(first, count)
-        hit = model.successors[index] == np.repeat(successors, count)
-        mass = segment_sums(np.where(hit, model.probabilities[index], 0.0), offsets_of(count))
-        if (mass == 0.0).any():
-            k = int(np.argmin(mass))
-            told = model.describe_pair(int(pairs[k]))
-            there = model.states[int(successors[k])]
-            raise ModelError(f"{told} cannot lead to {there!r}; {_OTHER_WORLD}")
-
     def begin(self, states: IntArray, going: BoolArray) -> None:
         """Set the memories of the episodes that do not end where they start, [episodes]."""
-        for member, mine in self._shares(np.flatnonzero(going)):
-            self._memory[mine] = member.start_memory(states[mine])
+        for member, mine in self._shares(begun := np.flatnonzero(going)):
+            self._memory[begun[mine]] = member.start_memory(states[begun[mine]])
 
     def decide(self, episodes: IntArray, states: IntArray) -> IntArray:
         """A pair or GIVE_UP_CODE for each of the given episodes, in these states."""
-        pairs = np.empty(len(self._drawn), dtype=np.int64)
-        state = np.empty(len(self._drawn), dtype=np.int64)
-        state[episodes] = states
+        pairs = np.empty(len(episodes), dtype=np.int64)
         for member, mine in self._shares(episodes):
-            pairs[mine] = member.sample(state[mine], self._memory[mine], self._rng)
-        return pairs[episodes]
+            pairs[mine] = member.sample(states[mine], self._memory[episodes[mine]], self._rng)
+        return pairs
 
     def remember(
         self, episodes: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> None:
         """Move the memories of the given episodes."""
-        for number, member in enumerate(self._members):
-            mine = self._drawn[episodes] == number
-            here = episodes[mine]
-            self._memory[here] = member.remember(
-                self._memory[here], pairs[mine], successors[mine], costs[mine]
-            )
+        for member, mine in self._shares(episodes):
+            kept, step = self._memory[episodes[mine]], (pairs[mine], successors[mine], costs[mine])
+            self._memory[episodes[mine]] = member.remember(kept, *step)
 
     def _shares(self, episodes: IntArray) -> Iterator[tuple[Policy, IntArray]]:
-        """Each member with those of the episodes that it plays."""
+        """Each member with the positions of the episodes that it plays."""
         for number, member in enumerate(self._members):
-            mine = episodes[self._drawn[episodes] == number]
+            mine = np.flatnonzero(self._drawn[episodes] == number)
             if mine.size:
                 yield member, mine
 

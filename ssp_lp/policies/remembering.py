@@ -249,29 +249,25 @@ class RememberingPolicy(Policy):
         """
         check_costs(costs)
         product, model = self.product, self.model
-        inner, number = np.divmod(memory, len(product.memories))
-        steps = np.stack([number, pairs, successors], axis=1).astype(np.float64)
+        inner, begun = np.divmod(memory, len(product.memories))
+        steps = np.stack([begun, pairs, successors], axis=1).astype(np.float64)
         distinct, back = np.unique(np.column_stack([steps, costs]), axis=0, return_inverse=True)
-        after = np.array([self._updated(*step) for step in distinct.tolist()], dtype=np.int64)
-        after = after[np.ravel(back)] if after.size else np.zeros(0, dtype=np.int64)
-        here = self._at(model.pair_state[pairs], number)
+        numbers = []
+        for number, pair, successor, cost in distinct.tolist():
+            state = model.states[int(model.pair_state[int(pair)])]
+            action, there = model.action_of(int(pair)), model.states[int(successor)]
+            kept = product.memory.update(product.memories[int(number)], state, action, there, cost)
+            if kept not in product.memory_number:
+                raise ModelError(
+                    f"the step from {state!r} by {action!r} to {there!r} at cost {cost:g} leads to "
+                    f"the memory {kept!r}, which the product does not have"
+                )
+            numbers.append(product.memory_number[kept])
+        after = np.array(numbers, dtype=np.int64)[np.ravel(back)]
+        here = self._at(model.pair_state[pairs], begun)
         taken = pairs + product.pair_offsets[here] - model.pair_offsets[model.pair_state[pairs]]
-        there = self._at(successors, after)
-        moved = self.inner.remember(inner, taken, there, costs)
+        moved = self.inner.remember(inner, taken, self._at(successors, after), costs)
         return np.asarray(moved * len(product.memories) + after)
-
-    def _updated(self, number: float, pair: float, successor: float, cost: float) -> int:
-        """The number of the memory after a step."""
-        product, model = self.product, self.model
-        state, there = (model.states[int(k)] for k in (model.pair_state[int(pair)], successor))
-        kept, action = product.memories[int(number)], model.action_of(int(pair))
-        after = product.memory.update(kept, state, action, there, cost)
-        if after not in product.memory_number:
-            raise ModelError(
-                f"the step from {state!r} by {action!r} to {there!r} at cost {cost:g} leads to the "
-                f"memory {after!r}, which the product does not have"
-            )
-        return product.memory_number[after]
 
     def _at(self, states: IntArray, numbers: IntArray) -> IntArray:
         """The product's states.

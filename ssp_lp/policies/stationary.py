@@ -45,20 +45,10 @@ class DeterministicPolicy(Policy):
             decision[s] = GIVE_UP_CODE if action is GIVE_UP else find_pair(model, s, action)
         return cls(model, decision)
 
-    def start_memory(self, states: IntArray) -> IntArray:
-        """No memory: zeros, [episodes]."""
-        return np.zeros(len(states), dtype=np.int64)
-
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The one decision of each state."""
         n = len(states)
         return Branches(np.arange(n), self.decision[states].astype(np.int64), np.ones(n))
-
-    def remember(
-        self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
-        """No memory to move."""
-        return memory
 
     def actions(self) -> dict[Hashable, Hashable]:
         """``{state: action or GIVE_UP}`` over the states in which the policy has a decision."""
@@ -185,9 +175,7 @@ class StochasticPolicy(Policy):
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The carrier's start memory, [episodes]."""
-        if self.carrier is not None:
-            return self.carrier.start_memory(states)
-        return np.zeros(len(states), dtype=np.int64)
+        return np.zeros_like(states) if self.carrier is None else self.carrier.start_memory(states)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The decisions with their probabilities; UNDECIDED in situations that are not listed."""
@@ -212,9 +200,8 @@ class StochasticPolicy(Policy):
         self, memory: IntArray, pairs: IntArray, successors: IntArray, costs: FloatArray
     ) -> IntArray:
         """Move the carrier's memory."""
-        if self.carrier is None:
-            return memory
-        return self.carrier.remember(memory, pairs, successors, costs)
+        step = memory, pairs, successors, costs
+        return memory if self.carrier is None else self.carrier.remember(*step)
 
     def __repr__(self) -> str:
         """One line: in how many situations it decides, and in how many at random."""

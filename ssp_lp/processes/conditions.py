@@ -7,7 +7,6 @@ have no upper limit of their own, so that nothing bounds them from below in this
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,8 +15,8 @@ import numpy as np
 from ssp_lp.arrays import BoolArray, FloatArray
 from ssp_lp.errors import ModelError
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import goal_pairs, pairs_into
-from ssp_lp.processes.failure_semantics import Aim, Counting
+from ssp_lp.model.graph import pairs_into
+from ssp_lp.processes.failure_semantics import Counting
 from ssp_lp.processes.rows import costless_pairs
 
 FAILURE_ROW = "failure"
@@ -189,49 +188,15 @@ class Condition:
         shift = max(-constant, 0.0)  # no coefficient may be negative
         size, bound = max(offset, shift, abs(bound)), bound + offset + shift
         bound = 0.0 if -_ROOM * size <= bound < 0.0 else bound  # the rounding of a complement
-        told = (
-            self.name
-            if sign > 0.0 and offset + shift == 0.0
-            else f"{_signed_in_condition(offset + shift, sign)}{self.name}"
-        )
+        offset += shift
+        told = f"{f'{offset:g} ' if offset else ''}{'+' if sign > 0.0 else '-'} {self.name}"
         return UpperRow(
             name=name,
-            told=told,
+            told=self.name if sign > 0.0 and offset == 0.0 else told,
             terms=tuple(terms),
             constant=constant + shift,
             bound=bound,
             condition=self,
             sign=sign,
-            offset=offset + shift,
+            offset=offset,
         )
-
-
-def free_pairs(
-    model: SSP, aim: Aim, side: Iterable[UpperRow] = (), objective: UpperRow | None = None
-) -> BoolArray:
-    """Pairs that add nothing to what is minimised and limited, [pairs].
-
-    To move among them for ever is a way to fail that costs nothing, whatever the model's own cost
-    is: that counts only where it is asked for.
-
-    Args:
-        model: the model.
-        aim: what is minimised unless there is an objective.
-        side: what is limited.
-        objective: a quantity that is minimised; None: what the aim counts.
-    """
-    if objective is not None:
-        free = objective.free
-    elif aim is Aim.GREATEST_GOAL:
-        free = np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
-    else:
-        free = ~goal_pairs(model) if aim is Aim.LEAST_GOAL else costless_pairs(model)
-    for row in side:
-        free = free & row.free
-    return free
-
-
-def _signed_in_condition(offset: float, sign: float) -> str:
-    """An offset and the sign that follows it, as a condition prints them."""
-    first = f"{offset:g} " if offset else ""
-    return f"{first}{'+' if sign > 0.0 else '-'} "

@@ -22,13 +22,14 @@ from ssp_lp.model.graph import (
     surely_reaching,
 )
 from ssp_lp.policies.stationary import DeterministicPolicy
-from ssp_lp.processes.conditions import UpperRow, free_pairs
+from ssp_lp.processes.conditions import UpperRow
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import (
     Aim,
     Counting,
     FailureSemantics,
     GiveUp,
+    free_pairs,
     stage_costs,
     survival_of,
 )
@@ -128,12 +129,28 @@ def label_failure(
     )
     survival = survival_of(discount)
     stage, entering = stage_costs(model, quotient, semantics, survival)
-    process, departs = _fill_labelled(quotient, stage, survival)
+    to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
+    to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))
+    leaks = np.where(quotient.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)
+    rows = quotient.transitions(survival, departing=survival == 1.0)
+    departs = rows.departs
+    process = ExplicitProcess(
+        pair_offsets=quotient.pair_offsets,
+        transitions=rows.matrix,
+        start=np.zeros(quotient.n_nodes),
+        cost=stage / departs,
+        failure=leaks / departs,
+        goal=survival * to_goal / departs,
+    )
     check_time()
-    process = _labelled_with_start(process, quotient, start, entering)
-    cost = _counted_under_label(process, semantics)
-    counted = process if cost is process.cost else replace(process, cost=cost)
-    return FailureLabelled(counted, quotient, departs)
+    process = _with_start(process, quotient, start, entering)
+    if semantics.aim is Aim.GREATEST_GOAL:
+        process = replace(process, cost=process.failure)
+    elif semantics.aim is Aim.LEAST_GOAL:
+        process = replace(process, cost=process.goal)
+    elif semantics.penalty > 0.0 and not semantics.forbids_failing:
+        process = replace(process, cost=process.cost + semantics.penalty * process.failure)
+    return FailureLabelled(process, quotient, departs)
 
 
 def counting_of(
@@ -156,39 +173,7 @@ def counting_of(
     return Counting(labelled.quotient, labelled.departs, *ends, start, semantics, survival)
 
 
-def _counted_under_label(process: ExplicitProcess, semantics: FailureSemantics) -> FloatArray:
-    """What the aim counts at each pair, [pairs]: cost and penalty, failing, or the goal."""
-    if semantics.aim is Aim.GREATEST_GOAL:
-        return process.failure
-    if semantics.aim is Aim.LEAST_GOAL:
-        return process.goal
-    if semantics.penalty == 0.0 or semantics.forbids_failing:
-        return process.cost
-    return np.asarray(process.cost + semantics.penalty * process.failure)
-
-
-def _fill_labelled(
-    quotient: Quotient, stage: FloatArray, survival: float
-) -> tuple[ExplicitProcess, FloatArray]:
-    """The process without its start, of stage costs [pairs], and its rows' divisors, [pairs]."""
-    model = quotient.model
-    to_dead = quotient.at_pairs(successor_means(model, quotient.dead), 1.0)
-    to_goal = quotient.at_pairs(successor_means(model, model.goal_mask))
-    leaks = np.where(quotient.pair_at >= 0, (1.0 - survival) + survival * to_dead, 1.0)
-    rows = quotient.transitions(survival, departing=survival == 1.0)
-    departs = rows.departs
-    process = ExplicitProcess(
-        pair_offsets=quotient.pair_offsets,
-        transitions=rows.matrix,
-        start=np.zeros(quotient.n_nodes),
-        cost=stage / departs,
-        failure=leaks / departs,
-        goal=survival * to_goal / departs,
-    )
-    return process, departs
-
-
-def _labelled_with_start(
+def _with_start(
     process: ExplicitProcess, quotient: Quotient, start: FloatArray, entering: FloatArray
 ) -> ExplicitProcess:
     """Set the start; mass on goals or dead-ends enters through a source state, the last one."""

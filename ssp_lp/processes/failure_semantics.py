@@ -6,9 +6,10 @@ And how costs and arrivals of a model are counted, by that, at the pairs of an a
 from __future__ import annotations
 
 import enum
-from collections.abc import Hashable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Real
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,9 +25,12 @@ from ssp_lp.errors import (
     wrong_argument,
 )
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_pairs, attention_states
+from ssp_lp.model.graph import attention_pairs, attention_states, goal_pairs
 from ssp_lp.processes.quotient import Quotient
-from ssp_lp.processes.rows import cost_means, successor_means
+from ssp_lp.processes.rows import cost_means, costless_pairs, successor_means
+
+if TYPE_CHECKING:
+    from ssp_lp.processes.conditions import UpperRow
 
 
 class GiveUp(enum.StrEnum):
@@ -275,6 +279,31 @@ def check_failure_setting(
 def as_percentage(share: float) -> str:
     """What a number may have meant that is no probability."""
     return f"; did you mean {float(share) / 100.0:.12g}?" if 1.0 < share <= 100.0 else ""
+
+
+def free_pairs(
+    model: SSP, aim: Aim, side: Iterable[UpperRow] = (), objective: UpperRow | None = None
+) -> BoolArray:
+    """Pairs that add nothing to what is minimised and limited, [pairs].
+
+    To move among them for ever is a way to fail that costs nothing, whatever the model's own cost
+    is: that counts only where it is asked for.
+
+    Args:
+        model: the model.
+        aim: what is minimised unless there is an objective.
+        side: what is limited.
+        objective: a quantity that is minimised; None: what the aim counts.
+    """
+    if objective is not None:
+        free = objective.free
+    elif aim is Aim.GREATEST_GOAL:
+        free = np.ones(model.n_pairs, dtype=np.bool_)  # only leaving a component risks anything
+    else:
+        free = ~goal_pairs(model) if aim is Aim.LEAST_GOAL else costless_pairs(model)
+    for row in side:
+        free = free & row.free
+    return free
 
 
 _DUST = 8.0 * MACHINE_EPSILON  # of what leaves by a pair: the rounding of a difference

@@ -334,10 +334,9 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> F
     wrong = ~(np.isfinite(costs) & (costs >= 0.0))
     if wrong.any():
         outcome = int(np.argmax(wrong))
-        pair = int(np.searchsorted(model.outcome_offsets, outcome, side="right")) - 1
         raise ModelError(
-            f"limit {name!r}, {model.describe_pair(pair)}: the cost must be finite and >= 0, not "
-            f"{float(costs[outcome])!r}"
+            f"limit {name!r}, {model._describe_outcome(outcome)}: the cost must be finite and "
+            f">= 0, not {float(costs[outcome])!r}"
         )
     return costs
 
@@ -362,31 +361,27 @@ def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
             _listed_costs(model.original, name, {state: actions})  # nobody acts there: a check only
             continue
         for place in acting or places.tolist():
-            _list_pair_costs(model, name, place, actions, result)
+            begin, end = model.pair_offsets[place : place + 2].tolist()
+            pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
+            for action, value in actions.items():
+                if action not in pair_of:
+                    raise ModelError(f"limit {name!r}: {model.no_such_action(place, action)}")
+                if not is_amount(value):
+                    raise ModelError(
+                        f"limit {name!r}, action {action!r} of state {model.states[place]!r}: the "
+                        f"cost must be finite and >= 0, not {in_short(value)}{beside_cvxpy(value)}"
+                    )
+                result[pair_of[action]] = float(value)
     return result
 
 
-def _list_pair_costs(
-    model: SSP, name: str, state: int, actions: Mapping[Hashable, float], result: FloatArray
-) -> None:
-    """Write the costs of a state's actions into the costs of all pairs."""
-    begin, end = model.pair_offsets[state : state + 2].tolist()
-    pair_of = {model.action_of(pair): pair for pair in range(begin, end)}
-    for action, value in actions.items():
-        if action not in pair_of:
-            raise ModelError(f"limit {name!r}: {model.no_such_action(state, action)}")
-        if not is_amount(value):
-            raise ModelError(
-                f"limit {name!r}, action {action!r} of state {model.states[state]!r}: the cost "
-                f"must be finite and >= 0, not {in_short(value)}" + beside_cvxpy(value)
-            )
-        result[pair_of[action]] = float(value)
-
-
 def _cost_array(name: str, cost: npt.ArrayLike) -> FloatArray:
-    """Costs as an array of numbers."""
+    """Costs as floats; complex numbers and texts, which numpy would convert, are refused."""
     try:
-        return _cost_numbers(cost)
+        given = np.array(cost)
+        if given.dtype.kind not in "biufO":
+            raise TypeError(f"{given.dtype} is no type of real numbers")
+        return given.astype(np.float64)
     except (TypeError, ValueError, OverflowError) as error:
         raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
 
@@ -422,14 +417,6 @@ def _costs_by_outcome(model: SSP, given: FloatArray) -> FloatArray | None:
     return None
 
 
-def _cost_numbers(cost: npt.ArrayLike) -> FloatArray:
-    """A copy as floats; complex numbers and texts, which numpy would convert, are refused."""
-    given = np.array(cost)
-    if given.dtype.kind not in "biufO":
-        raise TypeError(f"{given.dtype} is no type of real numbers")
-    return given.astype(np.float64)
-
-
 def conditions(
     model: SSP, start: FloatArray, constraints: Mapping[str, Constraint]
 ) -> tuple[Condition, ...]:
@@ -446,12 +433,20 @@ def conditions(
     """
     if not isinstance(constraints, Mapping):
         raise ModelError(f"constraints must be {{name: quantity <= bound}}, not {constraints!r}")
-    found = tuple(_looked_up_condition(model, start, name, c) for name, c in constraints.items())
+    found = []
+    for name, constraint in constraints.items():
+        if not isinstance(name, str) or not name:
+            raise ModelError(f"the name of a limit must be a word, not {name!r}")
+        if name in RESERVED:
+            raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
+        if not isinstance(constraint, Constraint):
+            raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
+        found.append(_looked_up_terms(model, start, name, constraint))
     named = [row.name for condition in found for row in condition.rows]
     if len(set(named)) < len(named):
         twice = next(name for name in named if named.count(name) > 1)
         raise ModelError(f"two rows would be named {twice!r}: give one constraint another name")
-    return found
+    return tuple(found)
 
 
 def objective_of(
@@ -503,25 +498,12 @@ def arrival_measure(quantity: Quantity | None) -> ExpectedArrivalCost | None:
     return ExpectedArrivalCost(function, line)
 
 
-def _looked_up_condition(
-    model: SSP, start: FloatArray, name: str, constraint: Constraint
-) -> Condition:
-    """A constraint, checked and looked up in the model."""
-    if not isinstance(name, str) or not name:
-        raise ModelError(f"the name of a limit must be a word, not {name!r}")
-    if name in RESERVED:
-        raise ModelError(f"{name!r} names {RESERVED[name]}: give the limit another name")
-    if not isinstance(constraint, Constraint):
-        raise ModelError(f"limit {name!r} must be a quantity <= or >= a number: {constraint!r}")
-    return _looked_up_terms(model, start, name, constraint)
-
-
 def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Constraint) -> Condition:
     """A constraint whose terms were looked up."""
-    quantity = constraint.quantity
-    terms = tuple(
-        (weight, _looked_up_term(model, name, c)) for weight, c in _merged_terms(quantity)
-    )
+    weights: dict[Counted, float] = {}
+    for weight, counted in constraint.quantity.terms:  # those that count the same are added up
+        weights[counted] = weights.get(counted, 0.0) + weight
+    terms = tuple((w, _looked_up_term(model, name, c)) for c, w in weights.items() if w != 0.0)
     live = end_marks(model) < 0
     begun = sum(
         weight * float(start[term.states & live].sum())
@@ -529,18 +511,7 @@ def _looked_up_terms(model: SSP, start: FloatArray, name: str, constraint: Const
         if isinstance(term, ArrivalTerm) and not term.final
     )
     stated = constraint.lower, constraint.upper
-    return Condition(name, model, terms, quantity.constant + begun, *stated)
-
-
-def _merged_terms(quantity: Quantity) -> list[tuple[float, Counted]]:
-    """The terms, those that count the same added up, without those that cancel."""
-    weights: dict[object, float] = {}
-    first: dict[object, Counted] = {}
-    for weight, counted in quantity.terms:
-        key: object = id(counted) if isinstance(counted, StageCosts) else counted
-        first.setdefault(key, counted)
-        weights[key] = weights.get(key, 0.0) + weight
-    return [(weight, first[key]) for key, weight in weights.items() if weight != 0.0]
+    return Condition(name, model, terms, constraint.quantity.constant + begun, *stated)
 
 
 def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:

@@ -93,7 +93,7 @@ class Quotient:
         """The state and the action of a pair; of one that gives up, the node's first state."""
         acting = int(self.pair_at[pair])
         if acting == GIVE_UP_CODE:
-            return self.first_member(int(self.pair_node[pair])), GIVE_UP
+            return self.model.states[int(self.first_states[self.pair_node[pair]])], GIVE_UP
         return self.model.states[int(self.model.pair_state[acting])], self.model.action_of(acting)
 
     @cached_property
@@ -101,10 +101,6 @@ class Quotient:
         """The first state of each node, [nodes]."""
         live = (self.node_of >= 0).nonzero()[0]
         return live[np.unique(self.node_of[live], return_index=True)[1]]
-
-    def first_member(self, node: int) -> Hashable:
-        """The label of a node's first state."""
-        return self.model.states[int(self.first_states[node])]
 
     def split(self) -> Quotient:
         """The same live states without collapsing any: each a node, with all pairs that it has."""
@@ -451,28 +447,19 @@ def _flow_of_moves(
         usable = quotient.inside & ~is_target[model.pair_state]
         choice = nearer_pairs(model, last, usable)
         moving = np.flatnonzero((choice[members] >= 0) & (share[node] > 0.0))
-        taken = choice[members[moving]]
-        pairs[taken] += _visits_of_flow(
-            model, members[moving], taken, (entering * share[node])[moving]
-        )
+        taken, entered = choice[members[moving]], (entering * share[node])[moving]
+        # the visits of states that each take one pair until they are left
+        lengths = np.diff(model.outcome_offsets)[taken]
+        outcomes = concatenated_ranges(model.outcome_offsets[taken], lengths)
+        place = np.full(model.n_states, -1)
+        place[members[moving]] = np.arange(moving.size)
+        source, target = segment_ids(offsets_of(lengths)), place[model.successors[outcomes]]
+        chance, shape = model.probabilities[outcomes], (moving.size, moving.size)
+        stays = (target >= 0) & (chance > 0.0)
+        inner = sp.csr_array((chance[stays], (source[stays], target[stays])), shape=shape)
+        exits = np.bincount(source[~stays], weights=chance[~stays], minlength=moving.size)
+        pairs[taken] += System(inner, exits.astype(np.float64)).solve_transposed(entered)
     return pairs
-
-
-def _visits_of_flow(
-    model: SSP, states: IntArray, pairs: IntArray, entering: FloatArray
-) -> FloatArray:
-    """Expected visits of some states that each take one pair until they are left, [some states]."""
-    lengths = np.diff(model.outcome_offsets)[pairs]
-    outcomes = concatenated_ranges(model.outcome_offsets[pairs], lengths)
-    place = np.full(model.n_states, -1)
-    place[states] = np.arange(states.size)
-    source, target = np.repeat(np.arange(states.size), lengths), place[model.successors[outcomes]]
-    stays = (target >= 0) & (model.probabilities[outcomes] > 0.0)
-    shape = states.size, states.size
-    chance = model.probabilities[outcomes]
-    inner = sp.csr_array((chance[stays], (source[stays], target[stays])), shape=shape)
-    exits = np.bincount(source[~stays], weights=chance[~stays], minlength=states.size)
-    return System(inner, exits.astype(np.float64)).solve_transposed(entering)
 
 
 def decisions(

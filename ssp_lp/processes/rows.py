@@ -150,7 +150,7 @@ def live_rows(rows: RowChoice, survival: float = 1.0) -> LiveRows:
         survival: factor of every probability.
     """
     counts, departs, leaks = _count_live(rows)
-    matrix = _filled_rows(rows, survival, counts, departs, _row_bounds(rows, counts))
+    matrix = _filled_rows(rows, survival, departs, _row_bounds(rows, counts))
     exits = leaks if survival == 1.0 else (1.0 - survival) + survival * leaks
     return LiveRows(matrix, departs, exits / departs)
 
@@ -163,29 +163,13 @@ def shared_live_rows(rows: RowChoice, survival: float = 1.0) -> SparseRows:
         survival: factor of every probability.
     """
     counts, departs, _ = _count_live(rows)
-    bounds = _row_bounds(rows, counts)
-    shared, entries = None, int(bounds[-1])
-    if entries >= _WORTH_SHARING and accelerated(entries):
-        shared = _shared_rows(rows, survival, departs, bounds)
-    return _filled_rows(rows, survival, counts, departs, bounds) if shared is None else shared
-
-
-def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
-    """Where the entries of each row begin, and the end, [rows + 1]."""
-    bounds = np.zeros(len(counts) + 1, dtype=np.int64)
-    np.add.accumulate(counts, out=bounds[1:])
-    small = max(int(bounds[-1]), rows.width * rows.n_nodes) < 2**31
-    return bounds.astype(np.int32) if small else bounds
-
-
-def _shared_rows(
-    rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
-) -> SharedRows | None:
-    """The rows with their numbers shared; None where few of them repeat each other."""
+    bounds, entries = _row_bounds(rows, counts), int(counts.sum())
+    if entries < _WORTH_SHARING or not accelerated(entries):
+        return _filled_rows(rows, survival, departs, bounds)
     from ssp_lp.compiled.rows import share_rows
 
     n_rows, n_outcomes = len(rows.pair_at), rows.model.n_outcomes
-    indices = np.empty(int(bounds[-1]), dtype=bounds.dtype)
+    indices = np.empty(entries, dtype=bounds.dtype)
     begins, data = np.empty(n_rows, dtype=np.int32), np.empty(_MOST_NUMBERS)
     slots, used = np.full(2 * _MOST_NUMBERS, -1, dtype=np.int32), 0
     numbers = np.zeros(0)  # of one piece
@@ -195,10 +179,17 @@ def _shared_rows(
         numbers = np.empty(end - first) if end - first > numbers.size else numbers
         _fill_compiled(rows, some, departs, survival, own, indices[first:end], numbers)
         used = share_rows(own, numbers, begins[some], data, slots, used)
-        if used < 0 or used > end // _TIMES_SHARED:
-            return None
+        if used < 0 or used > end // _TIMES_SHARED:  # few of them repeat each other
+            return _filled_rows(rows, survival, departs, bounds)
     shape = n_rows, rows.width * rows.n_nodes
     return SharedRows(bounds, begins, indices, data[:used].copy(), shape)
+
+
+def _row_bounds(rows: RowChoice, counts: IntArray) -> IntArray:
+    """Where the entries of each row begin, and the end, [rows + 1]."""
+    bounds = offsets_of(counts)
+    small = max(int(bounds[-1]), rows.width * rows.n_nodes) < 2**31
+    return bounds.astype(np.int32) if small else bounds
 
 
 def _fill_compiled(
@@ -222,22 +213,32 @@ def _fill_compiled(
 
 
 def _filled_rows(
-    rows: RowChoice, survival: float, counts: IntArray, departs: FloatArray, bounds: IntArray
+    rows: RowChoice, survival: float, departs: FloatArray, bounds: IntArray
 ) -> sp.csr_array:
     """The rows that were counted, each entry's probability beside its column."""
-    n_rows, n_columns = len(counts), rows.width * rows.n_nodes
+    n_rows, n_columns, model = len(rows.pair_at), rows.width * rows.n_nodes, rows.model
     indices = np.empty(int(bounds[-1]), dtype=bounds.dtype)
     data = np.empty(len(indices))
-    if accelerated(rows.model.n_outcomes):
-        for some in pieces(n_rows, rows.model.n_outcomes):
+    if accelerated(model.n_outcomes):
+        for some in pieces(n_rows, model.n_outcomes):
             own = bounds[some.start : some.stop + 1]
             _fill_compiled(rows, some, departs, survival, own, indices, data)
     else:
         for some in _row_chunks(rows):
-            column, probability, row = _entries_of_live_rows(rows, some, counts)
+            outcome, row = _outcomes_of_live_rows(rows, some)
+            probability = model.probabilities[outcome]
+            node = rows.node_of[model.successors[outcome]].astype(np.int64)
+            kept = (node >= 0) & (probability > 0)
+            if rows.home is not None:
+                away = kept & (node != rows.home[some][row])
+                counts = np.diff(bounds[some.start : some.stop + 1])
+                departing = np.bincount(row[away], minlength=len(counts)) == counts
+                kept = np.where(departing[row], away, kept)
+            if rows.ahead is not None:
+                node += rows.ahead[outcome].astype(np.int64) * rows.n_nodes
             place = slice(bounds[some.start], bounds[some.stop])
-            indices[place] = column
-            data[place] = probability / departs[some][row] * survival
+            indices[place] = node[kept]
+            data[place] = probability[kept] / departs[some][row[kept]] * survival
     return csr_of(data, indices, bounds, (n_rows, n_columns))
 
 
@@ -274,24 +275,6 @@ def _count_live(rows: RowChoice) -> tuple[IntArray, FloatArray, FloatArray]:
         counts[some] = np.where(mass == 0, entries + loops, entries)
         departs[some] = np.where((loops > 0) & (mass > 0), mass, 1.0)
     return counts, departs, leaks
-
-
-def _entries_of_live_rows(
-    rows: RowChoice, some: slice, counts: IntArray
-) -> tuple[IntArray, FloatArray, IntArray]:
-    """Column, probability and row (within the chunk) of the entries that were counted."""
-    outcome, row = _outcomes_of_live_rows(rows, some)
-    probability = rows.model.probabilities[outcome]
-    node = rows.node_of[rows.model.successors[outcome]].astype(np.int64)
-    kept = (node >= 0) & (probability > 0)
-    if rows.home is not None:
-        away = kept & (node != rows.home[some][row])
-        departing = np.bincount(row[away], minlength=some.stop - some.start) == counts[some]
-        kept = np.where(departing[row], away, kept)
-    column = node[kept]
-    if rows.ahead is not None:
-        column += rows.ahead[outcome[kept]].astype(np.int64) * rows.n_nodes
-    return column, probability[kept], row[kept]
 
 
 def _outcomes_of_live_rows(rows: RowChoice, some: slice) -> tuple[IntArray, IntArray]:

@@ -28,8 +28,7 @@ from ssp_lp.model.naming import ByName, html_text
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.policy import GIVE_UP
 from ssp_lp.processes.conditions import ArrivalTerm
-from ssp_lp.processes.contraction import PricedMinimum, priced_minimum
-from ssp_lp.processes.explicit import ExplicitProcess
+from ssp_lp.processes.explicit import ExplicitProcess, PricedMinimum, priced_minimum
 from ssp_lp.processes.failure_semantics import AS_ASKED, ObjectiveSense, start_distribution
 from ssp_lp.processes.quantities import Quantity, objective_of
 from ssp_lp.processes.quotient import Spread, spread_out
