@@ -137,15 +137,10 @@ class Grid:
     @explained
     def index_of(self, cells: npt.ArrayLike) -> tuple[IntArray, ...]:
         """Position of each cell along each axis; raises :class:`ModelError` if there is none."""
-        rest = np.asarray(cells)
-        if rest.dtype.kind not in "iu" or (rest < 0).any() or (rest >= self.n_cells).any():
+        given = np.asarray(cells)
+        if given.dtype.kind not in "iu" or (given < 0).any() or (given >= self.n_cells).any():
             raise ModelError(f"cells are whole numbers, 0 .. {self.n_cells - 1}")
-        positions = []
-        for stride in self.strides:
-            along = rest // stride
-            positions.append(along)
-            rest = rest - along * stride
-        return tuple(positions)
+        return np.unravel_index(given, self.shape)
 
     @explained
     def centre(self, cells: npt.ArrayLike) -> FloatArray:
@@ -236,7 +231,7 @@ class Distribution(ReadOnlyCopies):
         """Uniform between two numbers; raises :class:`ModelError` unless low <= high, finite."""
         if not (math.isfinite(low) and math.isfinite(high) and low <= high):
             raise ModelError(f"a uniform distribution needs low <= high, not {low!r}, {high!r}")
-        return cls(_Uniform(float(low), float(high)))
+        return cls(partial(_between, float(low), float(high)))
 
     @classmethod
     @explained
@@ -274,16 +269,9 @@ class Distribution(ReadOnlyCopies):
         return found.astype(np.float64, copy=False)
 
 
-@dataclass(frozen=True)
-class _Uniform:
-    """The quantile function of a uniform distribution."""
-
-    low: float
-    high: float
-
-    def __call__(self, levels: FloatArray) -> FloatArray:
-        """The value at each level, like ``levels``."""
-        return self.low + (self.high - self.low) * levels
+def _between(low: float, high: float, levels: FloatArray) -> FloatArray:
+    """The value of a uniform distribution at each level, like ``levels``."""
+    return low + (high - low) * levels
 
 
 def _atoms_at(atoms: FloatArray, cumulative: FloatArray, levels: FloatArray) -> FloatArray:
@@ -438,22 +426,38 @@ def take_step_in_world(
     Raises:
         ModelError: the step function's answer is of a wrong form, or it leaves the box.
     """
-    name = model.actions[action]
-    coordinates, cost, end = _read_world(
-        model.step(point, name, noise), len(model.grid.axes), shape
-    )
-    who = _Culprit(f"action {name!r}", point, shape)
+    name, grid = model.actions[action], model.grid
+    moved, cost, end = _read_world(model.step(point, name, noise), len(grid.axes), shape)
+
+    def refuse(broken: BoolArray, words: str) -> None:
+        """Raise :class:`ModelError` for the first point that was moved wrongly."""
+        if broken.any():
+            first = tuple(np.argwhere(np.broadcast_to(broken, shape))[0])
+            begin, there = (
+                [float(np.broadcast_to(values, shape)[first]) for values in coordinates]
+                for coordinates in (point, moved)
+            )
+            raise ModelError(f"action {name!r} leads from {begin} {words.format(there)}")
+
     last = 1 + len(model.dead_ends)
     if end.min(initial=0) < 0 or end.max(initial=0) > last:
-        who.refuse((end < 0) | (end > last), f"to an end outside 0 .. {last}")
-    who.refuse(~(np.isfinite(cost) & (cost >= 0.0)), "to a cost that is negative or not finite")
-    heights = model.grid.heights(coordinates)
-    missed = model.grid.misses(heights)
-    if missed.any():
-        end = _stray_in_world(model, missed & (end == 0), coordinates, end, who)
-        axes = zip(model.grid.axes, heights, strict=True)
+        refuse((end < 0) | (end > last), f"to an end outside 0 .. {last}")
+    refuse(~(np.isfinite(cost) & (cost >= 0.0)), "to a cost that is negative or not finite")
+    heights = grid.heights(moved)
+    missed = grid.misses(heights)
+    if missed.any():  # what goes on outside the box fails, or is an error
+        lost = missed & (end == 0)
+        for number, values in enumerate(moved):
+            refuse(np.isnan(values) & (end == 0), f"to NaN as coordinate {number}")
+        if model.outside is None:
+            remedy = "return an end there, or name a dead-end outside=..."
+            refuse(lost, f"to {{}}, outside {grid}: {remedy}")
+        else:
+            failed = model.end_state(model.outside) - grid.n_cells + 1
+            end = np.where(lost, np.int64(failed), end)
+        axes = zip(grid.axes, heights, strict=True)
         heights = tuple(np.where(axis.misses(h), 0.0, h) for axis, h in axes)
-    return Taken(coordinates, heights, cost, end)
+    return Taken(moved, heights, cost, end)
 
 
 def _read_world(
@@ -491,39 +495,6 @@ def _shaped_answer(answer: npt.ArrayLike, shape: tuple[int, ...], what: str) -> 
             f"be real numbers that broadcast to {shape}, the shape of all points"
         )
     return array
-
-
-class _Culprit(NamedTuple):
-    """Who is to blame for an answer that cannot be."""
-
-    action: str
-    point: Coordinates
-    shape: tuple[int, ...]
-
-    def refuse(self, broken: BoolArray, words: str, moved: Coordinates = ()) -> None:
-        """Raise :class:`ModelError` for the first point that a continuous model moved wrongly."""
-        if not broken.any():
-            return
-        first = tuple(np.argwhere(np.broadcast_to(broken, self.shape))[0])
-        begin, end = (
-            [float(np.broadcast_to(values, self.shape)[first]) for values in coordinates]
-            for coordinates in (self.point, moved)
-        )
-        raise ModelError(f"{self.action} leads from {begin} {words.format(end)}")
-
-
-def _stray_in_world(
-    model: ContinuousModel, lost: BoolArray, moved: Coordinates, end: IntArray, who: _Culprit
-) -> IntArray:
-    """Ends in which what goes on outside the box fails, or an error where there is none."""
-    for number, values in enumerate(moved):
-        who.refuse(np.isnan(values) & (end == 0), f"to NaN as coordinate {number}")
-    if model.outside is None:
-        remedy = "return an end there, or name a dead-end outside=..."
-        who.refuse(lost, f"to {{}}, outside {model.grid}: {remedy}", moved)
-        return end
-    failed = model.end_state(model.outside) - model.grid.n_cells + 1
-    return np.where(lost, np.int64(failed), end)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,6 @@ from ssp_lp.model.arguments import explained
 from ssp_lp.model.continuous_model import (
     ContinuousModel,
     Coordinates,
-    Distribution,
     take_step_in_world,
 )
 from ssp_lp.model.ssp import SSP
@@ -96,7 +95,12 @@ class Quadrature:
             )
         within = [self._levels(int(n)) for n in counts]
         noise = zip(model.noise, within[n_axes:], strict=True)
-        return within[:n_axes] + [_noise_points(draw, *levels) for draw, levels in noise]
+        return within[:n_axes] + [
+            (draw.at(levels), weights)
+            if draw.values is None or draw.probabilities is None
+            else (draw.values, draw.probabilities)  # a discrete one has its own
+            for draw, (levels, weights) in noise
+        ]
 
     def _levels(self, count: int) -> tuple[FloatArray, FloatArray]:
         """Points in (0, 1) and weights that sum to 1."""
@@ -171,15 +175,6 @@ class Samples:
         return min(2.0, math.sqrt(2.0 * logarithm / self.number))
 
 
-def _noise_points(
-    draw: Distribution, levels: FloatArray, weights: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Points of a random number with their weights; a discrete one has its own."""
-    if draw.values is not None and draw.probabilities is not None:
-        return draw.values, draw.probabilities
-    return draw.at(levels), weights
-
-
 class Outcomes(NamedTuple):
     """The outcomes of some pairs; within a pair the successors are distinct and ascend."""
 
@@ -208,25 +203,21 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
         costs: a number, [pairs, 1] or [pairs, trials]; averaged over the trials of an outcome.
     """
     varies = costs.ndim == 2 and costs.shape[1] > 1
-    if weights is None and not varies:
-        ordered = np.sort(states, axis=1)
-        firsts, lengths = _runs_of_outcomes(ordered)
-        counts = np.diff(firsts, append=ordered.size)
-        paid = np.repeat(costs[:, 0], lengths) if costs.ndim == 2 else costs
-        return Outcomes(
-            offsets_of(lengths), ordered.ravel()[firsts], counts / states.shape[1], paid
-        )
-
-    # the trial's number goes along in the lower digits
-    n_trials = states.shape[1]
-    packed = states.astype(np.int64) * n_trials + np.arange(n_trials)
-    packed.sort(axis=1)
-    ordered = packed // n_trials
-    trial = packed - ordered * n_trials
+    n_trials, are_counted = states.shape[1], weights is None and not varies
     share = np.full(n_trials, 1.0) if weights is None else weights
-    taken = share[trial].ravel()
-    firsts, lengths = _runs_of_outcomes(ordered)
-    mass = np.add.reduceat(taken, firsts)
+    if are_counted:
+        ordered = np.sort(states, axis=1)
+    else:  # the trial's number goes along in the lower digits
+        packed = states.astype(np.int64) * n_trials + np.arange(n_trials)
+        packed.sort(axis=1)
+        ordered = packed // n_trials
+        trial = packed - ordered * n_trials
+        taken = share[trial].ravel()
+    begins = np.ones(ordered.shape, dtype=np.bool_)
+    np.not_equal(ordered[:, 1:], ordered[:, :-1], out=begins[:, 1:])
+    firsts, lengths = np.flatnonzero(begins), np.count_nonzero(begins, axis=1)
+    counts = np.diff(firsts, append=ordered.size)
+    mass = counts if are_counted else np.add.reduceat(taken, firsts)
     paid = costs
     if varies:
         each = np.take_along_axis(costs, trial, axis=1).ravel()
@@ -237,14 +228,6 @@ def tally_outcomes(states: IntArray, weights: FloatArray | None, costs: FloatArr
         paid = np.repeat(costs[:, 0], lengths)
     successors = ordered.ravel()[firsts].astype(np.int32)
     return Outcomes(offsets_of(lengths), successors, mass / share.sum(), paid)
-
-
-def _runs_of_outcomes(ordered: IntArray) -> tuple[IntArray, IntArray]:
-    """Where runs of equal numbers begin, in the flat array, and how many each row has."""
-    begins = np.empty(ordered.shape, dtype=np.bool_)
-    begins[:, 0] = True
-    np.not_equal(ordered[:, 1:], ordered[:, :-1], out=begins[:, 1:])
-    return np.flatnonzero(begins), np.count_nonzero(begins, axis=1)
 
 
 _ROOM: Final = 1 << 16  # outcomes
@@ -373,10 +356,21 @@ class _Tried(NamedTuple):
 def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -> Outcomes:
     """The outcomes of some pairs, in increasing order."""
     cells, action = np.divmod(pairs, len(world.actions))
-    tried = [
-        _try_in_cells(world, trials, cells, int(a), np.flatnonzero(action == a))
-        for a in np.unique(action)
-    ]
+    tried = []
+    for number in np.unique(action).tolist():
+        rows = np.flatnonzero(action == number)
+        point, noise = trials.draw(cells[rows])
+        shape = (*trials.shape, len(rows))
+        taken = take_step_in_world(world, point, number, noise, shape)
+        reached = world.grid.numbers_about(taken.heights)
+        if taken.end.any():
+            ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
+            reached = [np.where(taken.end == 0, cell, ends) for cell in reached]
+        reached = [np.broadcast_to(state, shape).reshape(-1, len(rows)) for state in reached]
+        cost = taken.cost
+        if any(n > 1 for n in cost.shape[:-1]):
+            cost = np.broadcast_to(cost, shape)
+        tried.append(_Tried(rows, reached, cost.reshape(-1, cost.shape[-1])))
     sides = max(len(part.states) for part in tried)  # 1, 2, 4, ...
     count = math.prod(trials.shape)
     states = np.empty((len(pairs), sides, count), dtype=np.int32)
@@ -384,39 +378,16 @@ def _discretised_rows(world: ContinuousModel, trials: Trials, pairs: IntArray) -
         for side in range(sides):
             states[part.rows, side] = part.states[side % len(part.states)].T
     weights = None if trials.weights is None else np.tile(trials.weights, sides)
-    return tally_outcomes(
-        states.reshape(len(pairs), -1), weights, _discretised_costs(tried, len(pairs), sides)
-    )
 
-
-def _try_in_cells(
-    world: ContinuousModel, trials: Trials, cells: IntArray, action: int, rows: IntArray
-) -> _Tried:
-    """Take the step of one action in those of the cells that are listed."""
-    point, noise = trials.draw(cells[rows])
-    shape = (*trials.shape, len(rows))
-    taken = take_step_in_world(world, point, action, noise, shape)
-    states = world.grid.numbers_about(taken.heights)
-    if taken.end.any():
-        ends = taken.end.astype(np.int32) + np.int32(world.grid.n_cells - 1)
-        states = [np.where(taken.end == 0, cell, ends) for cell in states]
-    reached = [np.broadcast_to(state, shape).reshape(-1, len(rows)) for state in states]
-    cost = taken.cost
-    if any(n > 1 for n in cost.shape[:-1]):
-        cost = np.broadcast_to(cost, shape)
-    return _Tried(rows, reached, cost.reshape(-1, cost.shape[-1]))
-
-
-def _discretised_costs(tried: list[_Tried], n_pairs: int, sides: int) -> FloatArray:
-    """Discretised costs: a number, [pairs, 1], or [pairs, trials] where they differ."""
-    first = tried[0].cost.flat[0]
-    if all(part.cost.size == 1 and part.cost.flat[0] == first for part in tried):
-        return np.asarray(first)
-    width = max(len(part.cost) for part in tried)
-    costs = np.empty((n_pairs, width))
-    for part in tried:
-        costs[part.rows] = part.cost.T
-    return costs if width == 1 else np.tile(costs, sides)
+    # costs: a number, [pairs, 1], or [pairs, trials] where they differ
+    costs = np.asarray(tried[0].cost.flat[0])
+    if any(part.cost.size > 1 or part.cost.flat[0] != costs for part in tried):
+        width = max(len(part.cost) for part in tried)
+        costs = np.empty((len(pairs), width))
+        for part in tried:
+            costs[part.rows] = part.cost.T
+        costs = costs if width == 1 else np.tile(costs, sides)
+    return tally_outcomes(states.reshape(len(pairs), -1), weights, costs)
 
 
 def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None, IntArray | None]:
@@ -443,12 +414,16 @@ def _distinct_pairs(world: ContinuousModel, n_all: int) -> tuple[IntArray | None
     return distinct if pairs is None else pairs[distinct], place[first[kinds]]
 
 
-def _check_alike(
+def _repeated_rows(
     world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
-) -> None:
-    """Discretise some pairs by themselves; raise :class:`ModelError` for one that is not alike."""
-    known = world.allowed_pairs
-    for k in np.unique(np.linspace(0, len(row_of_pair) - 1, SPOT_CHECKS).astype(np.int64)):
+) -> OutcomeStore:
+    """The rows of all discretised pairs, from those of the distinct ones.
+
+    Raises:
+        ModelError: a pair that is worked out once more has other outcomes.
+    """
+    known, checks = world.allowed_pairs, SPOT_CHECKS if trials.repeatable else 0
+    for k in np.unique(np.linspace(0, len(row_of_pair) - 1, checks).astype(np.int64)):
         pair = k if known is None else known[k]
         own, shared = _discretised_rows(world, trials, pair[None]), found.rows(row_of_pair[k, None])
         same = np.array_equal(own.successors, shared.successors) and all(
@@ -461,14 +436,6 @@ def _check_alike(
                 f"alike says that action {world.actions[action]!r} in cell {cell} has the outcomes "
                 "of another pair; it has others"
             )
-
-
-def _repeated_rows(
-    world: ContinuousModel, trials: Trials, found: Outcomes, row_of_pair: IntArray
-) -> OutcomeStore:
-    """The rows of all discretised pairs, from those of the distinct ones."""
-    if trials.repeatable:
-        _check_alike(world, trials, found, row_of_pair)
     lengths = np.diff(found.outcome_offsets)
     store = OutcomeStore(int(lengths[row_of_pair].sum()) + len(world.dead_ends))
     for begin in range(0, len(row_of_pair), PAIRS):

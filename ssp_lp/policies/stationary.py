@@ -175,7 +175,9 @@ class StochasticPolicy(Policy):
 
     def start_memory(self, states: IntArray) -> IntArray:
         """The carrier's start memory, [episodes]."""
-        return np.zeros_like(states) if self.carrier is None else self.carrier.start_memory(states)
+        if self.carrier is None:
+            return super().start_memory(states)
+        return self.carrier.start_memory(states)
 
     def branches(self, states: IntArray, memory: IntArray) -> Branches:
         """The decisions with their probabilities; UNDECIDED in situations that are not listed."""
