@@ -12,7 +12,7 @@ import logging
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cache, cached_property
-from typing import TYPE_CHECKING, Any, Self, cast
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -51,7 +51,6 @@ from ssp_lp.problem import (
     check_numbers,
     compiled_totals,
     requirements,
-    stated_budget,
 )
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
@@ -148,6 +147,8 @@ def _number_fields(criterion: type[Formulation]) -> tuple[tuple[str, bool], ...]
 class _Inherited(ReadOnlyCopies):
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
+    model: SSP
+    start: Start
     failure_budget: float | FailureBudget | None = 1.0
     give_up: str | GiveUp | None = GiveUp.ATTENTION
     charge_failing_step: bool | None = False
@@ -198,10 +199,10 @@ class Formulation(_Inherited):
     def _stated(self) -> Iterator[str]:
         """The arguments that say something, in short."""
         for part in sorted(fields(self), key=lambda part: part.kw_only is True):
-            budget = isinstance(vars(type(self)).get(part.name), FailureBudget)
-            value = stated_budget(self) if budget else getattr(self, part.name)  # type: ignore[arg-type]
+            is_budget = part.name in (stated := as_stated(self))
+            value = stated[part.name] if is_budget else getattr(self, part.name)
             needed = part.default is MISSING and part.default_factory is MISSING
-            default = None if budget else part.default
+            default = None if is_budget else part.default
             if part.default_factory is not MISSING:
                 default = part.default_factory()
             if part.name in _PAPER and default is None:
@@ -234,8 +235,8 @@ class Formulation(_Inherited):
         check_failure_setting(budget, given.get("discount"), share, charged)
         if "give_up" in given:
             object.__setattr__(self, "give_up", parse_give_up(given["give_up"]))
-        if not isinstance(self._asked.model, SSP):
-            raise ModelError(f"model must be an SSP, not {in_short(self._asked.model)}")
+        if not isinstance(self.model, SSP):
+            raise ModelError(f"model must be an SSP, not {in_short(self.model)}")
         _ = self._begun
         for name in ("horizon", "cost_levels"):
             if (number := getattr(self, name, None)) is not None:
@@ -245,20 +246,20 @@ class Formulation(_Inherited):
         _ = self.objective_condition
 
     @cached_property
-    def unrolled(self) -> Problem:
+    def unrolled(self) -> Self:
         """The problem that is solved: itself, or with a horizon that on (state, steps taken).
 
         Its model is that of :func:`~ssp_lp.model.product.within_steps`, made when it is first
         asked for; a goal that is too far away is out of reach in it.
         """
         if self.horizon is None:
-            return self._asked
+            return self
         start, begin = self._begun, np.flatnonzero(self._begun)
-        model = unroll_steps(self._asked.model, self.horizon, begin.tolist())
+        model = unroll_steps(self.model, self.horizon, begin.tolist())
         model = replace(model, is_hidden=True)
         places = {model.states[k]: float(p) for k, p in enumerate(start[begin])}
         on_it: dict[str, Any] = {"model": model, "start": places, "horizon": None}
-        return cast("Problem", replace(self, **on_it, **as_stated(self)))
+        return replace(self, **on_it, **as_stated(self))
 
     @property
     def own_constraints(self) -> Mapping[str, Constraint]:
@@ -271,21 +272,21 @@ class Formulation(_Inherited):
         if self.quantity is None or self.semantics.measure is not None:
             return None
         if self.horizon is not None:
-            return cast("Formulation", self.unrolled).objective_condition
-        return objective_of(self._asked.model, self._begun, self.quantity)
+            return self.unrolled.objective_condition
+        return objective_of(self.model, self._begun, self.quantity)
 
     @cached_property
     def conditions(self) -> tuple[Condition, ...]:
         """The constraints, checked, with their costs by outcome."""
         if self.horizon is not None and (self.constraints or self.own_constraints):
-            return cast("Formulation", self.unrolled).conditions
+            return self.unrolled.conditions
         own, stated = self.own_constraints, self.constraints
         if isinstance(stated, Mapping) and (both := own.keys() & stated.keys()):
             raise ModelError(f"{min(both)!r} names a limit of {type(self).__name__} already")
         every = {**own, **stated} if isinstance(stated, Mapping) else stated
         if every == {}:
             return ()
-        return conditions(self._asked.model, self._begun, every)
+        return conditions(self.model, self._begun, every)
 
     @cached_property
     def semantics(self) -> FailureSemantics:
@@ -294,7 +295,7 @@ class Formulation(_Inherited):
         Raises:
             ModelError: an arrival cost is not counted given success, or is discounted.
         """
-        measure = arrival_measure(self.quantity)
+        measure = None if self.quantity is None else arrival_measure(self.quantity)
         if measure is not None and (self.discount is not None or not self.ratio):
             told = "has no discount" if self.ratio else "is counted given success: say ratio = True"
             raise ModelError(f"{type(self).__name__}: an arrival cost {told}")
@@ -304,13 +305,8 @@ class Formulation(_Inherited):
     @cached_property
     def _begun(self) -> FloatArray:
         """The distribution in which an episode begins, [states]."""
-        found: FloatArray = read_only(start_distribution(self._asked.model, self._asked.start))
+        found: FloatArray = read_only(start_distribution(self.model, self.start))
         return found
-
-    @property
-    def _asked(self) -> Problem:
-        """The formulation as the problem that it is."""
-        return cast("Problem", self)
 
     def compile(self) -> CompiledProblem:
         """The augmented process, ready for a method.
@@ -321,10 +317,10 @@ class Formulation(_Inherited):
         """
         if self.horizon is not None:
             return self.unrolled.compile()
-        model, start, semantics = self._asked.model, self._begun, self.semantics
+        model, start, semantics = self.model, self._begun, self.semantics
         _COMPILING.info("%r", self)
-        if semantics.measure is not None or requirements(self._asked).totals is TotalScale.SUMS:
-            return compiled_totals(self._asked)
+        if semantics.measure is not None or requirements(self).totals is TotalScale.SUMS:
+            return compiled_totals(self)
         if self.ratio:
             cap = self.cost_cap
             return CompiledAccumulatedCost(model, start, self.discount, fixed_cap=cap)
@@ -339,4 +335,4 @@ class Formulation(_Inherited):
         """
         from ssp_lp.methods.program import program_of
 
-        return program_of(self._asked)
+        return program_of(self)

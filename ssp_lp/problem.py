@@ -6,7 +6,7 @@ import logging
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Protocol, cast, overload
+from typing import Any, Protocol, cast
 
 import numpy as np
 
@@ -40,36 +40,29 @@ class Problem(Protocol):
     @property
     def model(self) -> SSP:
         """The model."""
-        ...
 
     @property
     def start(self) -> Hashable | Mapping[Hashable, float]:
         """A state, or a distribution over states."""
-        ...
 
     @property
     def failure_budget(self) -> float | None:
         """Allowed failure probability; None: as low as possible."""
-        ...
 
     @property
     def discount(self) -> float | None:
         """None: exact; a number: the surrogate of section 3.5 of the paper."""
-        ...
 
     @property
     def ratio(self) -> bool:
         """Whether cost is counted given success (case S)."""
-        ...
 
     @property
     def semantics(self) -> FailureSemantics:
         """What an episode is worth: what is counted and what failing costs."""
-        ...
 
     def compile(self) -> CompiledProblem:
         """The augmented process, ready for a method."""
-        ...
 
 
 NEEDED = cast("Problem", None)
@@ -169,10 +162,9 @@ def requirements(problem: Problem) -> Requirements:
         is_cut = problem.discount is not None or getattr(problem, "cost_cap", None) is not None
         resolution, totals = resolution_of(problem), TotalScale.UNITS
         if resolution is not None:
-            told_apart = (
-                not rows and not (is_cut and measure is None) and resolution.most == MOST_SUMS
-            )
-            totals = TotalScale.SUMS if told_apart else TotalScale.GRID
+            whole = not rows and not (is_cut and measure is None)
+            by_sums = whole and resolution.most == MOST_SUMS
+            totals = TotalScale.SUMS if by_sums else TotalScale.GRID
     least = problem.failure_budget is None
     return Requirements(measure, semantics.aim, problem.ratio, rows, totals, least)
 
@@ -196,11 +188,16 @@ def compiled_constrained(problem: Problem) -> CompiledExplicit:
     )
 
 
-def compiled_totals(problem: Problem) -> CompiledArrivalCost:
-    """The process of a problem that counts totals, failure alone being limited."""
+def compiled_totals(problem: Problem, *, may_sum: bool = True) -> CompiledArrivalCost:
+    """The process of a problem that counts totals, failure alone being limited.
+
+    Args:
+        problem: the problem.
+        may_sum: tell totals apart by their sums where the problem asks for it.
+    """
     start = start_distribution(problem.model, problem.start)
     charge = problem.semantics.charge(problem.ratio) or TOTAL_COST
-    by_sums = requirements(problem).totals is TotalScale.SUMS
+    by_sums = may_sum and requirements(problem).totals is TotalScale.SUMS
     return CompiledArrivalCost(problem.model, start, charge, problem.ratio, by_sums=by_sums)
 
 
@@ -218,28 +215,7 @@ class Restated:
 
     def compile(self) -> CompiledArrivalCost:
         """The process on the lattice of its costs."""
-        start = start_distribution(self.model, self.start)
-        charge = self.semantics.charge(self.ratio) or TOTAL_COST
-        return CompiledArrivalCost(self.model, start, charge, self.ratio)
-
-
-class _WithReachFraction(Protocol):
-    """A problem whose budget may be stated as a share of the greatest goal probability."""
-
-    @property
-    def model(self) -> SSP:
-        """The model."""
-        ...
-
-    @property
-    def start(self) -> Hashable | Mapping[Hashable, float]:
-        """A state, or a distribution."""
-        ...
-
-    @property
-    def reach_fraction(self) -> float | None:
-        """The share; None: a budget is stated."""
-        ...
+        return compiled_totals(self, may_sum=False)
 
 
 _FOLLOWS = "failure_budget followed from reach_fraction (solve takes as long as it is given)"
@@ -257,40 +233,27 @@ class FailureBudget:
     whoever only reads it waits for some seconds at most, and gets an OutOfTimeError after that.
     """
 
-    def __set__(self, problem: _WithReachFraction, value: float | None) -> None:
+    def __set__(self, problem: object, value: float | None) -> None:
         """Keep what was stated."""
-        stated = None if isinstance(value, _Shared) else as_float(value)
-        vars(problem)["_stated_budget"] = stated
+        vars(problem)["_stated_budget"] = None if isinstance(value, _Shared) else as_float(value)
 
-    @overload
-    def __get__(self, problem: None, owner: type[object]) -> None: ...
-    @overload
-    def __get__(self, problem: _WithReachFraction, owner: type[object]) -> float | None: ...
-    def __get__(self, problem: _WithReachFraction | None, owner: type[object]) -> float | None:
+    def __get__(self, problem: Any, owner: type[object]) -> float | None:
         """The budget; asked of the class, the default: least failure."""
         if problem is None:
             return None
-        share, known = problem.reach_fraction, vars(problem)
-        if share is None:
-            return stated_budget(problem)
-        stated = cast("Problem", problem)
-        if (asked := unrolled(stated)) is not stated:
-            return asked.failure_budget  # kept in one place, whoever asks
-        if "_budget" not in known:
-            with limited(None if is_within_call() else READING, _FOLLOWS):
-                known["_budget"] = _Shared(budget_of_share(asked.model, asked.start, share))
-        found: float = known["_budget"]
+        known, key, share = vars(problem), "_stated_budget", problem.reach_fraction
+        if share is not None:
+            if (asked := unrolled(problem)) is not problem:
+                return asked.failure_budget  # kept in one place, whoever asks
+            if (key := "_budget") not in known:
+                with limited(None if is_within_call() else READING, _FOLLOWS):
+                    known[key] = _Shared(budget_of_share(asked.model, asked.start, share))
+        found: float | None = known[key]
         return found
 
 
 BUDGET_OR_SHARE = FailureBudget()
 """The default of the field; what is stated is kept in the problem, so that one serves all."""
-
-
-def stated_budget(problem: _WithReachFraction) -> float | None:
-    """The budget that a problem was given, whatever its ``reach_fraction`` makes of it."""
-    stated: float | None = vars(problem)["_stated_budget"]
-    return stated
 
 
 def as_stated(problem: object) -> dict[str, Any]:

@@ -234,14 +234,16 @@ class Solution(ReadOnlyCopies):
         return f"{type(self.problem).__name__}, {self._asked}{within}, {setting}"
 
     def _rows(self) -> list[tuple[str, str]]:
-        """What the summary says, by name."""
+        """What the summary says, by name; how the policy fails, if it does."""
+        at_start = giving_up_at_start(self.policy, self.problem)
+        failing = failing_in_words(self.evaluation.ends, at_start)
         bound = self.upper_bound
         side, bound = ("lower", self.lower_bound) if bound is None else ("upper", bound)
         rows = [
             ("objective c*", f"{self.objective:.9g}"),
             (f"{side} bound", f"{bound:.9g}   (relative gap {self.gap:.1e})"),
             ("failure probability", f"{self.failure_probability:.6g}"),
-            *self._failing,
+            *([("failing", failing)] if failing else []),
             ("cost given success", f"{self.conditional_cost:.6g}"),
             ("cost until failure", f"{self.expected_cost:.6g}"),
         ]
@@ -261,13 +263,6 @@ class Solution(ReadOnlyCopies):
         if self.note:
             rows.append(("note", self.note))
         return rows
-
-    @property
-    def _failing(self) -> list[tuple[str, str]]:
-        """A row that says how the policy fails, if it does."""
-        at_start = giving_up_at_start(self.policy, self.problem)
-        told = failing_in_words(self.evaluation.ends, at_start)
-        return [("failing", told)] if told else []
 
     @property
     def _asked(self) -> str:

@@ -472,7 +472,7 @@ def objective_of(
     return found
 
 
-def arrival_measure(quantity: Quantity | None) -> ExpectedArrivalCost | None:
+def arrival_measure(quantity: Quantity) -> ExpectedArrivalCost | None:
     """The measure of a quantity that is made of arrival costs; None: it is not.
 
     Raises:
@@ -480,7 +480,7 @@ def arrival_measure(quantity: Quantity | None) -> ExpectedArrivalCost | None:
     """
     terms = quantity.terms if isinstance(quantity, Quantity) else ()
     costs = [(weight, counted) for weight, counted in terms if isinstance(counted, ArrivalCosts)]
-    if quantity is None or not costs:
+    if not costs:
         return None
     if len(costs) < len(terms) or min(weight for weight, _ in costs) < 0.0:
         raise ModelError(
