@@ -3,48 +3,48 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from ssp_lp.analysis.cost_law import CostLaw, success_costs
-from ssp_lp.analysis.evaluation import Evaluation, evaluate
+from ssp_lp.analysis.cost_law import CostLaw as CostLaw, success_costs as success_costs
+from ssp_lp.analysis.evaluation import Evaluation as Evaluation, evaluate as evaluate
 from ssp_lp.errors import (
-    InfeasibleError,
-    MissingDependencyError,
-    ModelError,
-    OutOfTimeError,
-    SolverError,
-    SSPError,
+    InfeasibleError as InfeasibleError,
+    MissingDependencyError as MissingDependencyError,
+    ModelError as ModelError,
+    OutOfTimeError as OutOfTimeError,
+    SolverError as SolverError,
+    SSPError as SSPError,
 )
-from ssp_lp.model import SSP
+from ssp_lp.model import SSP as SSP
 from ssp_lp.options import (
-    ColumnGeneration,
-    DeterministicPolicies,
-    Game,
-    LinearProgramming,
-    Status,
-    progress_shown,
+    ColumnGeneration as ColumnGeneration,
+    DeterministicPolicies as DeterministicPolicies,
+    Game as Game,
+    LinearProgramming as LinearProgramming,
+    Status as Status,
+    progress_shown as progress_shown,
 )
 from ssp_lp.policies import (
-    GIVE_UP,
-    CostAwarePolicy,
-    DeterministicPolicy,
-    MixedPolicy,
-    StochasticPolicy,
-    TimedPolicy,
+    GIVE_UP as GIVE_UP,
+    CostAwarePolicy as CostAwarePolicy,
+    DeterministicPolicy as DeterministicPolicy,
+    MixedPolicy as MixedPolicy,
+    StochasticPolicy as StochasticPolicy,
+    TimedPolicy as TimedPolicy,
 )
-from ssp_lp.processes.failure_semantics import GiveUp
+from ssp_lp.processes.failure_semantics import GiveUp as GiveUp
 from ssp_lp.processes.quantities import (
-    Constraint,
-    Quantity,
-    arrival_cost,
-    end_probability,
-    expected_cost,
-    failure_probability,
-    goal_probability,
-    secondary_cost,
-    visits,
+    Constraint as Constraint,
+    Quantity as Quantity,
+    arrival_cost as arrival_cost,
+    end_probability as end_probability,
+    expected_cost as expected_cost,
+    failure_probability as failure_probability,
+    goal_probability as goal_probability,
+    secondary_cost as secondary_cost,
+    visits as visits,
 )
-from ssp_lp.solution import Solution
-from ssp_lp.solve import solve
-from ssp_lp.verification.certify import Certificate, certify
+from ssp_lp.solution import Solution as Solution
+from ssp_lp.solve import solve as solve
+from ssp_lp.verification.certify import Certificate as Certificate, certify as certify
 
 if TYPE_CHECKING:
     from ssp_lp.analysis.frontier import Frontier as Frontier, trace_frontier as trace_frontier
@@ -79,46 +79,6 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "GIVE_UP",
-    "SSP",
-    "Certificate",
-    "ColumnGeneration",
-    "Constraint",
-    "CostAwarePolicy",
-    "CostLaw",
-    "DeterministicPolicies",
-    "DeterministicPolicy",
-    "Evaluation",
-    "Game",
-    "GiveUp",
-    "InfeasibleError",
-    "LinearProgramming",
-    "MissingDependencyError",
-    "MixedPolicy",
-    "ModelError",
-    "OutOfTimeError",
-    "Quantity",
-    "SSPError",
-    "Solution",
-    "SolverError",
-    "Status",
-    "StochasticPolicy",
-    "TimedPolicy",
-    "arrival_cost",
-    "certify",
-    "end_probability",
-    "evaluate",
-    "expected_cost",
-    "failure_probability",
-    "goal_probability",
-    "progress_shown",
-    "secondary_cost",
-    "solve",
-    "success_costs",
-    "visits",
-]
-
 _MODULES = {
     "analysis.frontier": "Frontier trace_frontier",
     "analysis.simulation": "simulate",
@@ -132,7 +92,8 @@ _MODULES = {
     "verification.cross_check": "CrossCheck cross_check",
 }
 _ON_DEMAND = {name: f"{__name__}.{of}" for of, names in _MODULES.items() for name in names.split()}
-__all__ += sorted(_ON_DEMAND)
+_OWN = [name for name, what in globals().items() if __name__ in getattr(what, "__module__", "")]
+__all__ = sorted([*_OWN, *_ON_DEMAND])
 
 
 def __getattr__(name: str) -> object:

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from ssp_lp.accumulated_cost.charges import (
-    CostQuantileOf,
-    ExpectedUtility,
-    ExponentialUtility,
-    TailMeanOf,
-    Utility,
-    WithinBound,
+    CostQuantileOf as CostQuantileOf,
+    ExpectedUtility as ExpectedUtility,
+    ExponentialUtility as ExponentialUtility,
+    TailMeanOf as TailMeanOf,
+    Utility as Utility,
+    WithinBound as WithinBound,
 )
 from ssp_lp.arrays import FloatArray, ReadOnlyCopies, read_only
 from ssp_lp.column_generation.compiled_problem import (
@@ -31,94 +31,60 @@ from ssp_lp.column_generation.compiled_problem import (
     CompiledProblem,
 )
 from ssp_lp.errors import (
-    InfeasibleError,
-    ModelError,
+    InfeasibleError as InfeasibleError,
+    ModelError as ModelError,
     check_whole,
     in_short,
     is_number,
-    wrong_argument,
+    wrong_argument as wrong_argument,
 )
-from ssp_lp.model import SSP
-from ssp_lp.model.graph import attention_labels, dead_end_labels
+from ssp_lp.model import SSP as SSP
+from ssp_lp.model.graph import (
+    attention_labels as attention_labels,
+    dead_end_labels as dead_end_labels,
+)
 from ssp_lp.model.product import unroll_steps
 from ssp_lp.problem import (
-    BUDGET_OR_SHARE,
-    FailureBudget,
-    Problem,
+    BUDGET_OR_SHARE as BUDGET_OR_SHARE,
+    FailureBudget as FailureBudget,
+    Problem as Problem,
     TotalScale,
     as_float,
     as_stated,
-    check_numbers,
+    check_numbers as check_numbers,
     compiled_totals,
     requirements,
 )
 from ssp_lp.processes.conditions import Condition
 from ssp_lp.processes.failure_semantics import (
-    Aim,
-    FailureSemantics,
-    GiveUp,
-    as_percentage,
+    Aim as Aim,
+    FailureSemantics as FailureSemantics,
+    GiveUp as GiveUp,
+    as_percentage as as_percentage,
     check_failure_setting,
-    check_penalty,
+    check_penalty as check_penalty,
     parse_give_up,
     start_distribution,
 )
 from ssp_lp.processes.quantities import (
-    Constraint,
-    CostLimit,
-    Quantity,
-    arrival_cost,
+    Constraint as Constraint,
+    CostLimit as CostLimit,
+    Quantity as Quantity,
+    arrival_cost as arrival_cost,
     arrival_measure,
     conditions,
-    constraints_of,
-    end_probability,
-    expected_cost,
-    failure_probability,
-    goal_probability,
+    constraints_of as constraints_of,
+    end_probability as end_probability,
+    expected_cost as expected_cost,
+    failure_probability as failure_probability,
+    goal_probability as goal_probability,
     objective_of,
-    secondary_cost,
-    visits,
+    secondary_cost as secondary_cost,
+    visits as visits,
 )
 
 if TYPE_CHECKING:
     from ssp_lp.programs.occupation_program import OccupationProgram
-
-__all__ = [
-    "BUDGET_OR_SHARE",
-    "SSP",
-    "Aim",
-    "Constraint",
-    "CostLimit",
-    "CostQuantileOf",
-    "ExpectedUtility",
-    "ExponentialUtility",
-    "FailureBudget",
-    "FailureSemantics",
-    "Formulation",
-    "GiveUp",
-    "InfeasibleError",
-    "ModelError",
-    "Problem",
-    "Quantity",
-    "Start",
-    "TailMeanOf",
-    "Utility",
-    "WithinBound",
-    "arrival_cost",
-    "as_percentage",
-    "attention_labels",
-    "check_numbers",
-    "check_penalty",
-    "constraints_of",
-    "dead_end_labels",
-    "end_probability",
-    "expected_cost",
-    "failure_probability",
-    "goal_probability",
-    "secondary_cost",
-    "visits",
-    "wrong_argument",
-]
 
 Start = Hashable | Mapping[Hashable, float]
 """A state, or a distribution over states."""

@@ -11,7 +11,7 @@ import logging
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, Final, cast, overload
+from typing import Any, Final, cast
 
 import numpy as np
 
@@ -303,11 +303,7 @@ class _StepLabels(Sequence[Label]):
     def __len__(self) -> int:
         return len(self.state)
 
-    @overload
-    def __getitem__(self, index: int) -> Label: ...
-    @overload
-    def __getitem__(self, index: slice) -> Sequence[Label]: ...
-    def __getitem__(self, index: int | slice) -> Label | Sequence[Label]:
+    def __getitem__(self, index: Any) -> Any:
         if isinstance(index, slice):
             return _StepLabels(self.names, self.counts, self.state[index], self.taken[index])
         return self.names[int(self.state[index])], self.counts[int(self.taken[index])]

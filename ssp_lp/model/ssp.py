@@ -23,6 +23,7 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
+    ReadOnlyCopies,
     chunks,
     pieces_of_chunks,
     read_only,
@@ -30,13 +31,14 @@ from ssp_lp.arrays import (
 from ssp_lp.errors import ModelError, check_whole, did_you_mean, in_short
 from ssp_lp.model.arguments import explained
 from ssp_lp.model.graph import Graph
-from ssp_lp.model.naming import Naming
+from ssp_lp.model.naming import html_table
 
 Outcomes = Iterable[tuple[float, Hashable, float]]
 
 ENDS = ("goal", "dead_end", "gave_up", "wandering", "unfinished")
 """Names that reports give to the ways in which an episode ends."""
 
+_LISTED = 5  # actions that an error names
 _PROGRESS_EVERY = 10_000
 _EXPLORING = logging.getLogger("ssp_lp.exploring")
 _NEGATIVE_COST = (
@@ -46,7 +48,7 @@ _NEGATIVE_COST = (
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SSP(Graph, Naming):
+class SSP(Graph, ReadOnlyCopies):
     """A finite Markov decision process with goal states, in sparse state-action-pair form.
 
     Build it with :meth:`from_transitions`, :meth:`from_arrays` or :meth:`from_successors`, which
@@ -247,6 +249,92 @@ class SSP(Graph, Naming):
         labels = _indexed_labels(draft, state_labels or {})
         target = read_only(target, np.int32)
         return replace(draft, successors=target, probabilities=chance, state_labels=labels)
+
+    @cached_property
+    def _index(self) -> Mapping[Hashable, int]:
+        """Positions of the states by their names."""
+        return {label: i for i, label in enumerate(self.states)}
+
+    def index_of(self, state: Hashable) -> int:
+        """Index of the state with this label.
+
+        Raises:
+            ModelError: no state has the label.
+        """
+        found = self.find(state)
+        if found is None:
+            raise ModelError(f"{state!r} is not a state of the model{self.hint(state)}")
+        return found
+
+    def find(self, state: Hashable) -> int | None:
+        """Index of the state with this label, None if there is none."""
+        if isinstance(self.states, range):
+            known = isinstance(state, (int, np.integer)) and state in self.states
+            return int(cast("int", state)) if known else None
+        try:
+            return self._index.get(state)
+        except TypeError:  # a list, say
+            return None
+
+    def hint(self, state: Hashable) -> str:
+        """A clause for errors: what may be meant by what is no state."""
+        if isinstance(self.states, range):
+            return f": states are 0 .. {len(self.states) - 1}"
+        return did_you_mean(state, self.states)
+
+    def places_of(self, state: Hashable) -> IntArray:
+        """All states that a label stands for: here one, in a product possibly several.
+
+        Raises:
+            ModelError: no state has the label.
+        """
+        return np.array([self.index_of(state)])
+
+    def action_of(self, pair: int) -> Hashable:
+        """Label of the action of a pair; raises :class:`ModelError` if there is no such pair."""
+        try:
+            return self.action_names[int(self.pair_action[pair])]
+        except (IndexError, TypeError) as error:
+            last = len(self.pair_action) - 1
+            raise ModelError(f"{pair!r} is no pair of the model: they are 0 .. {last}") from error
+
+    def no_such_action(self, state: int, action: Hashable) -> str:
+        """What to say of an action that a state does not have: the nearest one, or some."""
+        first, end = int(self.pair_offsets[state]), int(self.pair_offsets[state + 1])
+        known = [self.action_of(pair) for pair in range(first, end)]
+        some = ", ".join(repr(name) for name in known[:_LISTED]) or "none"
+        nearest = did_you_mean(action, known) or f"; it has {some}"
+        return f"state {self.states[state]!r} has no action {action!r}{nearest}"
+
+    def describe_pair(self, pair: int) -> str:
+        """Name a pair for a person: "action 'go' of state 'start'"."""
+        state = int(np.searchsorted(self.pair_offsets, pair, side="right")) - 1
+        return f"action {self.action_of(pair)!r} of state {self.states[state]!r}"
+
+    def _describe_outcome(self, outcome: int) -> str:
+        """Name an outcome for a person, by its pair."""
+        pair = int(np.searchsorted(self.outcome_offsets, outcome, side="right")) - 1
+        return self.describe_pair(pair)
+
+    @property
+    def _sizes(self) -> dict[str, int]:
+        """How many there are of everything."""
+        return {
+            "states": len(self.pair_offsets) - 1,
+            "pairs": len(self.outcome_offsets) - 1,
+            "outcomes": len(self.successors),
+            "goals": int(self.goal_mask.sum()),
+        }
+
+    def __repr__(self) -> str:
+        """One line: the sizes."""
+        sizes = ", ".join(f"{count:,} {name}" for name, count in self._sizes.items())
+        return f"{type(self).__name__}({sizes})"
+
+    def _repr_html_(self) -> str:
+        """The sizes as a table, for notebooks."""
+        rows = [(name, f"{count:,}") for name, count in self._sizes.items()]
+        return html_table(type(self).__name__, rows)
 
     @cached_property
     def kept_facts(self) -> dict[str, Any]:

@@ -1,18 +1,15 @@
 """Policies on the original states, with the memory that they need."""
 
-from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.policy import GIVE_UP, Decision, Episode, MixedPolicy, Policy
-from ssp_lp.policies.remembering import TimedPolicy
-from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy
-
-__all__ = [
-    "GIVE_UP",
-    "CostAwarePolicy",
-    "Decision",
-    "DeterministicPolicy",
-    "Episode",
-    "MixedPolicy",
-    "Policy",
-    "StochasticPolicy",
-    "TimedPolicy",
-]
+from ssp_lp.policies.cost_aware import CostAwarePolicy as CostAwarePolicy
+from ssp_lp.policies.policy import (
+    GIVE_UP as GIVE_UP,
+    Decision as Decision,
+    Episode as Episode,
+    MixedPolicy as MixedPolicy,
+    Policy as Policy,
+)
+from ssp_lp.policies.remembering import TimedPolicy as TimedPolicy
+from ssp_lp.policies.stationary import (
+    DeterministicPolicy as DeterministicPolicy,
+    StochasticPolicy as StochasticPolicy,
+)

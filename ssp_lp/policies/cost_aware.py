@@ -113,7 +113,8 @@ class CostAwarePolicy(Policy):
         below = memory < self.cap
         pair = np.empty(len(states), dtype=np.int64)
         some = states[below]
-        pair[below] = self._pairs(self.decision[memory[below], some], some)
+        place = self.decision[memory[below], some]
+        pair[below] = np.where(place < 0, place, self.model.pair_offsets[some] + place)
         pair[~below] = self.tails[memory[~below] - self.cap, states[~below]]
         return Branches(np.arange(len(states)), pair, np.ones(len(states)))
 
@@ -127,10 +128,14 @@ class CostAwarePolicy(Policy):
                 says how to round it.
         """
         check_costs(costs)
+        cap, acting = self.cap, (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
         if self.levels is not None:
-            return self._nearest(self.levels, memory, successors, costs)
+            total = self.levels[np.minimum(memory, cap)] + costs
+            nearest = _nearest_cost_level(self.levels, total)
+            late = total >= self.tail_threshold[successors]
+            tail = cap + np.where(late, len(self.tails) - 1, 0)
+            return np.where(acting, np.where(nearest < cap, nearest, tail), memory)
         steps, off = self._passed(np.asarray(costs / self.unit))
-        acting = (self.tails[0, successors] != UNDECIDED) & (memory < self.cap)
         off = acting & (off | (steps > _FAR))
         if off.any():
             cost = float(costs[int(np.argmax(off))])
@@ -155,7 +160,10 @@ class CostAwarePolicy(Policy):
         if self.tail_table is not None:
             return None
         cap, costs, last = self.cap, np.unique(self.model.costs), len(self.tails) - 1
-        moving = np.isin(costs, self._moving_costs())
+        goes_on, paid = self.tails[0] != UNDECIDED, [np.zeros(0)]
+        for some in chunks(self.model.n_outcomes):
+            paid.append(np.unique(self.model.costs[some][goes_on[self.model.successors[some]]]))
+        moving = np.isin(costs, np.concatenate(paid))  # after which an episode may go on
         edges = self._told_apart(levels, costs[moving])
         if len(edges) * self.model.n_states > _MOST_BEYOND:
             return None
@@ -211,29 +219,6 @@ class CostAwarePolicy(Policy):
         )
         is_apart = np.append(True, upto[1:] != below[:-1])
         return np.asarray(edges[is_apart[: len(edges)]])
-
-    def _moving_costs(self) -> FloatArray:
-        """Distinct costs of steps after which an episode may go on."""
-        acting, found = self.tails[0] != UNDECIDED, [np.zeros(0)]
-        for some in chunks(self.model.n_outcomes):
-            found.append(np.unique(self.model.costs[some][acting[self.model.successors[some]]]))
-        return np.unique(np.concatenate(found))
-
-    def _nearest(
-        self, levels: FloatArray, memory: IntArray, successors: IntArray, costs: FloatArray
-    ) -> IntArray:
-        """The level nearest to the total, or the tail from the last one on."""
-        cap = self.cap
-        acting = (self.tails[0, successors] != UNDECIDED) & (memory < cap)
-        total = levels[np.minimum(memory, cap)] + costs
-        nearest = _nearest_cost_level(levels, total)
-        late = total >= self.tail_threshold[successors]
-        tail = cap + np.where(late, len(self.tails) - 1, 0)
-        return np.where(acting, np.where(nearest < cap, nearest, tail), memory)
-
-    def _pairs(self, decision: IntArray, states: IntArray) -> IntArray:
-        """Pairs of the model in place of positions; codes stay, [k] of [k]."""
-        return np.where(decision < 0, decision, self.model.pair_offsets[states] + decision)
 
     def _memory_at(self, layer: IntArray, states: IntArray) -> IntArray:
         """The memory of a cost-aware policy at a layer, or of its tail."""

@@ -457,8 +457,8 @@ def _flow_of_moves(
         chance, shape = model.probabilities[outcomes], (moving.size, moving.size)
         stays = (target >= 0) & (chance > 0.0)
         inner = sp.csr_array((chance[stays], (source[stays], target[stays])), shape=shape)
-        exits = np.bincount(source[~stays], weights=chance[~stays], minlength=moving.size)
-        pairs[taken] += System(inner, exits.astype(np.float64)).solve_transposed(entered)
+        ends = np.bincount(source[~stays], weights=chance[~stays], minlength=moving.size)
+        pairs[taken] += System(inner, ends.astype(np.float64)).solve_transposed(entered)
     return pairs
 
 
