@@ -3,7 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from ssp_lp.analysis.cost_law import CostLaw as CostLaw, success_costs as success_costs
+from ssp_lp.accumulated_cost.cost_law import CostLaw as CostLaw
+from ssp_lp.analysis.cost_law import success_costs as success_costs
 from ssp_lp.analysis.evaluation import Evaluation as Evaluation, evaluate as evaluate
 from ssp_lp.errors import (
     InfeasibleError as InfeasibleError,

@@ -15,12 +15,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Final, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, Final, NamedTuple
 
 import numpy as np
 
 from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray
 from ssp_lp.errors import ModelError
+
+if TYPE_CHECKING:
+    from ssp_lp.accumulated_cost.cost_law import CostLaw
 
 Utility = Callable[[FloatArray], FloatArray]
 """A non-increasing function of the total cost, on arrays."""
@@ -39,6 +42,13 @@ def utilities(utility: Utility, costs: FloatArray, name: str = "utility") -> Flo
     if worth.shape != costs.shape or not np.isfinite(worth).all():
         raise ModelError(f"{name} must map an array of costs to as many finite numbers")
     return worth
+
+
+def _check_monotone(worth: FloatArray, growth: FloatArray, costs: FloatArray, rule: str) -> None:
+    """Raise :class:`ModelError` where a function of costs, or its growth onwards, is below 0."""
+    wrong = (worth < 0.0) | np.append(growth < 0.0, False)
+    if wrong.any():
+        raise ModelError(f"{rule}: it does at cost {float(costs[int(np.argmax(wrong))]):g}")
 
 
 class TailValues(NamedTuple):
@@ -119,15 +129,8 @@ class Charge(ABC):
 class TotalCostCharge(Charge):
     """The total cost itself: case S."""
 
-    @property
-    def is_concave(self) -> bool:
-        """True: a line is concave."""
-        return True
-
-    @property
-    def slope(self) -> float:
-        """1: the charge is the cost."""
-        return 1.0
+    is_concave = True  # a line
+    slope = 1.0
 
     def at(self, totals: FloatArray) -> FloatArray:
         """The costs themselves."""
@@ -147,10 +150,7 @@ class LateCharge(Charge):
 
     bound: float | Fraction
 
-    @property
-    def offset(self) -> float:
-        """What an arrival beyond the bound is charged."""
-        return 1.0
+    offset = 1.0  # of an arrival beyond the bound
 
     def at(self, totals: FloatArray) -> FloatArray:
         """The charge of arriving in time or beyond the bound."""
@@ -196,51 +196,11 @@ class ExcessCharge(Charge):
         return self.threshold
 
 
-class Law(Protocol):
-    """The law of success costs, as far as measures need it."""
-
-    @property
-    def goal(self) -> float:
-        """The probability of reaching the goal."""
-        ...
-
-    def within(self, bound: float | Fraction) -> float:
-        """Pr(goal, C <= bound), the comparison made exactly on the lattice of costs."""
-        ...
-
-    def excess(self, threshold: float) -> float:
-        """E[(C - threshold)^+; goal]."""
-        ...
-
-    def quantile(self, level: float) -> float:
-        """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached."""
-        ...
-
-    def exponential(self, rate: float) -> float:
-        """E[exp(rate * C); goal], rate < 0."""
-        ...
-
-    def upto(self, bound: float | Fraction) -> tuple[FloatArray, FloatArray]:
-        """The totals up to a bound, and how likely each is together with success."""
-        ...
-
-    def expectation(self, utility: Utility, at_infinity: float) -> float:
-        """E[utility(C); goal], where the utility falls to ``at_infinity``."""
-        ...
-
-
-class Measure(Protocol):
+class Measure(ABC):
     """A number of the law of success costs."""
 
-    @property
-    def maximised(self) -> bool:
-        """Whether more is better."""
-        return False
-
-    @property
-    def is_expectation(self) -> bool:
-        """Whether one program answers it; else many trials have to be searched."""
-        return False
+    maximised: ClassVar[bool] = False  # whether more is better
+    is_expectation: ClassVar[bool] = False  # one program answers it; else trials are searched
 
     @property
     def failing(self) -> float:
@@ -248,32 +208,24 @@ class Measure(Protocol):
         return float("inf")
 
     @property
+    @abstractmethod
     def words(self) -> str:
         """What is asked, in words."""
-        ...
 
     @property
     def charge(self) -> Charge:
         """What arriving at the goal is charged in the process; of a search, to begin with."""
         return TOTAL_COST
 
-    def of(self, law: Law) -> float:
+    @abstractmethod
+    def of(self, law: CostLaw) -> float:
         """The measure of a law of costs."""
-        ...
 
 
 class Reward(Charge, Measure):
     """An expectation to be maximised: its charge is minus what arriving is worth beyond failing."""
 
-    @property
-    def maximised(self) -> bool:
-        """True."""
-        return True
-
-    @property
-    def is_expectation(self) -> bool:
-        """True."""
-        return True
+    maximised = is_expectation = True
 
     @property
     def failing(self) -> float:
@@ -290,22 +242,15 @@ class Reward(Charge, Measure):
 class WithinBound(LateCharge, Reward):
     """Pr(the goal is reached at a total cost of at most ``bound``): 1 for arriving in time."""
 
-    @property
-    def offset(self) -> float:
-        """Nothing for arriving late."""
-        return 0.0
-
-    @property
-    def lowest(self) -> float:
-        """What an arrival in time is charged."""
-        return -1.0
+    offset = 0.0  # of arriving late
+    lowest = -1.0  # of arriving in time
 
     @property
     def words(self) -> str:
         """What is asked."""
         return f"goal within cost {float(self.bound):g}"
 
-    def of(self, law: Law) -> float:
+    def of(self, law: CostLaw) -> float:
         """The probability."""
         return law.within(self.bound)
 
@@ -320,6 +265,7 @@ class ExpectedUtility(Reward):
     utility: Utility
     bonus: float
     at_infinity: float
+    settled = None  # where a utility becomes constant is not known
 
     @property
     def failing(self) -> float:
@@ -349,21 +295,13 @@ class ExpectedUtility(Reward):
         """
         cost, back = np.unique(totals, return_inverse=True)
         worth = utilities(self.utility, cost) - self.at_infinity
-        wrong = (worth < 0.0) | np.append(np.diff(worth) > 0.0, False)
-        if wrong.any():
-            where = float(cost[int(np.argmax(wrong))])
-            raise ModelError(
-                f"utility must not increase with the cost nor fall below utility_at_infinity = "
-                f"{self.at_infinity:g}: it does at cost {where:g}"
-            )
+        rule = (
+            f"not increase with the cost nor fall below utility_at_infinity = {self.at_infinity:g}"
+        )
+        _check_monotone(worth, -np.diff(worth), cost, f"utility must {rule}")
         return np.asarray(-(worth + self.bonus))[back].reshape(np.shape(totals))
 
-    @property
-    def settled(self) -> None:
-        """None: where a utility becomes constant is not known."""
-        return
-
-    def of(self, law: Law) -> float:
+    def of(self, law: CostLaw) -> float:
         """The expected utility."""
         reached = law.expectation(self.utility, self.at_infinity) + self.bonus * law.goal
         return reached + self.at_infinity * (1.0 - law.goal)
@@ -378,16 +316,12 @@ class ExponentialUtility(Reward):
 
     rate: float
     bonus: float
+    is_concave = True  # minus a convex exponential
 
     @property
     def words(self) -> str:
         """What is asked."""
         return f"utility exp({self.rate:g} cost), goal bonus {self.bonus:g}"
-
-    @property
-    def is_concave(self) -> bool:
-        """True: it is minus a convex exponential."""
-        return True
 
     @property
     def offset(self) -> float:
@@ -407,7 +341,7 @@ class ExponentialUtility(Reward):
         """``-(exp(rate * paid) * E[exp(rate * cost); goal] + bonus * goal)``."""
         return np.asarray(-(np.exp(self.rate * paid) * tail.moment + self.bonus * tail.goal))
 
-    def of(self, law: Law) -> float:
+    def of(self, law: CostLaw) -> float:
         """The expected utility."""
         return law.exponential(self.rate) + self.bonus * law.goal
 
@@ -418,11 +352,7 @@ class ExpectedArrivalCost(Charge, Measure):
 
     function: Utility
     affine_from: float = 0.0
-
-    @property
-    def is_expectation(self) -> bool:
-        """True."""
-        return True
+    is_expectation = True
 
     @property
     def charge(self) -> Charge:
@@ -458,13 +388,8 @@ class ExpectedArrivalCost(Charge, Measure):
         """
         cost, back = np.unique(totals, return_inverse=True)
         charge = utilities(self.function, cost, "an arrival cost")
-        wrong = (charge < 0.0) | np.append(np.diff(charge) < 0.0, False)
-        if wrong.any():
-            where = float(cost[int(np.argmax(wrong))])
-            raise ModelError(
-                f"an arrival cost must be at least 0 and not fall as the total cost grows: it does "
-                f"at cost {where:g}"
-            )
+        rule = "an arrival cost must be at least 0 and not fall as the total cost grows"
+        _check_monotone(charge, np.diff(charge), cost, rule)
         return charge[back].reshape(np.shape(totals))
 
     @property
@@ -472,7 +397,7 @@ class ExpectedArrivalCost(Charge, Measure):
         """Where the line begins."""
         return self.affine_from
 
-    def of(self, law: Law) -> float:
+    def of(self, law: CostLaw) -> float:
         """The mean of what arrivals cost; nan if none succeeds."""
         if law.goal == 0.0:
             return float("nan")
@@ -494,7 +419,7 @@ class CostQuantileOf(Measure):
         """What is asked."""
         return f"{self.level:g}-quantile of the cost given success"
 
-    def of(self, law: Law) -> float:
+    def of(self, law: CostLaw) -> float:
         """The least B with Pr(C <= B | goal) >= level."""
         return law.quantile(self.level)
 
@@ -514,9 +439,6 @@ class TailMeanOf(Measure):
         """What is asked."""
         return f"conditional value at risk {self.level:g} given success"
 
-    def of(self, law: Law) -> float:
+    def of(self, law: CostLaw) -> float:
         """The mean of the worst ``1 - level`` of the runs that succeed; nan if none does."""
-        if law.goal == 0.0:
-            return float("nan")
-        value = law.quantile(self.level)
-        return value + law.excess(value) / ((1.0 - self.level) * law.goal)
+        return law.tail_mean(self.level)

@@ -21,7 +21,7 @@ from fractions import Fraction
 from functools import cached_property
 from heapq import heappop, heappush
 from numbers import Rational
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -641,17 +641,12 @@ class Arrivals(ArrivalSweep):
 
 
 _FIRST_STEPS = 8  # of the dearest kind
-_MOST_SUMS = 50_000  # followed one by one, some seconds
-_MOST_SUMS_BESIDE = 5_000  # where a policy has a unit of its own: its chain is the larger
 _MOST_STEPS = 64  # of steps by cost
-_FINE = 2_000  # units in the mean of costs that are rounded
-_MOST_UNITS = 20_000  # in the dearest step
-_MOST_ROUNDED = 10_000_000  # masses kept at once, of rounded costs
 _EARLY = 2_000  # sums after which some of the runs must have arrived
 _SOME = 0.05  # share of those that succeed
 
 
-class _TooManySumsError(ModelError):
+class TooManySumsError(ModelError):
     """A question needs more sums than are followed one by one."""
 
 
@@ -692,14 +687,14 @@ class FollowedSums(ArrivalSweep):
         """Settle all sums below the given layer.
 
         Raises:
-            _TooManySumsError: there are too many sums below it.
+            TooManySumsError: there are too many sums below it.
             Stop: the time ended.
         """
         while self._next and self._next[0] < layers:
             check_time()
             self._followed += 1
             if not self._are_few:
-                raise _TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
+                raise TooManySumsError(f"more than {self._followed:,} sums of costs can occur")
             self._settle_one(heappop(self._next))
         self.settled = max(self.settled, layers)
 
@@ -752,49 +747,6 @@ class FollowedSums(ArrivalSweep):
             self._pending[layer] = []
             heappush(self._next, layer)
         self._pending[layer].append((nodes, masses))
-
-
-Answer = TypeVar("Answer")
-
-
-@dataclass(frozen=True, eq=False)
-class Followed:
-    """The sweeps over a chain's total cost, each begun when a question needs it."""
-
-    live: LiveChain
-    exact_costs: Mapping[float, Fraction]  # float cost -> the fraction meant
-    typical: float  # a total cost
-    rounded: LiveChain | None  # with costs rounded up to multiples of a unit worth counting in
-
-    def asked(self, question: Callable[[ArrivalSweep], Answer]) -> Answer:
-        """The answer to a question: exact, or of rounded costs where it needs too many sums."""
-        try:
-            return question(self._exact)
-        except ModelError as error:
-            if self.rounded is None and not isinstance(error, _TooManySumsError):
-                raise
-            return question(self._rounded)
-
-    @cached_property
-    def _exact(self) -> ArrivalSweep:
-        """The sums that costs make as they are, or layers of a common unit."""
-        try:
-            return Arrivals(self.live, self.exact_costs)
-        except ModelError:  # no common unit that is worth counting in
-            most = _MOST_SUMS if self.rounded is None else _MOST_SUMS_BESIDE
-            return FollowedSums(self.live, self.exact_costs, most)
-
-    @cached_property
-    def _rounded(self) -> Arrivals:
-        """Every cost rounded up to a multiple of a small unit, the smaller of two."""
-        most = max(min(_MOST_UNITS, _MOST_ROUNDED // len(self.live.start)), 1)
-        least = float(self.live.paid.max(initial=0.0)) / most
-        unit = Fraction(max(self.typical / _FINE, least))
-        if self.rounded is not None:
-            counted = Arrivals(self.rounded, self.exact_costs)
-            if counted.unit <= unit:
-                return counted
-        return Arrivals(self.live, {}, unit)
 
 
 def cost_of(sweep: ArrivalSweep, layer: int) -> float:

@@ -1,29 +1,17 @@
-"""The law of success costs: how likely a policy reaches the goal at which total cost, exactly."""
+"""The law of the total cost of a policy, within a problem."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from fractions import Fraction
-from functools import cached_property
-from math import inf, isfinite, isnan, nan
-from typing import NamedTuple
+from collections.abc import Iterable
 
-import numpy as np
-
-from ssp_lp.accumulated_cost.charges import TailMeanOf, Utility, utilities
-from ssp_lp.accumulated_cost.law import ArrivalSweep, ChainProspect, Followed, LiveChain, cost_of
+from ssp_lp.accumulated_cost.cost_law import CostLaw
+from ssp_lp.accumulated_cost.law import ChainProspect
 from ssp_lp.accumulated_cost.policy_layers import chains_of_law
-from ssp_lp.arrays import QUANTILE, FloatArray
-from ssp_lp.errors import ModelError, in_short, wrong_argument
-from ssp_lp.model.arguments import explained
+from ssp_lp.arrays import FloatArray
 from ssp_lp.policies.chain import Chain
 from ssp_lp.policies.policy import MixedPolicy, Policy
 from ssp_lp.problem import NEEDED, Problem, on_one_model
-from ssp_lp.processes.failure_semantics import as_percentage, start_distribution
-
-_NOTHING = 1e-17  # of a sum: less than its rounding
-_UTILITY_LEFT = 1e-13  # of the expected utility: what the runs not followed could add
+from ssp_lp.processes.failure_semantics import start_distribution
 
 
 def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> CostLaw:
@@ -50,287 +38,29 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
         >>> law.within(0.3), law.quantile(0.95)
         (0.875, 0.5)
     """
-    lottery, problem = on_one_model(policy, problem, "success_costs")
-    start = start_distribution(problem.model, problem.start)
-    used = [(p, w) for p, w in zip(lottery.policies, lottery.weights, strict=True) if w > 0.0]
-    paid, counted = both_chains(chains_of_law(problem.model, p, start) for p, _ in used)
-    return law_of_chains(paid, np.array([w for _, w in used]), counted)
+    return costs_as_counted(*on_one_model(policy, problem, "success_costs"), soon=False)
 
 
-def costs_as_counted(policy: MixedPolicy, problem: Problem) -> CostLaw:
+def costs_as_counted(policy: MixedPolicy, problem: Problem, *, soon: bool = True) -> CostLaw:
     """The law of :func:`success_costs`, of costs as members round them up unless that is soon done.
 
     It is what :func:`~ssp_lp.analysis.evaluation.evaluate` goes by.
     """
-    start, members = start_distribution(problem.model, problem.start), policy.policies
-    each = (chains_of_law(problem.model, member, start, soon=True) for member in members)
-    paid, counted = both_chains(each)
-    return law_of_chains(paid, policy.weights, counted)
+    start, used = start_distribution(problem.model, problem.start), policy.weights > 0.0
+    members = [member for member, counts in zip(policy.policies, used, strict=True) if counts]
+    chains = (chains_of_law(problem.model, member, start, soon=soon) for member in members)
+    return law_of_chains(chains, policy.weights[used])
 
 
-def both_chains(chains: Iterable[tuple[Chain, Chain]]) -> tuple[list[Chain], list[Chain]]:
-    """The members' chains as costs are paid, and as they are counted; none where that is one."""
-    paid, counted = map(list, zip(*chains, strict=True))
-    same = all(own is up for own, up in zip(paid, counted, strict=True))
-    return paid, [] if same else counted
-
-
-def law_of_chains(
-    chains: Sequence[Chain], weights: FloatArray, counted: Sequence[Chain] = ()
-) -> CostLaw:
+def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) -> CostLaw:
     """The law of a lottery from its members' chains.
 
     Args:
-        chains: of the members.
+        chains: of the members, as costs are paid and as the members count them.
         weights: of the members, > 0, [members].
-        counted: the same with costs as the members count them; none: as they are paid.
     """
-    own, up = (tuple(ChainProspect.of(chain) for chain in some) for some in (chains, counted))
-    return CostLaw(own, weights, up)
-
-
-class Atoms(NamedTuple):
-    """Total costs that occur, increasing, and how likely each is together with success."""
-
-    costs: FloatArray  # [atoms]
-    probabilities: FloatArray  # [atoms] Pr(goal, C = cost)
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class CostLaw:
-    """The sub-probability law of the total cost C on the runs that reach the goal.
-
-    What is missing from mass 1 is the failure probability. :attr:`goal`, :attr:`cost` and
-    :meth:`exponential` are linear solves on the policy's chain. The rest follows the chain through
-    layers of the costs' common unit, or through the sums that occur, as far as a question needs;
-    how far it has come is kept within the law for the next question, and changes no answer. Where
-    a question needs too many sums every cost is rounded up, by less than a two-thousandth of the
-    mean or to finer layers of a policy that does so itself, so that no total, quantile, excess or
-    late arrival is understated and no utility overstated.
-    """
-
-    _prospects: tuple[ChainProspect, ...]  # of the members of the lottery
-    _weights: FloatArray  # [members]
-    _rounded: tuple[ChainProspect, ...] = ()  # of costs as the members round them up, if they do
-
-    @property
-    def is_finer(self) -> bool:
-        """Whether it is of costs as they are paid, and members round them up."""
-        return bool(self._rounded)
-
-    @cached_property
-    def goal(self) -> float:
-        """The probability of reaching the goal."""
-        return self._mean(lambda p: float(p.chain.start @ p.goal))
-
-    @cached_property
-    def cost(self) -> float:
-        """E[C; goal]."""
-        return self._mean(lambda p: float(p.chain.start @ p.cost))
-
-    @property
-    def conditional_mean(self) -> float:
-        """E[C | goal]; nan where the goal is never reached."""
-        return self.cost / self.goal if self.goal > 0.0 else nan
-
-    @explained
-    def within(self, bound: float | Fraction) -> float:
-        """Pr(goal, C <= bound).
-
-        A float means its shortest decimal (three steps of 0.1 are within 0.3), or the total of
-        whole layers that it is the float of (2/3, where the unit is 1/3); fractions are exact.
-        """
-        if bound == inf:
-            return self.goal
-        _check_cost_number(bound, "bound")
-
-        def arrived(arrivals: ArrivalSweep) -> float:
-            """What arrives up to the bound."""
-            last = arrivals.last_layer(bound)
-            for settled in arrivals.followed(last + 1):
-                if settled > last or arrivals.leaps:
-                    break
-                if arrivals.remaining()[0] <= _NOTHING * self.goal:
-                    break
-            return arrivals.arrived(last + 1)
-
-        return min(self._followed.asked(arrived), self.goal)
-
-    @explained
-    def excess(self, threshold: float) -> float:
-        """E[(C - threshold)^+; goal]; what lies far out is not lost to cancellation."""
-        _check_cost_number(threshold, "threshold")
-        if threshold == inf:
-            return 0.0
-
-        def beyond(arrivals: ArrivalSweep) -> float:
-            """What arrivals beyond the threshold pay beyond it."""
-            last = arrivals.last_layer(float(threshold))
-            for settled in arrivals.followed(last + 1):
-                if settled > last:
-                    break
-                if arrivals.remaining()[1] <= _NOTHING * self.cost:
-                    return 0.0
-                if arrivals.leaps:
-                    goal, cost = arrivals.remaining(last + 1)
-                    return (cost_of(arrivals, last + 1) - threshold) * goal + cost
-            layers, masses = arrivals.atoms()
-            known = float(masses @ np.maximum(arrivals.cost_of(layers) - threshold, 0.0))
-            goal, cost = arrivals.remaining()
-            return known + (arrivals.frontier - threshold) * goal + cost
-
-        return self._followed.asked(beyond)
-
-    @explained
-    def quantile(self, level: float) -> float:
-        """The least B with Pr(C <= B | goal) >= level; nan where the goal is never reached.
-
-        The comparison has a relative slack of 1e-12 (``arrays.QUANTILE``), so that an atom at
-        which the mass reaches the level exactly is not missed. Level 0 asks for the least cost.
-
-        Raises:
-            ModelError: the level does not lie in [0, 1).
-        """
-        _check_law_level(level)
-        if self.goal == 0.0:
-            return nan
-        needed = level * self.goal * (1.0 - QUANTILE)
-
-        def reached(arrivals: ArrivalSweep) -> float:
-            """The first total by which the level is reached."""
-            for _ in arrivals.followed():
-                layers, masses = arrivals.atoms()
-                total = np.cumsum(masses)
-                if total.size and total[-1] >= needed:
-                    return cost_of(arrivals, layers[np.searchsorted(total, needed)])
-                if arrivals.remaining()[0] <= 1e-3 * QUANTILE * self.goal:
-                    break
-                if arrivals.leaps:
-                    return cost_of(arrivals, arrivals.first_reaching(needed))
-            return cost_of(arrivals, arrivals.atoms()[0][-1])
-
-        return self._followed.asked(reached)
-
-    @explained
-    def tail_mean(self, level: float) -> float:
-        """The mean of the costliest ``1 - level`` of the runs that succeed; level 0: of them all.
-
-        The conditional value at risk (Rockafellar and Uryasev 2000), where an atom at the quantile
-        counts for as much of it as belongs to the share; nan where the goal is never reached.
-
-        Raises:
-            ModelError: the level does not lie in [0, 1).
-        """
-        _check_law_level(level)
-        return TailMeanOf(level).of(self)
-
-    @explained
-    def exponential(self, rate: float) -> float:
-        """E[exp(rate * C); goal], rate <= 0, by a linear solve; no lattice is needed.
-
-        Raises:
-            ModelError: a rate above 0, for which the expectation need not be finite.
-        """
-        if not -inf < rate <= 0.0:
-            raise ModelError(f"rate must be a number of at most 0, not {in_short(rate)}")
-        return self._mean(lambda p: p.exponential(rate))
-
-    @explained
-    def expectation(self, utility: Utility, at_infinity: float) -> float:
-        """E[utility(C); goal], followed until the rest cannot matter.
-
-        Args:
-            utility: a non-increasing function of the total cost, on arrays.
-            at_infinity: what it falls to.
-
-        Raises:
-            ModelError: a utility that is not a finite number for each cost, or one that falls so
-                slowly, of a policy that takes so long, that the table becomes too large.
-        """
-        if not isfinite(at_infinity):
-            raise ModelError(f"at_infinity must be a finite number, not {in_short(at_infinity)}")
-        if self.goal == 0.0:
-            return 0.0
-
-        def gain(costs: FloatArray) -> FloatArray:
-            """The utility above what it falls to."""
-            return utilities(utility, costs) - at_infinity
-
-        def gained(arrivals: ArrivalSweep) -> float:
-            """The expected gain, followed until the rest cannot matter."""
-            for _ in arrivals.followed():
-                layers, masses = arrivals.atoms()
-                known = float(masses @ gain(arrivals.cost_of(layers)))
-                there = abs(float(gain(np.array([arrivals.frontier]))[0]))
-                if arrivals.remaining()[0] * there <= _UTILITY_LEFT * abs(known):
-                    break
-            return known
-
-        return at_infinity * self.goal + self._followed.asked(gained)
-
-    @explained
-    def upto(self, bound: float | Fraction) -> Atoms:
-        """All atoms of a total cost of at most ``bound``, as :meth:`within` compares."""
-        if bound == inf:
-            raise ModelError("give a finite bound, or all_but(mass)")
-        _check_cost_number(bound, "bound")
-
-        def atoms(arrivals: ArrivalSweep) -> Atoms:
-            """The atoms up to the bound."""
-            last = arrivals.last_layer(bound)
-            for settled in arrivals.followed(last + 1):
-                if settled > last:
-                    break
-            layers, masses = arrivals.atoms()
-            within = np.asarray(layers <= last, dtype=np.bool_)
-            return Atoms(arrivals.cost_of(layers[within]), masses[within])
-
-        return self._followed.asked(atoms)
-
-    @explained
-    def all_but(self, mass: float) -> Atoms:
-        """The least costs that leave out a mass of at most ``mass`` of the runs that succeed.
-
-        Raises:
-            ModelError: the mass is not above 0.
-        """
-        if not float(mass) > 0.0:
-            raise wrong_argument("mass", "be above 0", mass, ": the support may be infinite")
-
-        def atoms(arrivals: ArrivalSweep) -> Atoms:
-            """The atoms but the last ones, which are unlikely enough."""
-            for _ in arrivals.followed():
-                if arrivals.remaining()[0] <= mass:
-                    break
-            layers, masses = arrivals.atoms()
-            beyond = np.append(np.cumsum(masses[::-1])[::-1], 0.0) + arrivals.remaining()[0]
-            kept = int(np.argmax(beyond <= mass))
-            return Atoms(arrivals.cost_of(layers[:kept]), masses[:kept])
-
-        return self._followed.asked(atoms)
-
-    def _mean(self, of: Callable[[ChainProspect], float]) -> float:
-        """The lottery's mean of a number of each member."""
-        numbers = zip(self._prospects, self._weights, strict=True)
-        return sum((float(w) * of(p) for p, w in numbers), start=0.0)
-
-    @cached_property
-    def _followed(self) -> Followed:
-        exact = self._prospects[0].chain.model.exact_costs
-        live = LiveChain.of(self._prospects, self._weights)
-        rounded = LiveChain.of(self._rounded, self._weights) if self._rounded else None
-        return Followed(live, exact, self.conditional_mean, rounded)
-
-    def __repr__(self) -> str:
-        """One line: the goal probability and the mean."""
-        return f"CostLaw(goal {self.goal:.6g}, mean cost given success {self.conditional_mean:.6g})"
-
-
-def _check_cost_number(value: float | Fraction, name: str) -> None:
-    if isnan(value):
-        raise ModelError(f"the {name} must be a number")
-
-
-def _check_law_level(level: float) -> None:
-    if not 0.0 <= level < 1.0:
-        raise wrong_argument("level", "lie in [0, 1)", level, as_percentage(level))
+    each = list(chains)
+    paid = tuple(ChainProspect.of(own) for own, _ in each)
+    if all(own is counted for own, counted in each):
+        return CostLaw(paid, weights)
+    return CostLaw(paid, weights, tuple(ChainProspect.of(counted) for _, counted in each))

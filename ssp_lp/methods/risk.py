@@ -50,8 +50,9 @@ from ssp_lp.accumulated_cost.charges import (
     TailMeanOf,
     TotalCostCharge,
 )
+from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
-from ssp_lp.analysis.cost_law import CostLaw, success_costs
+from ssp_lp.analysis.cost_law import success_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import QUANTILE, FloatArray
 from ssp_lp.column_generation.column import FailureRow, Proof, required

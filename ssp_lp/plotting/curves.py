@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from ssp_lp.analysis.cost_law import CostLaw
+from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.analysis.frontier import Frontier
 from ssp_lp.arrays import FloatArray
 from ssp_lp.column_generation.column import FailureRow

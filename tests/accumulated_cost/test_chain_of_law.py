@@ -8,16 +8,18 @@ import pytest
 from drawn_policies import CLOSE, drawn_model, drawn_policy
 from ssp_lp import SSP, CostAwarePolicy, ModelError
 from ssp_lp.accumulated_cost import policy_layers
+from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.policy_layers import chain_of_law
-from ssp_lp.analysis.cost_law import CostLaw, law_of_chains
+from ssp_lp.analysis.cost_law import law_of_chains
 from ssp_lp.policies.chain import policy_chain
 
 ONE = np.ones(1)
 
 
 def laws(model: SSP, policy: CostAwarePolicy, start: np.ndarray) -> tuple[CostLaw, CostLaw]:
-    written = law_of_chains([policy_chain(model, policy, start)], ONE)
-    return law_of_chains([chain_of_law(model, policy, start, least_nodes=0)], ONE), written
+    written = policy_chain(model, policy, start)
+    short = chain_of_law(model, policy, start, least_nodes=0)
+    return law_of_chains([(short, short)], ONE), law_of_chains([(written, written)], ONE)
 
 
 @pytest.mark.parametrize("is_compiled", [False, True])

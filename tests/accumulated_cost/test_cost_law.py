@@ -17,7 +17,7 @@ from ssp_lp import (
     ModelError,
     success_costs,
 )
-from ssp_lp.accumulated_cost import law as following
+from ssp_lp.accumulated_cost import cost_law, law as following
 
 # Closed forms
 
@@ -238,7 +238,7 @@ def test_too_many_sums_are_rounded_up(monkeypatch):
     law = one_way(steps)
     exact = [law.within(4.0), law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
     utility = law.expectation(lambda cost: np.exp(-cost), 0.0)
-    monkeypatch.setattr(following, "_MOST_SUMS", 3)
+    monkeypatch.setattr(cost_law, "_MOST_SUMS", 3)
     law = one_way(steps)
     rounded = [law.within(4.0), law.excess(2.0), law.quantile(0.7), law.tail_mean(0.7)]
     assert rounded[0] <= exact[0] + 1e-12
