@@ -11,7 +11,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
-from functools import cache, cached_property
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -99,17 +99,6 @@ _NUMBER_OR_NONE = ("float | None", float | None)
 """Annotations of fields that hold numbers, which are floats once a problem is stated."""
 
 
-@cache
-def _number_fields(criterion: type[Formulation]) -> tuple[tuple[str, bool], ...]:
-    """The fields of a criterion that are numbers, and whether they may not be None."""
-    parts = fields(criterion)
-    return tuple(
-        (part.name, part.type in _NUMBER)
-        for part in parts
-        if part.type in _NUMBER + _NUMBER_OR_NONE
-    )
-
-
 class _Inherited(ReadOnlyCopies):
     """What a formulation that does not say otherwise asks: exact, failing free and unlimited."""
 
@@ -187,7 +176,10 @@ class Formulation(_Inherited):
                 constraint that is stated wrongly.
         """
         given = vars(self)
-        for name, is_needed in _number_fields(type(self)):  # type: ignore[arg-type]
+        for part in fields(self):
+            if part.type not in _NUMBER + _NUMBER_OR_NONE:
+                continue
+            name, is_needed = part.name, part.type in _NUMBER
             value = given.get(name)
             if (is_needed or value is not None) and not is_number(value):
                 wanted = "be a number" if is_needed else "be a number or None"

@@ -6,7 +6,7 @@ import logging
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import ClassVar, TextIO
@@ -199,7 +199,8 @@ def _logged_progress(progress: Progress | None) -> Progress:
     return told
 
 
-def progress_shown(verbose: bool = True) -> AbstractContextManager[None]:
+@contextmanager
+def progress_shown(verbose: bool = True) -> Iterator[None]:
     """Show what the library is doing, on the standard error: each phase as it is done.
 
     In a terminal or a notebook a line at the bottom says besides how far the work has come. Without
@@ -216,14 +217,8 @@ def progress_shown(verbose: bool = True) -> AbstractContextManager[None]:
         ...     pass  # SSP.from_successors(...), solve(...), trace_frontier(...)
     """
     check_flag("verbose", verbose)
-    return _lines_shown() if verbose else nullcontext()
-
-
-@contextmanager
-def _lines_shown() -> Iterator[None]:
-    """The same, on lines; nothing more where it is shown already."""
     logger = logging.getLogger(LOGGER)
-    if any(isinstance(known, _ProgressLines) for known in logger.handlers):
+    if not verbose or any(isinstance(known, _ProgressLines) for known in logger.handlers):
         yield
         return
     shown = _ProgressLines(sys.stderr)

@@ -50,8 +50,7 @@ from ssp_lp.model.graph import (
 )
 from ssp_lp.policies import CostAwarePolicy, MixedPolicy
 from ssp_lp.policies.chain import Chain, policy_chain
-from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, Policy
-from ssp_lp.policies.stationary import DeterministicPolicy
+from ssp_lp.policies.policy import GIVE_UP_CODE, UNDECIDED, CostLayers, DeterministicPolicy, Policy
 
 HOPEFUL, OPEN, WRONG, ENDLESS, FAILS = 1, 2, 4, 8, 16
 """Bits: the goal can be reached; some end can; a decision that is missing or not allowed can;

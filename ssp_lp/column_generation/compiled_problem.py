@@ -53,8 +53,7 @@ from ssp_lp.compiled.deadline import READING, check_time, limited
 from ssp_lp.errors import Argument, InfeasibleError, ModelError
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import dead_ends, goal_approach, surely_reaching
-from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.stationary import DeterministicPolicy
+from ssp_lp.policies.policy import DeterministicPolicy, Policy
 from ssp_lp.processes.conditions import FAILURE_ROW, UpperRow
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of, label_failure

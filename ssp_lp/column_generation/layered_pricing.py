@@ -14,8 +14,7 @@ from ssp_lp.arrays import FloatArray, IntArray
 from ssp_lp.column_generation.column import Column, Proof, required
 from ssp_lp.dynamic_programming.bellman import Work
 from ssp_lp.errors import ModelError
-from ssp_lp.policies.policy import Policy
-from ssp_lp.policies.stationary import DeterministicPolicy
+from ssp_lp.policies.policy import DeterministicPolicy, Policy
 
 _SAME = 1e-14
 """Share of a bound below which there is only rounding."""

@@ -23,9 +23,8 @@ from ssp_lp.errors import ModelError
 from ssp_lp.game.best_response import BestResponse, Discounted, Iterated, iterate_values
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import attention_states, end_components, goal_pairs
-from ssp_lp.policies.policy import GIVE_UP_CODE
+from ssp_lp.policies.policy import GIVE_UP_CODE, DeterministicPolicy
 from ssp_lp.policies.remembering import TimedPolicy
-from ssp_lp.policies.stationary import DeterministicPolicy
 from ssp_lp.processes.failure_semantics import (
     FailureSemantics,
     GiveUp,

@@ -67,10 +67,6 @@ class Axis:
         """The width of a cell."""
         return (self.high - self.low) / self.cells
 
-    def in_cells(self, values: FloatArray) -> FloatArray:
-        """How many widths of a cell each value lies above the low end."""
-        return np.asarray((values - self.low) * (self.cells / (self.high - self.low)))
-
     def misses(self, heights: FloatArray) -> BoolArray:
         """Which of the heights, in widths of a cell, are off the axis, or no numbers."""
         if self.periodic:
@@ -162,13 +158,15 @@ class Grid:
         missed = self.misses(heights)
         if missed.any():
             raise ModelError(f"the point {given[missed][0].tolist()} lies outside {self}")
-        cells = self.number(heights).astype(np.int64)
+        cells = self.numbers_about(heights, split=False)[0].astype(np.int64)
         return int(cells) if cells.ndim == 0 else cells
 
     def heights(self, coordinates: Coordinates) -> Coordinates:
         """Coordinates in widths of a cell above the low ends."""
-        pairs = zip(self.axes, coordinates, strict=True)
-        return tuple(axis.in_cells(values) for axis, values in pairs)
+        return tuple(
+            np.asarray((values - axis.low) * (axis.cells / (axis.high - axis.low)))
+            for axis, values in zip(self.axes, coordinates, strict=True)
+        )
 
     def misses(self, heights: Coordinates) -> BoolArray:
         """Which points lie outside the box, broadcast over those axes that any of them misses."""
@@ -179,14 +177,10 @@ class Grid:
                 missed = missed | off
         return missed
 
-    def number(self, heights: Coordinates) -> IntArray:
-        """The cell of each point inside, the upper one on edges; broadcast over all axes."""
-        return self.numbers_about(heights, split=False)[0]
-
     def numbers_about(self, heights: Coordinates, *, split: bool = True) -> list[IntArray]:
         """The cells that each point counts in, with equal shares: one array, or 2, 4, ...
 
-        Several only where a point lies on an edge of an axis that splits them.
+        Several only where a point lies on an edge of an axis that splits them; else the upper one.
         """
         parts: list[list[IntArray]] = []
         for axis, stride, values in zip(self.axes, self.strides, heights, strict=True):
@@ -569,6 +563,7 @@ class WorldSimulator:
             for k, (axis, values) in enumerate(zip(grid.axes, taken.point, strict=True)):
                 after[some, k] = axis.wrapped(values)
             ended = grid.n_cells - 1 + taken.end.astype(np.int64)
-            state[some] = np.where(taken.end != 0, ended, grid.number(taken.heights))
+            cells = grid.numbers_about(taken.heights, split=False)[0]
+            state[some] = np.where(taken.end != 0, ended, cells)
             paid[some] = taken.cost
         return after, state, paid

@@ -398,17 +398,12 @@ def end_marks(model: SSP) -> IntArray:
 
 def dead_end_labels(model: SSP) -> frozenset[Hashable]:
     """The states from which no policy reaches the goal, X_{d,all} of the paper, by their labels."""
-    return _labels_of_states(model, dead_ends(model))
+    return frozenset(model.states[i] for i in dead_ends(model).nonzero()[0].tolist())
 
 
 def attention_labels(model: SSP) -> frozenset[Hashable]:
     """The states from which some policy surely avoids the goal, X_{d,or}, by their labels."""
-    return _labels_of_states(model, attention_states(model))
-
-
-def _labels_of_states(model: SSP, states: BoolArray) -> frozenset[Hashable]:
-    """The labels of states."""
-    return frozenset(model.states[i] for i in states.nonzero()[0].tolist())
+    return frozenset(model.states[i] for i in attention_states(model).nonzero()[0].tolist())
 
 
 def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArray]:
@@ -440,7 +435,25 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
         pending &= counts > 0
         if not pending.any():
             break
-        _label_end_components(model, inside, pending, label)
+        if accelerated(model.n_outcomes):
+            from ssp_lp.compiled.graphs import label_components
+
+            arrays = model.pair_offsets, model.outcome_offsets, model.successors
+            label_components(*arrays, model.probabilities, inside, pending.nonzero()[0], label)
+        else:
+            # each pending state is labelled by the first one of its strong component, by scipy
+            links = inside & pending[model.pair_state]
+            steps = model.outcome_offsets, model.successors, model.probabilities
+            ends, columns = possible_steps(*steps, links)
+            shape, present = (model.n_states, model.n_states), np.ones(columns.size, dtype=np.bool_)
+            offsets = narrow(ends[model.pair_offsets])
+            once = sp.csr_array((present, columns.copy(), offsets), shape=shape)
+            once.sum_duplicates()
+            strong = csgraph.connected_components(
+                edges(once.indices, once.indptr), connection="strong"
+            )[1]
+            _, first, back = np.unique(strong, return_index=True, return_inverse=True)
+            label[pending] = first[back[pending]]
         leaving = _crossing_end_components(model, inside, pending, label).nonzero()[0]
         torn = np.zeros_like(pending)
         torn[label[model.pair_state[leaving]]] = True
@@ -449,39 +462,6 @@ def end_components(model: Graph, allowed: BoolArray) -> tuple[IntArray, BoolArra
     members = counts > 0
     component[members] = np.unique(label[members], return_inverse=True)[1]
     return component, inside
-
-
-def _label_end_components(
-    model: Graph, inside: BoolArray, pending: BoolArray, label: IntArray
-) -> None:
-    """Label each pending state, in place, by the first state of its strong component.
-
-    Args:
-        inside: the pairs that link states; those of pending states lead to pending states, [pairs].
-        pending: [states].
-        label: [states].
-    """
-    if accelerated(model.n_outcomes):
-        from ssp_lp.compiled.graphs import label_components
-
-        arrays = model.pair_offsets, model.outcome_offsets, model.successors, model.probabilities
-        label_components(*arrays, inside, pending.nonzero()[0], label)
-        return
-    ends, columns = possible_steps(
-        model.outcome_offsets,
-        model.successors,
-        model.probabilities,
-        inside & pending[model.pair_state],
-    )
-    # strong components by scipy, of each link once
-    offsets, present = ends[model.pair_offsets], np.ones(columns.size, dtype=np.bool_)
-    shape = model.n_states, model.n_states
-    once = sp.csr_array((present, columns.copy(), narrow(offsets)), shape=shape)
-    once.sum_duplicates()
-    links = edges(once.indices, once.indptr)
-    found = np.asarray(csgraph.connected_components(links, connection="strong")[1])
-    _, first, back = np.unique(found, return_index=True, return_inverse=True)
-    label[pending] = first[back[pending]]
 
 
 def _crossing_end_components(

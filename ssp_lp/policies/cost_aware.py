@@ -11,8 +11,14 @@ from ssp_lp.arrays import SAME_TOTAL, BoolArray, FloatArray, IntArray, chunks, r
 from ssp_lp.errors import ModelError, check_flag, is_number, wrong_argument
 from ssp_lp.model import SSP
 from ssp_lp.model.arguments import explained_class
-from ssp_lp.policies.policy import UNDECIDED, Branches, CostLayers, Policy, check_costs
-from ssp_lp.policies.stationary import check_decisions
+from ssp_lp.policies.policy import (
+    UNDECIDED,
+    Branches,
+    CostLayers,
+    Policy,
+    check_costs,
+    check_decisions,
+)
 
 _MOST_BEYOND = 4_000_000  # states times layers beyond the last level, which are held at once
 _FAR = 1e15  # layers: no step passes more

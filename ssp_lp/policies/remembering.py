@@ -21,13 +21,14 @@ from ssp_lp.policies.policy import (
     GIVE_UP_CODE,
     UNDECIDED,
     Branches,
+    DeterministicPolicy,
     MixedPolicy,
     Policy,
+    StochasticPolicy,
     as_lottery,
     check_costs,
     check_policies,
 )
-from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy
 
 
 @explained_class

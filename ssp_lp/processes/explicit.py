@@ -17,7 +17,6 @@ from functools import cached_property
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse import csgraph
 
 from ssp_lp.arrays import MACHINE_EPSILON, BoolArray, FloatArray, IntArray, offsets_of
 from ssp_lp.compiled.deadline import check_time
@@ -92,15 +91,10 @@ class Contraction:
             process: the process.
             choice: pair of the process, [states].
         """
-        # states of a contraction by their distance from leaving under a policy
-        n = process.n_states
-        leaks = ((process.goal + process.failure)[choice] > 0).nonzero()[0]
-        entry = sp.csr_array(process.transitions[choice]).tocoo()
-        possible = entry.data > 0
-        source = np.concatenate([entry.row[possible], leaks])
-        target = np.concatenate([entry.col[possible], np.full(leaks.size, n)])
-        backward = sp.csr_array((np.ones(source.size), (target, source)), shape=(n + 1, n + 1))
-        order = csgraph.breadth_first_order(backward, n, return_predecessors=False)[1:]
+        taken, distance = np.zeros(process.n_pairs, dtype=np.bool_), np.zeros_like(choice, np.int32)
+        taken[choice] = True
+        nearer_pairs(process.dynamics.graph, process.dynamics.exits > 0.0, taken, distance)
+        order = np.argsort(distance, kind="stable")
         _, first = np.unique(self.node_of[order], return_index=True)
         place = np.full(process.n_pairs, -1)
         place[self.pairs] = np.arange(len(self.pairs))

@@ -21,7 +21,7 @@ from ssp_lp.model.graph import (
     pairs_into,
     surely_reaching,
 )
-from ssp_lp.policies.stationary import DeterministicPolicy
+from ssp_lp.policies.policy import DeterministicPolicy
 from ssp_lp.processes.conditions import UpperRow
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_semantics import (

@@ -19,8 +19,7 @@ from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.model import SSP
 from ssp_lp.model.product import ProductSSP
 from ssp_lp.policies.cost_aware import CostAwarePolicy
-from ssp_lp.policies.policy import GIVE_UP
-from ssp_lp.policies.stationary import DeterministicPolicy, StochasticPolicy, find_pair
+from ssp_lp.policies.policy import GIVE_UP, DeterministicPolicy, StochasticPolicy, find_pair
 from ssp_lp.processes.conditions import Term
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.processes.failure_label import FailureLabelled, counting_of

@@ -24,8 +24,7 @@ from ssp_lp.errors import ModelError, SolverError, optional_module
 from ssp_lp.linear_programming.linear_program import MeasuredRow
 from ssp_lp.model.graph import nearer_pairs
 from ssp_lp.model.naming import ByName
-from ssp_lp.policies.policy import MixedPolicy
-from ssp_lp.policies.stationary import StochasticPolicy
+from ssp_lp.policies.policy import MixedPolicy, StochasticPolicy
 from ssp_lp.processes.explicit import ExplicitProcess
 from ssp_lp.programs.augmented import ColumnLabel
 
