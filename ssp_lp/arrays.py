@@ -135,6 +135,17 @@ def concatenated_ranges(starts: IntArray, lengths: IntArray) -> npt.NDArray[np.i
     return np.repeat(np.asarray(starts, dtype=np.int64) - first, lengths) + np.arange(total)
 
 
+def entries_of(offsets: IntArray, segments: IntArray) -> tuple[npt.NDArray[np.int64], IntArray]:
+    """The entries ``offsets[k] : offsets[k + 1]`` of some segments, one after the other.
+
+    Returns:
+        Them, [entries], and how many each segment has, [segments].
+    """
+    begins = offsets[segments]
+    lengths = offsets[segments + 1] - begins
+    return concatenated_ranges(begins, lengths), lengths
+
+
 def offsets_of(lengths: IntArray) -> IntArray:
     """Where each of several segments in a row begins, and the end, [segments + 1]."""
     offsets = np.zeros(len(lengths) + 1, dtype=np.int64)

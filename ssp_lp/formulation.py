@@ -9,7 +9,7 @@ methods solve it. This module is also where a page of ``formulations`` finds wha
 from __future__ import annotations
 
 import logging
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import MISSING, dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Self
@@ -149,10 +149,7 @@ class Formulation(_Inherited):
 
     def __repr__(self) -> str:
         """One line: the class, the model, the start, and what is not left to the default."""
-        return f"{type(self).__name__}({', '.join(self._stated())})"
-
-    def _stated(self) -> Iterator[str]:
-        """The arguments that say something, in short."""
+        told = []
         for part in sorted(fields(self), key=lambda part: part.kw_only is True):
             is_budget = part.name in (stated := as_stated(self))
             value = stated[part.name] if is_budget else getattr(self, part.name)
@@ -163,9 +160,10 @@ class Formulation(_Inherited):
             if part.name in _PAPER and default is None:
                 default = _PAPER[part.name]
             if part.name == "model":
-                yield repr(value)
+                told.append(repr(value))
             elif needed or (value is not default and in_short(value) != in_short(default)):
-                yield f"{part.name}={in_short(value)}"
+                told.append(f"{part.name}={in_short(value)}")
+        return f"{type(self).__name__}({', '.join(told)})"
 
     def __post_init__(self) -> None:
         """Check what pages have in common: start, budget, discount, giving up, limits.

@@ -96,26 +96,23 @@ def resolution_of(problem: Problem) -> Resolution | None:
     """What is asked of the totals that are told apart; None where multiples of a unit serve."""
     asked: int | None = getattr(problem, "cost_levels", None)
     cap: float | None = getattr(problem, "cost_cap", None)
-    of_law = problem.semantics.measure is not None
+    measure = problem.semantics.measure
+    of_law = measure is not None
     if not of_law and not problem.ratio:
         return None
     if not of_law and asked is None and problem.failure_budget is None and not has_rows(problem):
         return None  # at least failure no cost has to be remembered
     resolution = resolution_for(problem.model, asked, cap, of_law=of_law)
-    few = resolution is not None and _has_few_sums(problem, min(asked or MOST_SUMS, MOST_SUMS))
-    return Resolution(most=MOST_SUMS) if few else resolution
-
-
-def _has_few_sums(problem: Problem, most: int) -> bool:
-    """Whether few totals lie below the cost from which a stationary policy is optimal."""
-    measure, known = problem.semantics.measure, problem.model.kept_facts
-    if measure is None or not isinstance(measure.charge, ExponentialUtility) or has_rows(problem):
-        return False
-    if (key := f"{most} sums: {measure.charge}") not in known:
+    charge = None if measure is None else measure.charge
+    if resolution is None or not isinstance(charge, ExponentialUtility) or has_rows(problem):
+        return resolution
+    # do few totals lie below the cost from which a stationary policy is optimal?
+    most, known = min(asked or MOST_SUMS, MOST_SUMS), problem.model.kept_facts
+    if (key := f"{most} sums: {charge}") not in known:
         start = start_distribution(problem.model, problem.start)
-        horizon = CompiledArrivalCost(problem.model, start, measure.charge).cost_horizon
+        horizon = CompiledArrivalCost(problem.model, start, charge).cost_horizon
         known[key] = sums_in(problem.model, horizon, most) is not None
-    return bool(known[key])
+    return Resolution(most=MOST_SUMS) if known[key] else resolution
 
 
 class TotalScale(StrEnum):

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from ssp_lp.arrays import (
     FloatArray,
     IntArray,
-    concatenated_ranges,
+    entries_of,
     least_integer_type,
     offsets_of,
     read_only,
@@ -185,9 +185,7 @@ class Outcomes(NamedTuple):
 
     def rows(self, wanted: IntArray) -> Outcomes:
         """The rows of these numbers, one after the other."""
-        begins = self.outcome_offsets[wanted]
-        lengths = self.outcome_offsets[wanted + 1] - begins
-        places = concatenated_ranges(begins, lengths)
+        places, lengths = entries_of(self.outcome_offsets, wanted)
         costs = self.costs[places] if self.costs.ndim else self.costs
         return Outcomes(
             offsets_of(lengths), self.successors[places], self.probabilities[places], costs
@@ -243,8 +241,7 @@ class OutcomeStore:
         self._size = 0
         self._successors = np.empty(room, dtype=np.int32)
         self._probabilities = np.empty(room)
-        self._cost: FloatArray | None = None
-        self._costs: FloatArray | None = None
+        self._costs = np.asarray(0.0)
 
     def append(self, rows: Outcomes) -> None:
         """Add the outcomes of more pairs."""
@@ -257,13 +254,12 @@ class OutcomeStore:
         self._lengths.append(np.diff(rows.outcome_offsets))
         self._successors[begin:end] = rows.successors
         self._probabilities[begin:end] = rows.probabilities
-        if self._cost is None and rows.costs.ndim == 0:
-            self._cost = rows.costs
-        if self._costs is None and (rows.costs.ndim or rows.costs != self._cost):
-            known = 0.0 if self._cost is None else self._cost
-            self._costs = np.full(len(self._successors), known)
-        if self._costs is not None:
+        if self._costs.ndim == 0 and (rows.costs.ndim or (begin and rows.costs != self._costs)):
+            self._costs = np.full(len(self._successors), self._costs)
+        if self._costs.ndim:
             self._costs[begin:end] = rows.costs
+        else:
+            self._costs = rows.costs
         self._size = end
 
     def outcomes(self) -> Outcomes:
@@ -272,14 +268,11 @@ class OutcomeStore:
             array.resize(self._size, refcheck=False)
         offsets = np.concatenate([[0], *self._lengths])
         np.cumsum(offsets, out=offsets)
-        cost = np.asarray(0.0) if self._cost is None else self._cost
-        costs = cost if self._costs is None else self._costs
-        return Outcomes(offsets, self._successors, self._probabilities, costs)
+        return Outcomes(offsets, self._successors, self._probabilities, self._costs)
 
     def _grown(self) -> list[npt.NDArray[Any]]:
         """The arrays of outcomes that grow."""
-        arrays: list[npt.NDArray[Any]] = [self._successors, self._probabilities]
-        return arrays if self._costs is None else [*arrays, self._costs]
+        return [a for a in (self._successors, self._probabilities, self._costs) if a.ndim]
 
 
 TRIALS: Final = 1 << 19

@@ -19,6 +19,7 @@ from ssp_lp.arrays import (
     BoolArray,
     IntArray,
     concatenated_ranges,
+    entries_of,
     least_integer_type,
     offsets_of,
     read_only,
@@ -130,8 +131,8 @@ class ProductSSP(SSP):
     def original_outcome(self) -> IntArray:
         """Outcome of the original, [outcomes]; its impossible ones are not in the product."""
         possible = np.flatnonzero(self.original.probabilities > 0.0)
-        first = np.searchsorted(possible, self.original.outcome_offsets[self.original_pair])
-        return np.asarray(possible[concatenated_ranges(first, np.diff(self.outcome_offsets))])
+        offsets = np.searchsorted(possible, self.original.outcome_offsets)
+        return np.asarray(possible[entries_of(offsets, self.original_pair)[0]])
 
     def places_of(self, state: Hashable) -> IntArray:
         """The state with this label, or all states of the product for a state of the original.
@@ -415,8 +416,8 @@ def unroll_steps(model: SSP, steps: int, begin: Sequence[int] | None) -> Horizon
     pairs = concatenated_ranges(model.pair_offsets[state], actions)
     possible = np.flatnonzero(model.probabilities > 0.0)
     offsets = np.searchsorted(possible, model.outcome_offsets)
-    ends = np.diff(offsets)[pairs]
-    outcomes = possible[concatenated_ranges(offsets[pairs], ends)]
+    places, ends = entries_of(offsets, pairs)
+    outcomes = possible[places]
     layer = np.repeat(np.repeat(step, actions), ends)
     successors = position[layer + 1, model.successors[outcomes]]
 

@@ -12,7 +12,7 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    concatenated_ranges,
+    entries_of,
     offsets_of,
     read_only,
     sorted_unique,
@@ -193,9 +193,7 @@ def _stationary_nodes(model: SSP, policy: Policy, start: IntArray, ended: BoolAr
     branch = policy.branches(acting, np.zeros(acting.size, dtype=np.int64))
     moves = branch.pair >= 0
     pair, source = branch.pair[moves], acting[branch.situation[moves]]
-    begin = model.outcome_offsets[pair]
-    count = model.outcome_offsets[pair + 1] - begin
-    outcome = concatenated_ranges(begin, count)
+    outcome, count = entries_of(model.outcome_offsets, pair)
     possible = model.probabilities[outcome] > 0.0
     edges = np.bincount(np.repeat(source, count)[possible], minlength=model.n_states)
     offsets = offsets_of(edges)
@@ -216,9 +214,7 @@ def _expand_chain(model: SSP, policy: Policy, keys: IntArray, ended: BoolArray) 
         raise ModelError(f"the policy has no decision in state {model.states[int(state[where])]!r}")
     moves = branch.pair != GIVE_UP_CODE
     pair, situation = branch.pair[moves], branch.situation[moves]
-    begin = model.outcome_offsets[pair]
-    count = model.outcome_offsets[pair + 1] - begin
-    outcome = concatenated_ranges(begin, count)
+    outcome, count = entries_of(model.outcome_offsets, pair)
     chance = np.repeat(branch.probability[moves], count) * model.probabilities[outcome]
     situation, outcome = np.repeat(situation, count)[chance > 0], outcome[chance > 0]
     taken = np.repeat(pair, count)[chance > 0]

@@ -72,10 +72,9 @@ class CostAwarePolicy(Policy):
             raise wrong_argument("the unit of accumulated cost", "be > 0 and finite", self.unit)
         else:
             object.__setattr__(self, "unit", float(self.unit))
-        for name in ("decision", "tails", "tail_threshold"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-        if self.tail_table is not None:
-            object.__setattr__(self, "tail_table", read_only(self.tail_table))
+        for name in ("decision", "tails", "tail_threshold", "tail_table"):
+            if (array := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_only(array))
         several, positions = max(_CHECKED // max(self.model.n_states, 1), 1), self.decision
         for first in range(0, self.cap, several):
             check_decisions(self.model, positions[first : first + several], as_positions=True)

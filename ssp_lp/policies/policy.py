@@ -21,6 +21,7 @@ from ssp_lp.arrays import (
     IntArray,
     ReadOnlyCopies,
     concatenated_ranges,
+    entries_of,
     offsets_of,
     read_only,
     segment_sums,
@@ -326,9 +327,8 @@ class EpisodeBatch:
         if self._is_model and self._is_observed and pairs.size:
             raise ModelError(f"observe() was called twice after one action; {_OTHER_WORLD}")
         if self._is_model:
-            model, first = self.model, self.model.outcome_offsets[pairs]
-            count = model.outcome_offsets[pairs + 1] - first
-            index = concatenated_ranges(first, count)
+            model = self.model
+            index, count = entries_of(model.outcome_offsets, pairs)
             hit = model.successors[index] == np.repeat(successor, count)
             mass = segment_sums(np.where(hit, model.probabilities[index], 0.0), offsets_of(count))
             if (mass == 0.0).any():

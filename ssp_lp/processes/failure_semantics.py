@@ -248,12 +248,8 @@ def check_failure_setting(
             least failure together with a discount, or a charge that is no truth value.
     """
     check_flag("charge_failing_step", charge_failing_step)
-    named = {
-        "failure_budget": failure_budget,
-        "discount": discount,
-        "reach_fraction": reach_fraction,
-    }
-    for name, value in named.items():
+    budgets = {"failure_budget": failure_budget, "reach_fraction": reach_fraction}
+    for name, value in {**budgets, "discount": discount}.items():
         if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
             raise wrong_argument(name, "be a number or None", value)
     if reach_fraction is not None and failure_budget is not None:

@@ -23,7 +23,7 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    concatenated_ranges,
+    entries_of,
     least_integer_type,
     offsets_of,
     segment_ids,
@@ -449,8 +449,7 @@ def _flow_of_moves(
         moving = np.flatnonzero((choice[members] >= 0) & (share[node] > 0.0))
         taken, entered = choice[members[moving]], (entering * share[node])[moving]
         # the visits of states that each take one pair until they are left
-        lengths = np.diff(model.outcome_offsets)[taken]
-        outcomes = concatenated_ranges(model.outcome_offsets[taken], lengths)
+        outcomes, lengths = entries_of(model.outcome_offsets, taken)
         place = np.full(model.n_states, -1)
         place[members[moving]] = np.arange(moving.size)
         source, target = segment_ids(offsets_of(lengths)), place[model.successors[outcomes]]
