@@ -15,6 +15,13 @@ from ssp_lp.errors import (
     SSPError as SSPError,
 )
 from ssp_lp.model import SSP as SSP
+from ssp_lp.model.product import (
+    HorizonSSP as HorizonSSP,
+    Memory as Memory,
+    ProductSSP as ProductSSP,
+    product as product,
+    within_steps as within_steps,
+)
 from ssp_lp.options import (
     ColumnGeneration as ColumnGeneration,
     DeterministicPolicies as DeterministicPolicies,
@@ -31,6 +38,7 @@ from ssp_lp.policies import (
     StochasticPolicy as StochasticPolicy,
     TimedPolicy as TimedPolicy,
 )
+from ssp_lp.policies.remembering import on_original as on_original
 from ssp_lp.processes.failure_semantics import GiveUp as GiveUp
 from ssp_lp.processes.quantities import (
     Constraint as Constraint,
@@ -42,6 +50,10 @@ from ssp_lp.processes.quantities import (
     goal_probability as goal_probability,
     secondary_cost as secondary_cost,
     visits as visits,
+)
+from ssp_lp.programs.occupation_measure import (
+    OccupationMeasure as OccupationMeasure,
+    StateValues as StateValues,
 )
 from ssp_lp.solution import Solution as Solution
 from ssp_lp.solve import solve as solve
@@ -63,18 +75,6 @@ if TYPE_CHECKING:
         Samples as Samples,
         discretise as discretise,
     )
-    from ssp_lp.model.product import (
-        HorizonSSP as HorizonSSP,
-        Memory as Memory,
-        ProductSSP as ProductSSP,
-        product as product,
-        within_steps as within_steps,
-    )
-    from ssp_lp.policies.remembering import on_original as on_original
-    from ssp_lp.programs.occupation_measure import (
-        OccupationMeasure as OccupationMeasure,
-        StateValues as StateValues,
-    )
     from ssp_lp.programs.occupation_program import OccupationProgram as OccupationProgram
     from ssp_lp.verification.cross_check import CrossCheck as CrossCheck, cross_check as cross_check
 
@@ -86,9 +86,6 @@ _MODULES = {
     "formulation": "Formulation",
     "model.continuous_model": "Axis ContinuousModel Distribution Grid WorldSimulator",
     "model.discretise": "Quadrature Samples discretise",
-    "model.product": "HorizonSSP Memory ProductSSP product within_steps",
-    "policies.remembering": "on_original",
-    "programs.occupation_measure": "OccupationMeasure StateValues",
     "programs.occupation_program": "OccupationProgram",
     "verification.cross_check": "CrossCheck cross_check",
 }

@@ -22,11 +22,7 @@ from ssp_lp.arrays import (
 )
 from ssp_lp.errors import ModelError, check_whole, in_short
 from ssp_lp.model.arguments import explained
-from ssp_lp.model.continuous_model import (
-    ContinuousModel,
-    Coordinates,
-    take_step_in_world,
-)
+from ssp_lp.model.continuous_model import ContinuousModel, Coordinates, take_step_in_world
 from ssp_lp.model.ssp import SSP
 
 _MOST_POINTS = 1_000_000  # along one axis

@@ -18,8 +18,9 @@ from ssp_lp.arrays import (
     BoolArray,
     FloatArray,
     IntArray,
-    concatenated_ranges,
+    entries_of,
     narrow,
+    offsets_of,
     pieces_of_chunks,
     read_only,
     segment_chunks,
@@ -44,21 +45,6 @@ class Predecessors:
 
     offsets: IntArray  # [states + 1] entries of state s: offsets[s] : offsets[s + 1]
     pairs: IntArray  # [entries]
-
-    def entering(self, states: IntArray, among: BoolArray) -> IntArray:
-        """The pairs of ``among`` that may lead to one of the states, ascending, each once.
-
-        Args:
-            states: distinct states.
-            among: [pairs].
-        """
-        first = self.offsets[states]
-        lengths = self.offsets[states + 1] - first
-        found = [self.pairs[:0]]
-        for some in segment_chunks(np.concatenate([[0], np.cumsum(lengths)])):
-            pairs = self.pairs[concatenated_ranges(first[some], lengths[some])]
-            found.append(sorted_unique(pairs[among[pairs]]))
-        return found[-1] if len(found) <= 2 else sorted_unique(np.concatenate(found))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -366,8 +352,13 @@ def drain(
         )
         return
     while closed_states.size:
-        entering = before.entering(closed_states, open_pairs)
-        closed_states = close_pairs(model, open_pairs, open_counts, entering)
+        entering = [before.pairs[:0]]
+        lengths = before.offsets[closed_states + 1] - before.offsets[closed_states]
+        for some in segment_chunks(offsets_of(lengths)):
+            pairs = before.pairs[entries_of(before.offsets, closed_states[some])[0]]
+            entering.append(pairs[open_pairs[pairs]])
+        pairs = sorted_unique(np.concatenate(entering))
+        closed_states = close_pairs(model, open_pairs, open_counts, pairs)
 
 
 def close_pairs(

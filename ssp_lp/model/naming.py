@@ -49,10 +49,7 @@ class Summarised:
 
 
 def html_table(
-    title: str,
-    rows: Iterable[Sequence[str]],
-    head: Sequence[str] = (),
-    notes: Iterable[str] = (),
+    title: str, rows: Iterable[Sequence[str]], head: Sequence[str] = (), notes: Iterable[str] = ()
 ) -> str:
     """Rows of text as an HTML table under a title, with notes below it, escaped."""
     lines = [f'<caption style="white-space: nowrap">{escape(title)}</caption>']

@@ -15,12 +15,7 @@ import scipy.sparse as sp
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
 from ssp_lp.compiled.deadline import check_time
 from ssp_lp.model import SSP
-from ssp_lp.model.graph import (
-    attention_states,
-    goal_pairs,
-    pairs_into,
-    surely_reaching,
-)
+from ssp_lp.model.graph import attention_states, goal_pairs, pairs_into, surely_reaching
 from ssp_lp.policies.policy import DeterministicPolicy
 from ssp_lp.processes.conditions import UpperRow
 from ssp_lp.processes.explicit import ExplicitProcess

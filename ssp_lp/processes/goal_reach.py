@@ -75,11 +75,7 @@ class ReachPolicy:
 
 
 def greatest_goal_reach(
-    model: SSP,
-    survival: float = 1.0,
-    start: FloatArray | None = None,
-    *,
-    last_digits: bool = True,
+    model: SSP, survival: float = 1.0, start: FloatArray | None = None, *, last_digits: bool = True
 ) -> GoalReach:
     """MAXPROB: the greatest E[survival^T; goal] from every state.
 

@@ -25,14 +25,7 @@ from ssp_lp.errors import ModelError, did_you_mean, in_short, is_number
 from ssp_lp.model import SSP
 from ssp_lp.model.graph import end_marks
 from ssp_lp.model.product import ProductSSP
-from ssp_lp.processes.conditions import (
-    OBJECTIVE,
-    RESERVED,
-    ArrivalTerm,
-    Condition,
-    StepTerm,
-    Term,
-)
+from ssp_lp.processes.conditions import OBJECTIVE, RESERVED, ArrivalTerm, Condition, StepTerm, Term
 
 NestedCosts = Mapping[Hashable, Mapping[Hashable, float]]
 
@@ -329,7 +322,14 @@ def outcome_costs(model: SSP, name: str, cost: NestedCosts | npt.ArrayLike) -> F
     if isinstance(cost, Mapping):
         given = np.repeat(_listed_costs(model, name, cost), np.diff(model.outcome_offsets))
     else:
-        given = _spread_costs(model, name, _cost_array(name, cost))
+        try:
+            numbers = np.array(cost)
+            if numbers.dtype.kind not in "biufO":  # complex ones and texts numpy would convert
+                raise TypeError(f"{numbers.dtype} is no type of real numbers")
+            numbers = numbers.astype(np.float64)
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
+        given = _spread_costs(model, name, numbers)
     costs = read_only(given, np.float64)
     wrong = ~(np.isfinite(costs) & (costs >= 0.0))
     if wrong.any():
@@ -373,17 +373,6 @@ def _listed_costs(model: SSP, name: str, cost: NestedCosts) -> FloatArray:
                     )
                 result[pair_of[action]] = float(value)
     return result
-
-
-def _cost_array(name: str, cost: npt.ArrayLike) -> FloatArray:
-    """Costs as floats; complex numbers and texts, which numpy would convert, are refused."""
-    try:
-        given = np.array(cost)
-        if given.dtype.kind not in "biufO":
-            raise TypeError(f"{given.dtype} is no type of real numbers")
-        return given.astype(np.float64)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ModelError(f"limit {name!r}: the cost is no array of numbers: {error}") from error
 
 
 def _spread_costs(model: SSP, name: str, given: FloatArray) -> FloatArray:
@@ -530,45 +519,36 @@ def _looked_up_term(model: SSP, name: str, counted: Counted) -> Term:
         case Visits(of):
             return ArrivalTerm(model, _looked_up_states(model, name, of))
         case Ends(ways, others):
-            return ArrivalTerm(model, _looked_up_ends(model, name, ways), final=True, others=others)
+            ends = _looked_up_states(model, name, ways, final=True)
+            return ArrivalTerm(model, ends, final=True, others=others)
 
 
-def _looked_up_states(model: SSP, name: str, of: tuple[Hashable, ...]) -> BoolArray:
-    """States looked up by their own names or by that of a label, [states]."""
+def _looked_up_states(
+    model: SSP, name: str, words: tuple[Hashable, ...], *, final: bool = False
+) -> BoolArray:
+    """States by their own names or by that of a label; or those that end in a way, [states]."""
+    marks, labels = end_marks(model), model.state_labels
+    named: list[Hashable] = ["goal", *labels, "dead_end"]
     mask = np.zeros(model.n_states, dtype=np.bool_)
-    for one in of:
-        if isinstance(one, str) and one in model.state_labels:
-            mask[model.state_labels[one]] = True
+    for word in words:
+        if final and word in named:
+            mask |= marks == named.index(word)
+            continue
+        if not final and isinstance(word, str) and word in labels:
+            mask[labels[word]] = True
             continue
         try:
-            mask[model.places_of(one)] = True
-        except ModelError as error:
-            names = chain(model.state_labels, model.states)
-            raise ModelError(
-                f"limit {name!r}: {one!r} is neither a state nor a label of states"
-                f"{did_you_mean(one, names)}"
-            ) from error
-    return mask
-
-
-def _looked_up_ends(model: SSP, name: str, ways: tuple[Hashable, ...]) -> BoolArray:
-    """States in which an episode ends in one of some ways, [states]."""
-    marks = end_marks(model)
-    named: list[Hashable] = ["goal", *model.state_labels, "dead_end"]
-    mask = np.zeros(model.n_states, dtype=np.bool_)
-    for way in ways:
-        if way in named:
-            mask |= marks == named.index(way)
-            continue
-        try:
-            states = model.places_of(way)
+            states = model.places_of(word)
         except ModelError as error:
             known = ", ".join(repr(k) for k in named)
-            raise ModelError(
-                f"limit {name!r}: {way!r} is no way to end ({known}) and no state"
-                f"{did_you_mean(way, chain(named, model.states))}"
-            ) from error
-        if states.size and (marks[states] < 0).all():  # a horizon may leave none
-            raise ModelError(f"limit {name!r}: no episode ends in state {way!r}: take visits(...)")
-        mask[states[marks[states] >= 0]] = True
+            told = (
+                f"no way to end ({known}) and no state"
+                if final
+                else ("neither a state nor a label of states")
+            )
+            nearest = did_you_mean(word, chain(named if final else labels, model.states))
+            raise ModelError(f"limit {name!r}: {word!r} is {told}{nearest}") from error
+        if final and states.size and (marks[states] < 0).all():  # a horizon may leave none
+            raise ModelError(f"limit {name!r}: no episode ends in state {word!r}: take visits(...)")
+        mask[states[marks[states] >= 0] if final else states] = True
     return mask
