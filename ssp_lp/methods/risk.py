@@ -51,6 +51,7 @@ from ssp_lp.accumulated_cost.charges import (
     TotalCostCharge,
 )
 from ssp_lp.accumulated_cost.cost_law import CostLaw
+from ssp_lp.accumulated_cost.sweep import KEPT_VALUES
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, last_steps, room_of, step_costs, sums_in
 from ssp_lp.analysis.cost_law import success_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
@@ -618,12 +619,14 @@ def exactly_refuted(question: Question, model: SSP, level: float, quantile: floa
         The bound; 0 where nothing is proved.
     """
     bound, share = quantile * (1.0 - _BELOW), _late_share(level)
-    if not (isinstance(question, _QuestionWithinBudget) and rises_by_each_step(model, bound)):
+    if quantile <= 0.0 or not isinstance(question, _QuestionWithinBudget):
+        return 0.0
+    if not rises_by_each_step(model, bound):
         return 0.0
     compiled, budget = question.compiled.charging(LateCharge(bound)), question.budget
-    if compiled.base.width == 1:  # all costs are rounded to nothing
-        return 0.0
     cells = compiled.process.cap * compiled.base.n_nodes
+    if compiled.base.width == 1 or cells > KEPT_VALUES:  # all rounded to nothing, or no table kept
+        return 0.0
     places = int(np.clip(cells // _CELLS_A_PLACE, *_PLACES))
     usable = compiled.greatest.usable if budget is None else None
     within: tuple[float, float] | None = None  # failure, and value at no price, of its line

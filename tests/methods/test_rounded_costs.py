@@ -189,6 +189,14 @@ def test_exact_totals_refute_what_no_policy_keeps_to_and_nothing_else(seed: int)
         assert exactly_refuted(question, model, level, 1.1 * best) == 0.0
 
 
+@pytest.mark.parametrize("budget", [None, 0.25, 1.0])
+def test_a_quantile_is_nothing_where_enough_begins_at_the_goal(budget: float | None) -> None:
+    model, start = corridor([1.3, STEP, 0.4], 2.0), {"r0": 0.5, "r5": 0.5}
+    solution = solve(CostQuantile(model, start, 0.4, budget, cost_levels=200))
+    assert solution.objective == solution.lower_bound == 0.0
+    assert certify(solution).accepted
+
+
 @pytest.mark.parametrize("levels", [None, 5])
 @pytest.mark.parametrize("seed", range(4))
 def test_a_stationary_optimum_needs_no_rounding(seed: int, levels: int | None) -> None:
