@@ -79,13 +79,13 @@ class OccupationMeasure:
 
         In case S the price is that of the ratio: at it, ``cost + price * (spent - bound)`` over the
         goal's probability is c* at least, whatever the policy. Another unit of the bound improves
-        c* by the price over the goal's probability.
+        c* by the price over the goal's probability; where nothing succeeds there is no c*.
         """
-        scale = 1.0 / self._goal if self.program.ratio else 1.0
+        success = self._goal if self.program.ratio else 1.0
         stated = []
         for row in self.program.rows:
             price = self.prices.get(row.name)
-            dual = None if price is None else price * scale
+            dual = None if price is None or success <= 0.0 else price / success
             spent = float(row.coefficients @ self.visits)
             stated.append(MeasuredRow(row.name, spent, row.bound, "<=", price, dual))
         return *stated, *self.own
@@ -112,10 +112,10 @@ class OccupationMeasure:
 
     @cached_property
     def objective(self) -> float:
-        """The program's objective at these visits."""
-        process = self.program.process
-        cost = float(process.cost @ self.visits)
-        cost = cost / self._goal if self.program.ratio else cost
+        """The program's objective at these visits; infinite given success where there is none."""
+        cost, goal = float(self.program.process.cost @ self.visits), self._goal
+        if self.program.ratio:
+            cost = cost / goal if goal > 0.0 else np.inf
         return self.program.sense.worth(cost)
 
     @cached_property

@@ -414,3 +414,12 @@ def test_limits_that_contradict_each_other() -> None:
 def test_a_search_over_programs_is_no_program(criterion) -> None:
     with pytest.raises(ModelError, match="no linear program but a search over many"):
         criterion(DEPOT, "depot", 0.9, 0.05).program()
+
+
+def test_visits_that_never_succeed_have_no_cost_given_success() -> None:
+    program = S3P(DEPOT, "depot", 0.05).program()
+    nothing = program.measure(np.zeros(program.process.n_pairs))
+    assert nothing.objective == np.inf
+    assert nothing.residual == pytest.approx(1.0)
+    assert not nothing.duals
+    assert "objective inf" in str(nothing)
