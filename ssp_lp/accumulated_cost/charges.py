@@ -201,6 +201,7 @@ class Measure(ABC):
 
     maximised: ClassVar[bool] = False  # whether more is better
     is_expectation: ClassVar[bool] = False  # one program answers it; else trials are searched
+    is_a_total: ClassVar[bool] = False  # of costs as they are paid: rounded ones only come near it
 
     @property
     def failing(self) -> float:
@@ -412,6 +413,7 @@ class ExpectedArrivalCost(Charge, Measure):
 class CostQuantileOf(Measure):
     """The level-quantile of the total cost given success."""
 
+    is_a_total: ClassVar[bool] = True
     level: float
 
     @property

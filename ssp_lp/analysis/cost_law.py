@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from ssp_lp.accumulated_cost.charges import Measure
 from ssp_lp.accumulated_cost.cost_law import CostLaw
 from ssp_lp.accumulated_cost.law import ChainProspect
 from ssp_lp.accumulated_cost.policy_layers import chains_of_law
@@ -38,18 +39,33 @@ def success_costs(policy: Policy | MixedPolicy, problem: Problem = NEEDED) -> Co
         >>> law.within(0.3), law.quantile(0.95)
         (0.875, 0.5)
     """
-    return costs_as_counted(*on_one_model(policy, problem, "success_costs"), soon=False)
+    lottery, problem = on_one_model(policy, problem, "success_costs")
+    start, used = start_distribution(problem.model, problem.start), lottery.weights > 0.0
+    members = [member for member, counts in zip(lottery.policies, used, strict=True) if counts]
+    chains = (chains_of_law(problem.model, member, start) for member in members)
+    return law_of_chains(chains, lottery.weights[used])
 
 
-def costs_as_counted(policy: MixedPolicy, problem: Problem, *, soon: bool = True) -> CostLaw:
-    """The law of :func:`success_costs`, of costs as members round them up unless that is soon done.
+def measured_costs(policy: MixedPolicy, problem: Problem) -> CostLaw:
+    """The law that a problem's measure goes by: of costs as the policy's members count them.
 
-    It is what :func:`~ssp_lp.analysis.evaluation.evaluate` goes by.
+    Members may round costs up. A measure that is one of the totals goes by costs as they are paid,
+    where such a law is soon followed.
     """
-    start, used = start_distribution(problem.model, problem.start), policy.weights > 0.0
+    start, measure = start_distribution(problem.model, problem.start), problem.semantics.measure
+    used = policy.weights > 0.0
     members = [member for member, counts in zip(policy.policies, used, strict=True) if counts]
-    chains = (chains_of_law(problem.model, member, start, soon=soon) for member in members)
-    return law_of_chains(chains, policy.weights[used])
+    chains = [chains_of_law(problem.model, member, start, soon=True) for member in members]
+    return measured_law(chains, policy.weights[used], measure)
+
+
+def measured_law(
+    chains: Iterable[tuple[Chain, Chain]], weights: FloatArray, measure: Measure | None
+) -> CostLaw:
+    """The law of :func:`measured_costs` from its members' chains, as :func:`law_of_chains`."""
+    if measure is not None and measure.is_a_total:
+        return law_of_chains(chains, weights)
+    return law_of_chains(((counted, counted) for _, counted in chains), weights)
 
 
 def law_of_chains(chains: Iterable[tuple[Chain, Chain]], weights: FloatArray) -> CostLaw:

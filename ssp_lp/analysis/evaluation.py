@@ -17,7 +17,7 @@ from ssp_lp.accumulated_cost.policy_layers import (
     TotalledReward,
     chains_of_law,
 )
-from ssp_lp.analysis.cost_law import law_of_chains
+from ssp_lp.analysis.cost_law import measured_law
 from ssp_lp.analysis.quantity_values import (
     check_giving_up,
     complement,
@@ -148,7 +148,7 @@ def evaluate_each(
     each = [_evaluation_of(member, problem) for member in members]
     if measure is None:
         return evaluation, each
-    law = law_of_chains(chains, lottery.weights[lottery.weights > 0.0])
+    law = measured_law(chains, lottery.weights[lottery.weights > 0.0], measure)
     return replace(evaluation, objective=measure.of(law)), each
 
 

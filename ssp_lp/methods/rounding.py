@@ -32,7 +32,7 @@ import numpy as np
 
 from ssp_lp.accumulated_cost.charges import CostQuantileOf, TailMeanOf, WithinBound
 from ssp_lp.accumulated_cost.totals import MOST_SUMS, step_costs, sums_in, totals_of
-from ssp_lp.analysis.cost_law import costs_as_counted
+from ssp_lp.analysis.cost_law import measured_costs
 from ssp_lp.analysis.evaluation import Evaluation, evaluate
 from ssp_lp.arrays import SAME_TOTAL, offsets_of, read_only
 from ssp_lp.column_generation.column import (
@@ -519,10 +519,10 @@ def _rounded_attempts(problem: Problem, options: SolveOptions) -> Iterator[_Roun
             members = tuple(_rounding_up(p, problem.model, unit) for p in solution.policy.policies)
             policy = MixedPolicy(members, solution.policy.weights)
             solution = replace(solution, policy=policy, value_function=None)
-            if isinstance(measure, CostQuantileOf):  # one of the totals, where these are few
-                law = costs_as_counted(policy, problem)
+            if measure is not None and measure.is_a_total:
+                law = measured_costs(policy, problem)
                 if law.is_finer:
-                    attained = min(law.quantile(measure.level), solution.objective)
+                    attained = min(measure.of(law), solution.objective)
                     solution = replace(solution, objective=attained)
             if best is None or sign * solution.objective < sign * best.objective:
                 best = solution
@@ -600,7 +600,7 @@ def _starting_point(problem: Problem, best: Solution) -> Near | None:
     """Where a risk's search may begin, from the policy of coarser costs."""
     match problem.semantics.measure:
         case CostQuantileOf(level) | TailMeanOf(level):
-            quantile = costs_as_counted(best.policy, problem).quantile(level)
+            quantile = measured_costs(best.policy, problem).quantile(level)
             price = best.failure_price
             return Near(quantile, 0.0 if price is None else price + best.objective)
     return None
@@ -654,7 +654,7 @@ def _rounded_solution(problem: Problem, attempt: _Rounded, options: SolveOptions
     measure = problem.semantics.measure
     if measure is not None and measure.charge.settled is None and not is_late():
         with WithIncumbent():
-            attained = measure.of(costs_as_counted(best.policy, problem))  # beyond its table, too
+            attained = measure.of(measured_costs(best.policy, problem))  # beyond its table, too
     told = best.note
     if two_sided_gap(attained, bound) > options.tolerance and not is_late():
         more = "no room for more levels"

@@ -148,8 +148,8 @@ def test_ctrl_c_while_the_answer_is_measured_keeps_it(monkeypatch: pytest.Monkey
     """A utility that never settles is measured beyond its table, last of all."""
     problem = questions(corridor([1.3, STEP, 0.4], 2.0), 50)[3]
     best = solve(problem)
-    pressed = pressed_at(0, rounding.costs_as_counted)
-    monkeypatch.setattr(rounding, "costs_as_counted", pressed)
+    pressed = pressed_at(0, rounding.measured_costs)
+    monkeypatch.setattr(rounding, "measured_costs", pressed)
     solution = solve(problem)
     monkeypatch.undo()
     check_interrupted(solution, best)
