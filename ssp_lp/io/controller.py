@@ -34,11 +34,12 @@ from __future__ import annotations
 
 import json
 import random
+import sys
 from bisect import bisect_left
 from collections.abc import Hashable
 from contextlib import suppress
 from hashlib import sha256
-from math import ceil, isclose, isfinite
+from math import ceil, isclose
 from numbers import Integral, Real
 from os import PathLike
 from typing import Any, cast
@@ -160,7 +161,7 @@ class Controller:
             raise RuntimeError("observe() was called before the first action() of the episode")
         if self._is_observed and self._is_model:
             raise ValueError("observe() was called twice after one action()")
-        if not (isinstance(cost, Real) and isfinite(cost) and cost >= 0.0):
+        if not (isinstance(cost, Real) and 0.0 <= cost <= sys.float_info.max):
             raise ValueError(f"observed cost {cost!r} must be a number >= 0, and finite")
         if there in self._ends:
             self._is_over, self._answer = True, None

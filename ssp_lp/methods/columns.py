@@ -9,7 +9,7 @@ import numpy as np
 
 from ssp_lp.analysis.evaluation import Evaluation
 from ssp_lp.arrays import BELOW_RATIO, LEAST_BUDGET, RELATIVE_GAP
-from ssp_lp.column_generation.column import FailureRow, relative_gap
+from ssp_lp.column_generation.column import CONTRADICTION, FailureRow, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
     CompiledExplicit,
     CompiledProblem,
@@ -224,7 +224,7 @@ def prove_within_budget(solution: Solution, evaluation: Evaluation, attained: fl
             if sense.constant is None
             else sense.constant - evaluation.objective
         )
-        if not (kept and value < least.objective_bound):
+        if not (kept and relative_gap(least.objective_bound, value) > CONTRADICTION):
             bound = max(bound, least.objective_bound)
     return _proved_as_asked(sense, evaluation, bound, row.budget, tail)
 

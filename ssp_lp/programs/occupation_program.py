@@ -19,7 +19,13 @@ import numpy as np
 import numpy.typing as npt
 
 from ssp_lp.arrays import BELOW_RATIO, FloatArray
-from ssp_lp.errors import InfeasibleError, ModelError, SolverError
+from ssp_lp.errors import (
+    InfeasibleError,
+    ModelError,
+    SolverError,
+    is_number,
+    wrong_argument,
+)
 from ssp_lp.linear_programming.backends import answers_in_turn, backends_for, run_backend
 from ssp_lp.linear_programming.in_full import as_latex, as_table, is_small, words_as_latex
 from ssp_lp.linear_programming.linear_program import LinearProgram, LPAnswer, check_bounds
@@ -413,7 +419,13 @@ class OccupationProgram:
         Args:
             prices: >= 0, by name; a row that is not named costs nothing.
             ratio: in case S what success earns; c* where the prices are optimal.
+
+        Raises:
+            ModelError: a price or the ratio is no finite number.
         """
+        for name, price in {"ratio": ratio, **prices}.items():
+            if not (is_number(price) and np.isfinite(float(price))):
+                raise wrong_argument(name, "be a finite number", price)
         if self.reduced is not None:
             found = self.reduced.program.values_at(prices, ratio)
             return self.reduced.values(self, found)

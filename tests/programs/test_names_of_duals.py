@@ -142,6 +142,15 @@ def test_values_of_case_s_are_the_cost_less_what_success_earns() -> None:
         solution.values["depot"]
 
 
+@pytest.mark.parametrize("price", [10**400, float("nan"), float("inf"), "1", None])
+def test_values_at_what_is_no_price_are_refused(price) -> None:
+    program = S3P(DEPOT, "depot", failure_budget=0.05).program()
+    with pytest.raises(ModelError, match="failure must be a finite number"):
+        program.values_at({"failure": price})
+    with pytest.raises(ModelError, match="ratio must be a finite number"):
+        program.values_at({"failure": 1.0}, price)
+
+
 def test_prices_hold_within_their_ranges() -> None:
     limits = {"rare": visits("depot") <= 40.0}
     program = MCMP(DEPOT, "depot", 0.05, constraints=limits).program()

@@ -44,6 +44,29 @@ def test_a_budget_just_above_the_least_failure_is_proved_by_both(seed, criterion
         budget = np.nextafter(budget, 2.0)
 
 
+def test_a_lottery_that_beats_the_least_failure_by_rounding_keeps_the_proof() -> None:
+    """Hardly any mass passes by 1, where failing early saves much: 1e-14 of it tells nothing."""
+    onward, back = 0.003391633322673214, 0.22417694165728505
+    table = {
+        0: {0: [(onward, 1, 0.0), (back, 1, 3.0), (0.7724314250200418, "d", 2.0)]},
+        1: {
+            0: [
+                (0.49693458213497843, 5, 0.0),
+                (0.49799036259519697, 1, 1.0),
+                (0.005075055269824562, "d", 0.0),
+            ],
+            1: [(0.9999999999999999, 3, 1.0)],
+        },
+        3: {0: [(1.0, 5, 2.0)]},
+        5: {1: [(1.0, "g", 3.0)]},
+        "d": {},
+    }
+    model = SSP.from_transitions(table, goal={"g"}, treat_actionless_as_dead_ends=True)
+    for budget in (0.7724314250200417, 0.7724314250200418, 0.772431425020042):
+        solution = solve(S3P(model, 0, failure_budget=budget))
+        assert certify(solution).gap <= max(1e-9, 10.0 * solution.gap), budget
+
+
 def rare(seed: int) -> SSP:
     """A small model whose probabilities are 1 down to 1e-10, and costs whole."""
     rng = np.random.default_rng(seed)
