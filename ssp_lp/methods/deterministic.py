@@ -33,6 +33,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import cast
 
 import highspy
@@ -42,13 +43,12 @@ from scipy.sparse import csgraph, linalg
 
 from ssp_lp.accumulated_cost.process import LayeredProcess
 from ssp_lp.arrays import BoolArray, FloatArray, IntArray
-from ssp_lp.column_generation.column import Column, FailureRow, relative_gap
+from ssp_lp.column_generation.column import Column, relative_gap
 from ssp_lp.column_generation.compiled_problem import (
     CompiledAccumulatedCost,
     CompiledExplicit,
     CompiledProblem,
 )
-from ssp_lp.column_generation.search import Generated
 from ssp_lp.compiled.deadline import WithIncumbent, is_late
 from ssp_lp.errors import Argument, ModelError, SolverError
 from ssp_lp.linear_programming.highs import HighsOptions, highs_lp, highs_solver, run_highs
@@ -63,12 +63,23 @@ from ssp_lp.programs.program_rows import rows_program
 from ssp_lp.solution import Found, Solution
 
 _OPEN = 1e-6  # relative gap from which determinism is said to cost at most so much
+_DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
+_RATIOS = 30  # Dinkelbach's iteration converges in a handful
+_SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances of prices, up and down
+_SKIPS = 8  # states skipped on the way between two policies
+_REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
+_ROUNDING = 1e-13
+_SMALL = 1e-10  # relative
+"""A policy's failure, summed in another order, may lie so far above the budget that it meets."""
 
 
 def best_deterministic(
     mixed: Solution, outcome: RefinedOutcome, tolerance: float, deadline: float
 ) -> Solution:
     """The best single deterministic policy, beside the best lottery.
+
+    The search begins with the best member of the lottery that keeps to the budget and the policies
+    between its members; the lottery's own bound is the first lower bound.
 
     Args:
         mixed: the best lottery; its price of failure and its value function are kept.
@@ -77,12 +88,22 @@ def best_deterministic(
         deadline: on the clock of ``time.perf_counter``.
 
     Raises:
-        ModelError: the formulation is not supported, or its process is too large.
+        ModelError: the process is too large.
     """
-    single, finished = best_single_policy(outcome, tolerance, deadline)
+    generated, row = outcome.found, outcome.row
+    most = row.budget + min(_ROUNDING, _SMALL * row.budget)
+    inside = [column for column in generated.columns if column.failure <= most]
+    column = min(inside, key=lambda c: row.objective(c.cost, c.goal))
+    value, policy = row.objective(column.cost, column.goal), outcome.compiled.pricing().policy
+    incumbent = Found(policy(column), value, generated.lower_bound, column.failure)
+    search = _PolicySearch(outcome, most, incumbent, tolerance, deadline)
+    finished = len(generated.columns) == 1 and generated.finished
+    if len(generated.columns) > 1 and not is_late():
+        with WithIncumbent():
+            finished = search.run()
+    single = search.best
     gap = relative_gap(single.value, single.bound)
-    is_open = gap > _OPEN
-    cost = f"{'at most ' if is_open else ''}{max(single.value - mixed.objective, 0.0):.9g}"
+    cost = f"{'at most ' if gap > _OPEN else ''}{max(single.value - mixed.objective, 0.0):.9g}"
     remarks = [
         f"deterministic: the mixed optimum is {mixed.objective:.9g}, determinism costs {cost}"
     ]
@@ -102,247 +123,154 @@ def best_deterministic(
     )
 
 
-_ROUNDING = 1e-13
-_SMALL = 1e-10  # relative
-"""A policy's failure, summed in another order, may lie so far above the budget that it meets."""
-
-_DUAL = 1e-9  # relative error that is allowed to HiGHS's bound
-_RATIOS = 30  # Dinkelbach's iteration converges in a handful
-_SPREADS = (1e-6, 0.03, 0.1, 0.3, 1.0, 3.0)  # relative distances of prices, up and down
-_SKIPS = 8  # states skipped on the way between two policies
-_REFUSED = 100  # policies that keep to the budget by HiGHS's tolerances only
-
-
 @dataclass(eq=False)
 class _PolicySearch:
-    """The best policy so far, and the process that it is measured on."""
+    """The best policy so far, and the process that it is measured on. Mutable: it improves."""
 
-    relaxation: DeterministicRelaxation
-    row: FailureRow
+    outcome: RefinedOutcome  # of the search for the best lottery
+    most: float  # failure of a policy that keeps to the budget: rounding is allowed for
     best: Found  # its bound holds of every policy
     tolerance: float  # relative
     deadline: float
     refused: int = 0
     choice: IntArray | None = None  # [states] of the best policy, where it was found here
 
-    def take(self, answer: IntegerAnswer) -> bool:
-        """Measure an answer's policy and keep it if it is the best; whether it is within budget."""
-        return answer.choice is not None and self.offer(answer.choice)
+    @cached_property
+    def relaxation(self) -> DeterministicRelaxation:
+        """The process written out."""
+        return deterministic_relaxation(self.outcome.compiled, self.outcome.found.price)
+
+    def run(self) -> bool:
+        """Walk between two policies, then solve the programs; whether the search was finished."""
+        relaxation, bound = self.relaxation, self.outcome.found.lower_bound
+        self._walk_between_members()
+        if relative_gap(self.best.value, bound) <= self.tolerance:
+            return True
+        free = relaxation.may_randomise
+        proved, finished = self._integer_bound(relaxation.process, np.zeros_like(free))
+        if free.any():
+            proved, finished = self._integer_bound(relaxation.relaxed, free)
+        self.best = replace(self.best, bound=min(max(proved, bound), self.best.value))
+        return finished
 
     def offer(self, choice: IntArray) -> bool:
         """Measure a choice and keep it if it is the best; whether it is within budget."""
-        whole = self.completed(choice)[0]
-        if whole is None:
-            return False
-        kept = False
-        for column in self.relaxation.measure(whole):
-            if column.failure > _largest_failure(self.row):
+        relaxation, row, kept = self.relaxation, self.outcome.row, False
+        whole = relaxation.completed(choice)[0]
+        for column in () if whole is None else relaxation.measure(whole):
+            if column.failure > self.most:
                 continue
-            kept, value = True, self.row.objective(column.cost, column.goal)
+            kept, value = True, row.objective(column.cost, column.goal)
             if value <= self.best.value:
                 self.choice = whole
             if value < self.best.value:
-                policy = self.relaxation.compiled.pricing().policy(column)
-                better = Found(policy, value, self.best.bound, column.failure)
-                self.best = better
+                policy = relaxation.compiled.pricing().policy(column)
+                self.best = Found(policy, value, self.best.bound, column.failure)
         return kept
 
-    def completed(self, choice: IntArray) -> tuple[IntArray | None, BoolArray]:
-        """The choice where it leads, a safe one elsewhere; None if it holds mass for ever."""
-        process = self.relaxation.process
-        chain = sp.csr_array(process.transitions[choice])
-        chain.eliminate_zeros()
-        reached = within_reach(chain, process.start > 0)
-        leaks = process.goal[choice] + process.failure[choice] > 0
-        leaves = within_reach(sp.csr_array(chain.T), leaks)
-        if (reached & ~leaves).any():
-            return None, reached
-        return np.where(reached, choice, self.relaxation.fallback), reached
+    def _walk_between_members(self) -> None:
+        """Begin with policies between two, as near to the budget as changing states allows.
 
+        The two that are best at prices just beside the lottery's are both optimal at it, and so is
+        every policy that follows the one in some states and the other elsewhere: of these, the one
+        that fails most within the budget is cheapest. Farther prices differ in more states.
+        """
+        compiled, price = self.relaxation.compiled, self.outcome.found.price
+        for spread in _SPREADS:
+            if is_late():
+                return
+            safe, risky = (
+                compiled.explicit_choice(compiled.pricing().minimise(price * factor))
+                for factor in (1.0 + spread, 1.0 / (1.0 + spread))
+            )
+            differing = np.flatnonzero(safe != risky)
+            for order in (differing, differing[::-1]):
+                if self.offer(safe):
+                    self._walk(safe, risky, order)
 
-def best_single_policy(
-    outcome: RefinedOutcome, tolerance: float, deadline: float
-) -> tuple[Found, bool]:
-    """Search for the best deterministic policy, stationary in the states of the process.
+    def _walk(self, safe: IntArray, risky: IntArray, order: IntArray) -> None:
+        """Change states in order while that keeps to the budget, by bisection; skip the next.
 
-    The search begins with the best member of the best lottery that keeps to the budget and the
-    policies between its members; the lottery's own bound is the first lower bound.
+        Args:
+            safe: a choice that keeps to the budget, [states].
+            risky: another, [states].
+            order: states in which they differ.
+        """
+        here = safe
+        for _ in range(_SKIPS):
+            kept, broken = 0, order.size + 1  # states changed, and too many
+            while broken - kept > 1 and not is_late():
+                middle = (kept + broken) // 2
+                within = self.offer(_with_states(here, risky, order[:middle]))
+                kept, broken = (middle, broken) if within else (kept, middle)
+            here, order = _with_states(here, risky, order[:kept]), order[kept + 1 :]
+            if order.size == 0:
+                return
 
-    Args:
-        outcome: of the search for the best lottery.
-        tolerance: relative gap at which to stop.
-        deadline: on the clock of ``time.perf_counter``.
+    def _integer_bound(self, process: ExplicitProcess, free: BoolArray) -> tuple[float, bool]:
+        """A lower bound of what policies of a process attain, and whether the search was finished.
 
-    Returns:
-        The policy, with a bound of every one, and whether the search was finished.
+        Case S by Dinkelbach's iteration. Where no policy is worth less than D >= -1 at the price c
+        of success, ``cost >= c * goal + D``, so that ``cost / goal >= c + D / (1 - budget)`` for
+        D < 0.
 
-    Raises:
-        ModelError: the process is of no known kind, or too large.
-    """
-    generated, row, pricing = outcome.found, outcome.row, outcome.compiled.pricing()
-    inside = [c for c in generated.columns if c.failure <= _largest_failure(row)]
-    first = min(inside, key=lambda c: row.objective(c.cost, c.goal))
-    value = row.objective(first.cost, first.goal)
-    start = Found(pricing.policy(first), value, generated.lower_bound, first.failure)
-    if len(generated.columns) == 1 or is_late():
-        return start, len(generated.columns) == 1 and generated.finished
-    search: _PolicySearch | None = None
-    with WithIncumbent():
-        relaxation = deterministic_relaxation(outcome.compiled, generated.price)
-        search = _PolicySearch(relaxation, row, start, tolerance, deadline)
-        return _searched_policies(search, generated)
-    return start if search is None else search.best, False
-
-
-def _searched_policies(search: _PolicySearch, generated: Generated) -> tuple[Found, bool]:
-    """Walk between two policies, then solve the programs; the search keeps the best policy."""
-    relaxation, tolerance = search.relaxation, search.tolerance
-    _walk_between_members(search, generated.price)
-    if relative_gap(search.best.value, generated.lower_bound) <= tolerance:
-        return search.best, True
-    bound, finished = _integer_bound(search, relaxation.process, is_relaxed=False)
-    if relaxation.may_randomise.any():
-        bound, finished = _integer_bound(search, relaxation.relaxed, is_relaxed=True)
-    best = search.best
-    return replace(best, bound=min(max(bound, generated.lower_bound), best.value)), finished
-
-
-def _largest_failure(row: FailureRow) -> float:
-    """The budget, with room for rounding."""
-    return row.budget + min(_ROUNDING, _SMALL * row.budget)
-
-
-def _walk_between_members(search: _PolicySearch, price: float) -> None:
-    """Begin the search with policies between two, as near to the budget as changing states allows.
-
-    The two that are best at prices just beside the lottery's are both optimal at it, and so is
-    every policy that follows the one in some states and the other elsewhere: of these, the one that
-    fails most within the budget is cheapest. Farther prices differ in more states.
-    """
-    compiled = search.relaxation.compiled
-    for spread in _SPREADS:
-        if is_late():
-            return
-        safe, risky = (
-            compiled.explicit_choice(compiled.pricing().minimise(price * factor))
-            for factor in (1.0 + spread, 1.0 / (1.0 + spread))
+        Args:
+            process: the process.
+            free: states that may randomise, so that answers are no policies, [states].
+        """
+        row, incumbent = self.outcome.row, self.best.value
+        ratio, share = (incumbent, 1.0 - row.budget) if row.ratio else (0.0, 1.0)
+        visits = most_visits(
+            process, row.budget, 0.0 if row.ratio else incumbent, ratio, self.deadline
         )
-        differing = np.flatnonzero(safe != risky)
-        for order in (differing, differing[::-1]):
-            if search.offer(safe):
-                _walk(search, safe, risky, order)
+        if visits is None:
+            return 0.0, False
+        gap = 0.0 if row.ratio else self.tolerance
+        program = IntegerProgram(process, self.most, visits, free, max(gap, _LEAST_GAP))
+        if program.pairs.size == 0:
+            return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
+        bound = 0.0
+        for _ in range(_RATIOS):
+            if self.choice is not None:
+                program.start_at(self.choice)
+            answer = self._solved_without_refused(program, process.cost - ratio * process.goal)
+            least = answer.bound - (_DUAL * (1.0 + abs(answer.bound)))
+            if np.isfinite(answer.bound) and row.ratio:
+                beyond = least / share if share > 0.0 else -np.inf
+                least = ratio if least >= 0.0 else max(ratio + beyond, 0.0)
+            bound = max(bound, min(least, incumbent))
+            if not answer.finished:
+                return bound, False
+            better = ratio
+            if row.ratio and answer.x is not None:
+                goal = float(process.goal @ answer.x)
+                better = float(process.cost @ answer.x) / goal if goal > 0.0 else np.inf
+            if not better < ratio * (1.0 - _DUAL):
+                return bound, True
+            ratio = better
+        return bound, False
+
+    def _solved_without_refused(self, program: IntegerProgram, cost: FloatArray) -> IntegerAnswer:
+        """Solve, and solve again without each policy that breaks the budget when measured."""
+        while True:
+            answer = program.solve(cost, self.deadline)
+            choice = answer.choice
+            if choice is None or self.offer(choice) or program.free.any():
+                return answer
+            if self.refused == _REFUSED:
+                return replace(answer, finished=False)
+            self.refused += 1
+            program.forbid(choice[self.relaxation.completed(choice)[1]])
 
 
-def _walk(search: _PolicySearch, safe: IntArray, risky: IntArray, order: IntArray) -> None:
-    """Change states in order while that keeps to the budget, by bisection; skip one that does not.
-
-    Args:
-        search: keeps the policies on the way.
-        safe: a choice that keeps to the budget, [states].
-        risky: another, [states].
-        order: states in which they differ.
-    """
-    here = safe
-    for _ in range(_SKIPS):
-        kept, broken = 0, order.size + 1  # states changed, and too many
-        while broken - kept > 1 and not is_late():
-            middle = (kept + broken) // 2
-            within = search.offer(_mixed_choice(here, risky, order[:middle]))
-            kept, broken = (middle, broken) if within else (kept, middle)
-        here, order = _mixed_choice(here, risky, order[:kept]), order[kept + 1 :]
-        if order.size == 0:
-            return
-
-
-def _integer_bound(
-    search: _PolicySearch, process: ExplicitProcess, *, is_relaxed: bool
-) -> tuple[float, bool]:
-    """A lower bound of what policies of a process attain, and whether the search was finished.
-
-    Case S by Dinkelbach's iteration. Where no policy is worth less than D >= -1 at the price c of
-    success, ``cost >= c * goal + D``, so that ``cost / goal >= c + D / (1 - budget)`` for D < 0.
-
-    Args:
-        search: keeps the policies that are found.
-        process: the process.
-        is_relaxed: whether free states may randomise, so that answers are no policies.
-    """
-    row, known = search.row, search.best.value
-    limits = (0.0, known) if row.ratio else (known, 0.0)
-    visits = most_visits(process, row.budget, *limits, search.deadline)
-    if visits is None:
-        return 0.0, False
-    free = search.relaxation.may_randomise & is_relaxed
-    program = IntegerProgram(process, _largest_failure(row), visits, free)
-    if not row.ratio:
-        program.stop_at(search.tolerance)
-    if program.pairs.size == 0:
-        return 0.0, True  # nothing is to be decided: the lottery's bound is all there is
-    ratio, bound = known if row.ratio else 0.0, 0.0
-    for _ in range(_RATIOS):
-        cost = process.cost - ratio * process.goal
-        _begin_at_incumbent(search, program, cost)
-        answer = _solved_without_refused(search, program, cost, is_relaxed=is_relaxed)
-        bound = max(bound, min(_bound_from_integers(row, ratio, answer.bound), known))
-        if not answer.finished:
-            return bound, False
-        better = ratio
-        if row.ratio and answer.x is not None:
-            goal = float(process.goal @ answer.x)
-            better = float(process.cost @ answer.x) / goal if goal > 0.0 else np.inf
-        if not better < ratio * (1.0 - _DUAL):
-            return bound, True
-        ratio = better
-    return bound, False
-
-
-def _begin_at_incumbent(search: _PolicySearch, program: IntegerProgram, cost: FloatArray) -> None:
-    """Begin at the best policy so far, where it is one of the process's."""
-    choice = search.choice
-    if choice is None:
-        return
-    chain = sp.csc_array(program.process.transitions[choice].T)
-    stay = sp.csc_array(sp.eye_array(len(choice)) - chain)
-    x = np.zeros(len(cost))
-    x[choice] = linalg.spsolve(stay, program.process.start)
-    program.start_at(x, choice)
-
-
-def _solved_without_refused(
-    search: _PolicySearch, program: IntegerProgram, cost: FloatArray, *, is_relaxed: bool
-) -> IntegerAnswer:
-    """Solve, and solve again without each policy that breaks the budget when it is measured."""
-    while True:
-        answer = program.solve(cost, search.deadline)
-        if search.take(answer) or answer.choice is None or is_relaxed:
-            return answer
-        if search.refused == _REFUSED:
-            return replace(answer, finished=False)
-        search.refused += 1
-        program.forbid(answer.choice, search.completed(answer.choice)[1])
-
-
-def _bound_from_integers(row: FailureRow, ratio: float, value: float) -> float:
-    """The objective's bound from the least ``cost - ratio * goal`` of any policy."""
-    if not np.isfinite(value):
-        return value
-    safe, share = value - _DUAL * (1.0 + abs(value)), 1.0 - row.budget
-    if not row.ratio:
-        return safe
-    if safe >= 0.0:
-        return ratio
-    return max(ratio + safe / share, 0.0) if share > 0.0 else 0.0
-
-
-def _mixed_choice(first: IntArray, second: IntArray, states: IntArray) -> IntArray:
-    """The first choice of pairs, in some states the second, [states]."""
-    mixed = first.copy()
-    mixed[states] = second[states]
+def _with_states(choice: IntArray, other: IntArray, states: IntArray) -> IntArray:
+    """A choice of pairs with another one's in some states, [states]."""
+    mixed = choice.copy()
+    mixed[states] = other[states]
     return mixed
 
 
 _MOST_PAIRS = 500_000
-_METHOD = Argument("method", "deterministic")
 _ENDLESS = 1e9  # price of failure, relative to 1 + the optimal one, by which no tail fails at will
 
 
@@ -363,6 +291,18 @@ class DeterministicRelaxation:
     fallback: IntArray  # [states] pairs of a policy that leaves from every state
     measure: Callable[[IntArray], list[Column]]  # a choice to policies, each measured exactly
 
+    def completed(self, choice: IntArray) -> tuple[IntArray | None, BoolArray]:
+        """The choice where it leads, a safe one elsewhere; None if it holds mass for ever."""
+        process = self.process
+        chain = sp.csr_array(process.transitions[choice])
+        chain.eliminate_zeros()
+        reached = within_reach(chain, process.start > 0)
+        leaks = process.goal[choice] + process.failure[choice] > 0
+        leaves = within_reach(sp.csr_array(chain.T), leaks)
+        if (reached & ~leaves).any():
+            return None, reached
+        return np.where(reached, choice, self.fallback), reached
+
 
 def deterministic_relaxation(compiled: CompiledProblem, price: float) -> DeterministicRelaxation:
     """Write a process out.
@@ -375,54 +315,46 @@ def deterministic_relaxation(compiled: CompiledProblem, price: float) -> Determi
         ModelError: there are too many pairs.
     """
     exact = compiled.for_program()
+    if exact.n_columns > _MOST_PAIRS:
+        raise ModelError(
+            Argument("method", "deterministic"),
+            f": a mixed-integer program of {exact.n_columns:,} pairs is too large (at most "
+            f"{_MOST_PAIRS:,}); a coarser grid of costs or a lower ",
+            Argument("cost_cap"),
+            " makes it less",
+        )
+    process = relaxed = exact.explicit()
+    free = np.zeros(process.n_states, dtype=np.bool_)
     if exact.charge is None:
-        return _labelled_relaxation(cast("CompiledExplicit", exact), price)
-    return _layered_relaxation(cast("CompiledAccumulatedCost", exact), price)
+        labelled = cast("CompiledExplicit", exact)
+        merged = _merged_nodes(cast("FailureLabelled", labelled.augmented).quotient)
+        free[: len(merged)] = merged
 
+        def measure(choice: IntArray) -> list[Column]:
+            """A choice, measured."""
+            return [labelled.explicit_pricing.measure(choice.astype(np.int32))]
 
-def _labelled_relaxation(compiled: CompiledExplicit, price: float) -> DeterministicRelaxation:
-    """The process of case M, in which merged nodes may randomise."""
-    pricing = compiled.explicit_pricing
-    process = pricing.process
-    _check_pairs(process.n_pairs)
-    best = pricing.minimise(price)
-    free = np.zeros(process.n_states, dtype=np.bool_)
-    merged = _merged_nodes(cast("FailureLabelled", compiled.augmented).quotient)
-    free[: len(merged)] = merged
-    return DeterministicRelaxation(
-        compiled=compiled,
-        process=process,
-        relaxed=process,
-        may_randomise=free & within_reach(steps_between(process), process.start > 0),
-        fallback=compiled.explicit_choice(best),
-        measure=lambda choice: [pricing.measure(choice.astype(np.int32))],
-    )
+    else:
+        layered = cast("CompiledAccumulatedCost", exact)
+        base, cap, pricing = layered.base, layered.layers, layered.pricing()
+        beyond = np.arange((base.width - 1) * base.n_nodes) + cap * base.n_nodes
+        free[: cap * base.n_nodes] = np.tile(_merged_nodes(base.quotient), cap)
+        free[beyond] = True
+        relaxed = _with_loose_tails(process, layered.process, beyond)
 
-
-def _layered_relaxation(compiled: CompiledAccumulatedCost, price: float) -> DeterministicRelaxation:
-    """The process of case S, layer by layer, with loose tails."""
-    layered, pricing = compiled.process, compiled.pricing()
-    base, cap = layered.base, layered.cap
-    _check_pairs(cap * len(base.gain))
-    process = compiled.explicit()
-    beyond = np.arange((base.width - 1) * base.n_nodes) + cap * base.n_nodes
-    free = np.zeros(process.n_states, dtype=np.bool_)
-    free[: cap * base.n_nodes] = np.tile(_merged_nodes(base.quotient), cap)
-    free[beyond] = True
-    prices = (price, 0.0, _ENDLESS * (1.0 + price))
-
-    def measure(choice: IntArray) -> list[Column]:
-        """A choice followed by the tails of each price, measured."""
-        within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
-        shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
-        return [pricing.measure((within - shift).astype(np.int32), tail) for tail in prices]
+        def measure(choice: IntArray) -> list[Column]:
+            """A choice followed by the tails of each price, measured."""
+            within = choice[: cap * base.n_nodes].reshape(cap, base.n_nodes)
+            shift = np.arange(cap)[:, None] * len(base.gain) + base.pair_offsets[:-1]
+            tails = (price, 0.0, _ENDLESS * (1.0 + price))
+            return [pricing.measure((within - shift).astype(np.int32), tail) for tail in tails]
 
     return DeterministicRelaxation(
-        compiled=compiled,
+        compiled=exact,
         process=process,
-        relaxed=_with_loose_tails(process, layered, beyond),
+        relaxed=relaxed,
         may_randomise=free & within_reach(steps_between(process), process.start > 0),
-        fallback=compiled.explicit_choice(pricing.minimise(price)),
+        fallback=exact.explicit_choice(exact.pricing().minimise(price)),
         measure=measure,
     )
 
@@ -453,18 +385,6 @@ def _merged_nodes(quotient: Quotient) -> BoolArray:
     return np.asarray(members > 1)
 
 
-def _check_pairs(n_pairs: int) -> None:
-    """Raise :class:`ModelError` where a process is too large for an integer program."""
-    if n_pairs > _MOST_PAIRS:
-        raise ModelError(
-            _METHOD,
-            f": a mixed-integer program of {n_pairs:,} pairs is too large (at most "
-            f"{_MOST_PAIRS:,}); a coarser grid of costs or a lower ",
-            Argument("cost_cap"),
-            " makes it less",
-        )
-
-
 def within_reach(steps: sp.csr_array, start: BoolArray) -> BoolArray:
     """States to which a path leads, the first ones included, [states]."""
     n = len(start)
@@ -492,7 +412,6 @@ _LEAST_GAP = 1e-10
 _POLL = 0.1  # seconds between two looks at whether HiGHS has ended
 
 _OPTIONS: HighsOptions = {
-    "mip_rel_gap": _LEAST_GAP,
     "mip_abs_gap": _LEAST_GAP,
     "mip_feasibility_tolerance": 1e-9,
     "primal_feasibility_tolerance": 1e-9,
@@ -502,16 +421,12 @@ _OPTIONS: HighsOptions = {
 _OVER = {highspy.HighsModelStatus.kInfeasible, highspy.HighsModelStatus.kUnboundedOrInfeasible}
 
 
-def _run_integer_program(solver: highspy.Highs) -> None:
-    """Run HiGHS beside this thread, which so hears of Ctrl-C and ends it."""
-    solver.startSolve()
-    try:
-        while not solver.wait(_POLL)[0]:
-            pass
-    except KeyboardInterrupt:
-        solver.cancelSolve()  # type: ignore[no-untyped-call]
-        solver.wait()
-        raise
+def _has_time(solver: highspy.Highs, cost: FloatArray, deadline: float) -> bool:
+    """Give HiGHS a cost of its first columns, and the time that is left, if there is any."""
+    left = deadline - time.perf_counter()
+    solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
+    solver.changeColsCost(cost.size, np.arange(cost.size, dtype=np.int32), cost)
+    return left > 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -528,7 +443,12 @@ class IntegerProgram:
     """The mixed-integer program of a process, from which policies can be excluded one by one."""
 
     def __init__(
-        self, process: ExplicitProcess, budget: float, visits: FloatArray, free: BoolArray
+        self,
+        process: ExplicitProcess,
+        budget: float,
+        visits: FloatArray,
+        free: BoolArray,
+        gap: float,
     ) -> None:
         """State the program.
 
@@ -537,8 +457,9 @@ class IntegerProgram:
             budget: failure budget.
             visits: upper bounds of the expected visits, [states]; 0: out of reach.
             free: states that may randomise, [states].
+            gap: relative gap at which to stop.
         """
-        self.process = process
+        self.process, self.free = process, free
         decided = (np.diff(process.pair_offsets) > 1) & (visits > 0.0) & ~free
         self.pairs = np.flatnonzero(decided[process.pair_state])
         lp = highs_lp(self._stated(budget, visits))
@@ -547,7 +468,7 @@ class IntegerProgram:
         lp.integrality_ = [highspy.HighsVarType.kContinuous] * process.n_pairs + [
             highspy.HighsVarType.kInteger
         ] * self.pairs.size
-        self._solver = highs_solver(lp, _OPTIONS)
+        self._solver = highs_solver(lp, {**_OPTIONS, "mip_rel_gap": gap})
         self._solver.HandleUserInterrupt = True
 
     def _stated(self, budget: float, visits: FloatArray) -> LinearProgram:
@@ -570,32 +491,36 @@ class IntegerProgram:
             rows=base.rows,
         )
 
-    def forbid(self, choice: IntArray, reached: BoolArray) -> None:
-        """Exclude all policies that agree with a choice in the states that it reaches."""
-        position = np.flatnonzero(np.isin(self.pairs, choice[reached]))
+    def forbid(self, pairs: IntArray) -> None:
+        """Exclude all policies that take these pairs, one for each state that they reach."""
+        position = np.flatnonzero(np.isin(self.pairs, pairs))
         columns = (self.process.n_pairs + position).astype(np.int32)
         most = float(position.size) - 1.0
         self._solver.addRow(-highspy.kHighsInf, most, position.size, columns, np.ones(columns.size))
 
-    def stop_at(self, tolerance: float) -> None:
-        """Stop at a relative gap."""
-        self._solver.setOptionValue("mip_rel_gap", max(tolerance, _LEAST_GAP))
-
-    def start_at(self, x: FloatArray, choice: IntArray) -> None:
-        """Tell HiGHS of a policy with which to begin."""
-        given = highspy.HighsSolution()
+    def start_at(self, choice: IntArray) -> None:
+        """Tell HiGHS of a policy with which to begin, [states]."""
+        process, given = self.process, highspy.HighsSolution()
+        chain = sp.csc_array(process.transitions[choice].T)
+        stay = sp.csc_array(sp.eye_array(len(choice)) - chain)
+        x = np.zeros(process.n_pairs)
+        x[choice] = linalg.spsolve(stay, process.start)
         given.col_value = np.append(x, np.isin(self.pairs, choice)).tolist()
         self._solver.setSolution(given)
 
     def solve(self, cost: FloatArray, deadline: float) -> IntegerAnswer:
         """Minimise a cost of the pairs, [pairs], until the deadline of ``time.perf_counter``."""
-        left = deadline - time.perf_counter()
-        if left <= 0.0:
-            return IntegerAnswer(None, None, -np.inf, finished=False)
         solver, n = self._solver, self.process.n_pairs
-        solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
-        solver.changeColsCost(n, np.arange(n, dtype=np.int32), cost)
-        _run_integer_program(solver)
+        if not _has_time(solver, cost, deadline):
+            return IntegerAnswer(None, None, -np.inf, finished=False)
+        solver.startSolve()  # beside this thread, which so hears of Ctrl-C and ends it
+        try:
+            while not solver.wait(_POLL)[0]:
+                pass
+        except KeyboardInterrupt:
+            solver.cancelSolve()  # type: ignore[no-untyped-call]
+            solver.wait()
+            raise
         status, info = solver.getModelStatus(), solver.getInfo()
         if status in _OVER:
             return IntegerAnswer(None, None, np.inf, finished=True)
@@ -604,15 +529,12 @@ class IntegerProgram:
         if info.primal_solution_status != highspy.SolutionStatus.kSolutionStatusFeasible:
             return IntegerAnswer(None, None, bound, finished=False)
         values = np.asarray(solver.getSolution().col_value, dtype=np.float64)
-        return IntegerAnswer(values[:n], self._choice(values), bound, finished)
-
-    def _choice(self, values: FloatArray) -> IntArray:
-        """The pair of greatest y, or of greatest x where there is no y, [states]."""
-        n = self.process.n_pairs
         weight = values[:n].copy()
         weight[self.pairs] = values[n:]
+        # the pair of greatest y, or of greatest x where there is no y
         order = np.lexsort((weight, self.process.pair_state))
-        return order[self.process.pair_offsets[1:] - 1]
+        choice = order[self.process.pair_offsets[1:] - 1]
+        return IntegerAnswer(values[:n], choice, bound, finished)
 
 
 _MARGIN = 1e-6
@@ -652,51 +574,35 @@ def most_visits(
     n_parts, _ = csgraph.connected_components(steps, directed=True, connection="strong")
     if n_parts == process.n_states and not steps.diagonal().any():
         return np.where(reached, once, 0.0)
-    solver = _prepared_integer_program(process, budget, most, ratio)
-    total = _greatest_by_integers(solver, np.ones(process.n_pairs), deadline)
+    room = most + _ROOM * (1.0 + abs(most))
+    limits = {
+        FAILURE_ROW: (process.failure, budget + _ROOM),
+        "value": (process.cost - ratio * process.goal, room),
+    }
+    lp = highs_lp(rows_program(process, limits, ratio=False))
+    lp.sense_ = highspy.ObjSense.kMaximize
+    solver = highs_solver(lp, {})
+
+    def greatest(counted: FloatArray) -> float | None:
+        """The greatest expected number of counted steps, with a margin; None: time ran out."""
+        if not _has_time(solver, counted, deadline):
+            return None
+        run_highs(solver)
+        status = solver.getModelStatus()
+        if status == highspy.HighsModelStatus.kTimeLimit:
+            return None
+        if status != highspy.HighsModelStatus.kOptimal:
+            raise SolverError(f"the visits have no bound: {solver.modelStatusToString(status)}")
+        return float(solver.getInfo().objective_function_value) * (1.0 + _MARGIN) + _MARGIN
+
+    total = greatest(np.ones(process.n_pairs))
     if total is None:
         return None
     visits = np.where(reached, total, 0.0)
     decided = np.flatnonzero(reached & (np.diff(process.pair_offsets) > 1))
     for state in decided if decided.size <= _EACH else ():
-        own = _greatest_by_integers(
-            solver, (process.pair_state == state).astype(np.float64), deadline
-        )
+        own = greatest((process.pair_state == state).astype(np.float64))
         if own is None:
             return visits
         visits[state] = min(own, total)
     return visits
-
-
-def _prepared_integer_program(
-    process: ExplicitProcess, budget: float, most: float, ratio: float
-) -> highspy.Highs:
-    """The policies within the limit, as a program whose objective is still to be said."""
-    limits = {FAILURE_ROW: (process.failure, budget + _ROOM)}
-    program = rows_program(process, limits, ratio=False)
-    lp = highs_lp(program)
-    lp.sense_ = highspy.ObjSense.kMaximize
-    solver = highs_solver(lp, {})
-    row = process.cost - ratio * process.goal
-    filled = np.flatnonzero(row).astype(np.int32)
-    room = _ROOM * (1.0 + abs(most))
-    solver.addRow(-highspy.kHighsInf, most + room, filled.size, filled, row[filled])
-    return solver
-
-
-def _greatest_by_integers(
-    solver: highspy.Highs, counted: FloatArray, deadline: float
-) -> float | None:
-    """For the integer program, the greatest expected number of counted steps, with a margin."""
-    left = deadline - time.perf_counter()
-    if left <= 0.0:
-        return None
-    solver.setOptionValue("time_limit", solver.getRunTime() + min(left, 1e9))
-    solver.changeColsCost(counted.size, np.arange(counted.size, dtype=np.int32), counted)
-    run_highs(solver)
-    status = solver.getModelStatus()
-    if status == highspy.HighsModelStatus.kTimeLimit:
-        return None
-    if status != highspy.HighsModelStatus.kOptimal:
-        raise SolverError(f"the visits have no bound: {solver.modelStatusToString(status)}")
-    return float(solver.getInfo().objective_function_value) * (1.0 + _MARGIN) + _MARGIN

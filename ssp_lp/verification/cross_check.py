@@ -6,9 +6,10 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
+from math import inf, isnan
 
-from ssp_lp.analysis.evaluation import Evaluation, evaluate_each
+from ssp_lp.analysis.evaluation import evaluate_each
 from ssp_lp.arrays import LEAST_BUDGET
 from ssp_lp.errors import InfeasibleError, ModelError, SolverError, check_between_0_and_1
 from ssp_lp.methods.approaches import refusal
@@ -61,15 +62,6 @@ class MethodResult:
         return self.objective is not None
 
     @property
-    def least_failure(self) -> float | None:
-        """The least failure, as limited by the budget, of a method that says infeasible."""
-        error = self.infeasible
-        if error is None:
-            return None
-        surrogate = error.least_discounted_failure
-        return error.least_failure if surrogate is None else surrogate
-
-    @property
     def spent(self) -> float | None:
         """The failure that the budget limits: discounted under a discount, else the real one."""
         surrogate = self.discounted_failure
@@ -78,7 +70,13 @@ class MethodResult:
 
 def result_of(name: str, solution: Solution) -> MethodResult:
     """The row of a solution, its policy and each member evaluated on the model."""
-    found, each = evaluate_each(solution.policy, solution.problem)
+    evaluation, each = evaluate_each(solution.policy, solution.problem)
+    members = []
+    for member, weight in zip(each, solution.policy.weights, strict=True):
+        failure, cost = member.limited_failure, member.objective
+        if solution.problem.ratio:
+            cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
+        members.append(Member(float(weight), cost, failure))
     return MethodResult(
         name=name,
         note="; ".join(part for part in (solution.note, solution.run.program) if part),
@@ -87,12 +85,12 @@ def result_of(name: str, solution: Solution) -> MethodResult:
         gap=solution.gap,
         adversary_weight=solution.adversary_weight,
         failure_price=solution.failure_price,
-        evaluated=found.objective,
-        failure_probability=found.failure_probability,
-        discounted_failure=found.discounted_failure,
-        expected_cost=found.expected_cost,
-        conditional_cost=found.conditional_cost,
-        members=_members(solution, each),
+        evaluated=evaluation.objective,
+        failure_probability=evaluation.failure_probability,
+        discounted_failure=evaluation.discounted_failure,
+        expected_cost=evaluation.expected_cost,
+        conditional_cost=evaluation.conditional_cost,
+        members=tuple(members),
         seconds=solution.seconds,
     )
 
@@ -108,12 +106,16 @@ def result_by(
         lp_backend: the solver of the linear program, whatever its size; None: chosen by size.
         time_limit: seconds for this method.
     """
-    method, reason = parse_method(name), ""
+    method = parse_method(name)
+    reason = str(refusal(problem, method) or "")
     if name == LinearProgramming.name:
-        backend, reason = _program_backend(problem, lp_backend)
-        method = LinearProgramming(backend)
-    elif (refused := refusal(problem, method)) is not None:
-        reason = str(refused)
+        method = LinearProgramming(lp_backend)
+        if problem.failure_budget is None:
+            reason = "at least failure there is one method, the two stages of column generation"
+        elif lp_backend is None:
+            columns = problem.compile().for_program().n_columns
+            if columns > MOST_COLUMNS:
+                reason = f"{columns:,} columns are too many to solve from nothing"
     if reason:
         return MethodResult(name, note=f"not asked: {reason}")
     began = time.perf_counter()
@@ -130,148 +132,12 @@ def result_by(
     return replace(result, seconds=time.perf_counter() - began)
 
 
-def _members(solution: Solution, each: list[Evaluation]) -> tuple[Member, ...]:
-    """Each member of a lottery by itself."""
-    members = []
-    for found, weight in zip(each, solution.policy.weights, strict=True):
-        failure, cost = found.limited_failure, found.objective
-        if solution.problem.ratio:
-            cost = cost * (1.0 - failure) if failure < 1.0 else 0.0
-        members.append(Member(float(weight), cost, failure))
-    return tuple(members)
-
-
-def _program_backend(problem: Problem, asked: str | None) -> tuple[str | None, str]:
-    """The backend for a problem's program, and why the program is not solved at all."""
-    if problem.failure_budget is None:
-        return None, "at least failure there is one method, the two stages of column generation"
-    if asked is not None:
-        return asked, ""
-    columns = problem.compile().for_program().n_columns
-    if columns <= MOST_COLUMNS:
-        return None, ""
-    return None, f"{columns:,} columns are too many to solve from nothing"
-
-
 _NOTHING = 1e-12
 """Costs are compared relative to their size, but never to less than this share of the costliest
 step: below it lies the rounding of sums of such steps."""
 
 _EDGE = 1e-9
 """A budget this near to the least failure may be feasible for one method and not for another."""
-
-Findings = dict[str, str]
-"""What is held against a method, by its name."""
-
-
-@dataclass(frozen=True)
-class MethodComparison:
-    """Compares methods that lead to one problem's answer."""
-
-    budget: float | None
-    costliest: float  # step of the model
-    tolerance: float  # relative, of costs
-    weight_tolerance: float  # of alpha*
-
-    def distance(self, one: float | None, other: float | None) -> float:
-        """Relative distance of two costs; infinite if one of them is no number."""
-        if one is None or other is None or one != one or other != other:
-            return float("inf")
-        if one == other:
-            return 0.0
-        return abs(one - other) / max(abs(one), abs(other), _NOTHING * self.costliest)
-
-    def overrun(self, method: MethodResult) -> float:
-        """By how much a method's policy breaks the budget; 0 if it keeps to it.
-
-        Every method counts a budget within LEAST_BUDGET below the least failure as equal to it.
-        """
-        spent = method.spent
-        if self.budget is None or spent is None or spent <= self.budget + LEAST_BUDGET:
-            return 0.0
-        return spent - self.budget
-
-    def unsound(self, methods: Sequence[MethodResult]) -> Findings:
-        """Roads that are wrong by themselves, whatever others say."""
-        found: Findings = {}
-        for method in methods:
-            if self.overrun(method) > 0.0:
-                found[method.name] = f"its policy breaks the budget by {self.overrun(method):.1e}"
-            elif self.distance(method.objective, method.evaluated) > self.tolerance:
-                stated, attained = f"{method.objective:.12g}", f"{method.evaluated:.12g}"
-                found[method.name] = f"it states c* = {stated}, but its policy attains {attained}"
-        return found
-
-    def outvoted(self, methods: Sequence[MethodResult]) -> Findings:
-        """Roads whose c* lies outside the majority's; all of them where no two agree."""
-        near: dict[str, set[str]] = {method.name: {method.name} for method in methods}
-        for one, other in combinations(methods, 2):
-            if self.distance(one.objective, other.objective) <= self.tolerance:
-                near[one.name].add(other.name)
-                near[other.name].add(one.name)
-        majority = max(near.values(), key=len, default=set())
-        if len(majority) == len(methods):
-            return {}
-        if len(majority) < 2:
-            return {method.name: "no other method has its c*" for method in methods}
-        others = ", ".join(sorted(majority))
-        return {
-            r.name: f"its c* is not that of {others}" for r in methods if r.name not in majority
-        }
-
-    def refuted(self, methods: Sequence[MethodResult]) -> Findings:
-        """Roads whose certified lower bound exceeds what a policy within the budget attains."""
-        found: Findings = {}
-        for method in methods:
-            for other in methods:
-                low, attained = method.lower_bound, other.evaluated
-                if low is None or attained is None or low <= attained:
-                    continue
-                if self.distance(low, attained) > self.tolerance:
-                    found[method.name] = (
-                        f"its lower bound {low:.12g} exceeds the {attained:.12g} that the policy "
-                        f"of {other.name} attains: one of the two is wrong"
-                    )
-        return found
-
-    def refusing(self, methods: Sequence[MethodResult]) -> Findings:
-        """Roads that call infeasible what another method's policy attains.
-
-        Nearer to the least failure than 1e-9 this is rounding: the row has its note, no more.
-        """
-        if not any(method.answered for method in methods) or self.budget is None:
-            return {}
-        return {
-            method.name: f"it says that no policy fails less than {least:.12g}"
-            for method in methods
-            if (least := method.least_failure) is not None and least - self.budget > _EDGE
-        }
-
-    def unproved(self, methods: Sequence[MethodResult]) -> Findings:
-        """Roads with an alpha* of their own at a price that their bound does not prove."""
-        weights = [w for method in methods if (w := method.adversary_weight) is not None]
-        if not self._differ(weights):
-            return {}
-        return {
-            method.name: f"its price is not proved: the bound misses c* by {method.gap:.1e}"
-            for method in methods
-            if not self._is_proved(method)
-        }
-
-    def several_prices(self, methods: Sequence[MethodResult]) -> list[str]:
-        """A remark where prices differ and each is optimal: at a kink they form an interval."""
-        proved = [method for method in methods if self._is_proved(method)]
-        weights = [w for method in proved if (w := method.adversary_weight) is not None]
-        return ["several prices are optimal"] if self._differ(weights) else []
-
-    def _differ(self, weights: Sequence[float]) -> bool:
-        """Whether weights that are compared differ by more than the tolerance."""
-        return len(weights) > 1 and max(weights) - min(weights) > self.weight_tolerance
-
-    def _is_proved(self, method: MethodResult) -> bool:
-        """Whether the bound at the method's own price meets its c*: the price is then optimal."""
-        return self.distance(method.objective, method.lower_bound) <= self.tolerance
-
 
 _LOG = logging.getLogger("ssp_lp.comparison")
 
@@ -420,29 +286,97 @@ def compare_methods(
     tolerance: float = 1e-6,
     weight_tolerance: float = 1e-4,
 ) -> CrossCheck:
-    """Cross-check the methods' rows of one problem, wherever they come from."""
+    """Cross-check the methods' rows of one problem, wherever they come from.
 
-    def widest(values: Sequence[float], distance: Callable[[float, float], float]) -> float:
-        """The widest distance between answers of two methods."""
-        return max((distance(one, other) for one, other in combinations(values, 2)), default=0.0)
+    Every method counts a budget within LEAST_BUDGET below the least failure as equal to it.
+    """
+    smallest = _NOTHING * float(problem.model.costs.max(initial=0.0))
+    budget = 1.0 if problem.failure_budget is None else problem.failure_budget
 
-    costliest = float(problem.model.costs.max(initial=0.0))
-    comparison = MethodComparison(problem.failure_budget, costliest, tolerance, weight_tolerance)
+    def distance(one: float | None, other: float | None) -> float:
+        """Relative distance of two costs; infinite if one of them is no number."""
+        if one is None or other is None or isnan(one) or isnan(other):
+            return inf
+        return 0.0 if one == other else abs(one - other) / max(abs(one), abs(other), smallest)
+
+    def overrun(method: MethodResult) -> float:
+        """By how much a method's policy breaks the budget; 0 if it keeps to it."""
+        spent = method.spent
+        return 0.0 if spent is None or spent <= budget + LEAST_BUDGET else spent - budget
+
+    def is_proved(method: MethodResult) -> bool:
+        """Whether the bound at the method's own price meets its c*: the price is then optimal."""
+        return distance(method.objective, method.lower_bound) <= tolerance
+
     answered = [method for method in methods if method.answered]
-    unsound = comparison.unsound(answered)
-    sound = [method for method in answered if method.name not in unsound]
-    findings = unsound | comparison.unproved(sound) | comparison.refusing(methods)
-    findings |= comparison.outvoted(sound) | comparison.refuted(sound)
+    findings = {}  # what is held against a method, by its name
+    for method in answered:  # wrong by itself, whatever others say
+        if overrun(method) > 0.0:
+            findings[method.name] = f"its policy breaks the budget by {overrun(method):.1e}"
+        elif distance(method.objective, method.evaluated) > tolerance:
+            stated, attained = f"{method.objective:.12g}", f"{method.evaluated:.12g}"
+            findings[method.name] = f"it states c* = {stated}, but its policy attains {attained}"
+    sound = [method for method in answered if method.name not in findings]
+    if _spread(sound) > weight_tolerance:
+        for method in sound:
+            if not is_proved(method):
+                told = f"the bound misses c* by {method.gap:.1e}"
+                findings[method.name] = f"its price is not proved: {told}"
+    if answered:
+        findings |= _refusing(methods, budget)
+    findings |= _outvoted(sound, lambda r, s: distance(r.objective, s.objective) <= tolerance)
+    for method, other in permutations(sound, 2):
+        low, value = method.lower_bound, other.evaluated
+        exceeds = low is not None and value is not None and low > value
+        if exceeds and distance(low, value) > tolerance:
+            findings[method.name] = (
+                f"its lower bound {low:.12g} exceeds the {value:.12g} that the policy of "
+                f"{other.name} attains: one of the two is wrong"
+            )
     named = tuple(method.name for method in methods if method.name in findings)
-    costs = [r.objective for r in answered if r.objective is not None]
-    exact = [r.evaluated for r in answered if r.evaluated is not None]
-    weights = [r.adversary_weight for r in answered if r.adversary_weight is not None]
+    remarks = [f"{name}: {findings[name]}" for name in named]
+    if _spread([method for method in sound if is_proved(method)]) > weight_tolerance:
+        remarks.append("several prices are optimal")  # at a kink they form an interval
+    pairs = list(combinations(answered, 2))
     return CrossCheck(
         methods=tuple(methods),
-        objective_distance=widest(costs, comparison.distance),
-        weight_distance=widest(weights, lambda one, other: abs(one - other)),
-        evaluated_distance=widest(exact, comparison.distance),
-        budget_overrun=max((comparison.overrun(r) for r in answered), default=0.0),
+        objective_distance=max((distance(r.objective, s.objective) for r, s in pairs), default=0.0),
+        weight_distance=_spread(answered),
+        evaluated_distance=max((distance(r.evaluated, s.evaluated) for r, s in pairs), default=0.0),
+        budget_overrun=max(map(overrun, answered), default=0.0),
         disagreeing=named,
-        remarks=(*(f"{n}: {findings[n]}" for n in named), *comparison.several_prices(sound)),
+        remarks=tuple(remarks),
     )
+
+
+def _spread(methods: Sequence[MethodResult]) -> float:
+    """The largest distance between two alpha*, among methods that have one."""
+    weights = [w for method in methods if (w := method.adversary_weight) is not None]
+    return max(weights) - min(weights) if weights else 0.0
+
+
+def _refusing(methods: Sequence[MethodResult], budget: float) -> dict[str, str]:
+    """What is held against methods that call infeasible what another one's policy attains."""
+    findings = {}
+    for method in methods:
+        if (error := method.infeasible) is not None:
+            least = error.least_discounted_failure
+            least = error.least_failure if least is None else least
+            if least is not None and least - budget > _EDGE:
+                findings[method.name] = f"it says that no policy fails less than {least:.12g}"
+    return findings
+
+
+def _outvoted(
+    methods: Sequence[MethodResult], agree: Callable[[MethodResult, MethodResult], bool]
+) -> dict[str, str]:
+    """What is held against methods outside the majority; all of them where no two agree."""
+    near = [[other.name for other in methods if agree(method, other)] for method in methods]
+    majority = max(near, key=len, default=[])
+    if len(majority) == len(methods):
+        return {}
+    if len(majority) < 2:
+        return {method.name: "no other method has its c*" for method in methods}
+    others = ", ".join(sorted(majority))
+    told = f"its c* is not that of {others}"
+    return {method.name: told for method in methods if method.name not in majority}
